@@ -1,0 +1,140 @@
+"""Arrays checked when they are made: shapes, finiteness, symmetry, definiteness; the results are read-only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn.errors import ProblemError
+
+Array: TypeAlias = npt.NDArray[np.float64]
+ArrayLike: TypeAlias = npt.ArrayLike
+Shape: TypeAlias = tuple[int | None, ...]
+
+DEFINITENESS_TOLERANCE = 1e-10  # relative to the largest eigenvalue: what rounding leaves of an exact zero
+
+
+def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
+    """Return ``value`` as a read-only finite float array of ``shape`` (None: any size).
+
+    Raises:
+        ProblemError: not numeric, not finite, or of another shape.
+    """
+    try:
+        result = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ProblemError(f"{name} is not an array of numbers ({error}); expected {_shape_text(shape, meaning)}") from None
+    if result.ndim != len(shape) or any(want not in (None, got) for got, want in zip(result.shape, shape, strict=True)):
+        transposed = result.ndim == 2 and all(
+            want in (None, got) for got, want in zip(result.T.shape, shape, strict=False)
+        ) and len(shape) == 2
+        hint = ". Did you pass its transpose?" if transposed else ""
+        raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
+    if not np.isfinite(result).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
+        raise ProblemError(f"{name} holds {result[where]} at index {where}; expected finite numbers")
+    result.setflags(write=False)
+    return result
+
+
+def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
+    """Return ``value`` as a read-only symmetric matrix.
+
+    Raises:
+        ProblemError: not symmetric to 1e-9 of its largest entry.
+    """
+    result = array(name, value, (size, size), meaning)
+    if size and np.abs(result - result.T).max() > 1e-9 * max(np.abs(result).max(), 1e-300):
+        i, j = (int(k) for k in np.unravel_index(np.argmax(np.abs(result - result.T)), result.shape))
+        raise ProblemError(
+            f"{name} is not symmetric: entry ({i}, {j}) is {result[i, j]:g} and ({j}, {i}) is {result[j, i]:g}; "
+            f"expected a symmetric matrix; use ({name} + {name}')/2 if that is what you mean"
+        )
+    return frozen((result + result.T) / 2)
+
+
+def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
+    """Return ``value`` as a read-only symmetric positive semidefinite matrix.
+
+    Raises:
+        ProblemError: an eigenvalue is negative.
+    """
+    result = symmetric(name, value, size, meaning)
+    smallest, largest = _extreme_eigenvalues(result)
+    if smallest < -DEFINITENESS_TOLERANCE * max(largest, 1e-300):
+        raise ProblemError(f"{name} has the eigenvalue {smallest:g}; expected a positive semidefinite matrix (all eigenvalues ≥ 0)")
+    return result
+
+
+def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
+    """Return ``value`` as a read-only symmetric positive definite matrix.
+
+    Raises:
+        ProblemError: an eigenvalue is not positive.
+    """
+    result = symmetric(name, value, size, meaning)
+    smallest, largest = _extreme_eigenvalues(result)
+    if smallest <= DEFINITENESS_TOLERANCE * max(largest, 1e-300):
+        raise ProblemError(f"{name} has the eigenvalue {smallest:g}; expected a positive definite matrix (all eigenvalues > 0)")
+    return result
+
+
+def number(name: str, value: object, low: float = -np.inf, high: float = np.inf, *, closed: bool = False) -> float:
+    """Return ``value`` as a finite float in the open (or, on request, closed) interval from ``low`` to ``high``.
+
+    Raises:
+        ProblemError: not a number, not finite, or outside.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or not np.isfinite(value):
+        raise ProblemError(f"{name} is {value!r}; expected a finite number")
+    inside = low <= value <= high if closed else low < value < high
+    if not inside:
+        less = "≤" if closed else "<"
+        bounds = (f"{low:g} {less} " if low > -np.inf else "") + name + (f" {less} {high:g}" if high < np.inf else "")
+        raise ProblemError(f"{name} is {float(value):g}; expected {bounds}")
+    return float(value)
+
+
+def count(name: str, value: object, least: int = 1) -> int:
+    """Return ``value`` as an integer of at least ``least``.
+
+    Raises:
+        ProblemError: not a whole number, or too small.
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ProblemError(f"{name} is {value!r}; expected a whole number, at least {least}")
+    return int(value)
+
+
+def frozen(value: Array) -> Array:
+    """Return a read-only copy."""
+    result = np.array(value, dtype=np.float64)
+    result.setflags(write=False)
+    return result
+
+
+def factor(covariance: Array) -> Array:
+    """Return G with G G' = covariance and one column for each positive eigenvalue.
+
+    A positive definite covariance gives its Cholesky factor (triangular, hence cheaper to apply).
+    """
+    if covariance.size and np.linalg.eigvalsh(covariance)[0] > DEFINITENESS_TOLERANCE * np.abs(covariance).max():
+        return np.linalg.cholesky(covariance)
+    values, vectors = np.linalg.eigh(covariance)
+    kept = values > DEFINITENESS_TOLERANCE * max(values.max(initial=0.0), 1e-300)
+    return vectors[:, kept] * np.sqrt(values[kept])
+
+
+def _extreme_eigenvalues(matrix: Array) -> tuple[float, float]:
+    if matrix.size == 0:
+        return np.inf, 0.0
+    values = np.linalg.eigvalsh(matrix)
+    return float(values[0]), float(np.abs(values).max())
+
+
+def _shape_text(shape: Sequence[int | None], meaning: str) -> str:
+    sizes = ", ".join("any" if size is None else str(size) for size in shape)
+    return f"({sizes}{',' if len(shape) == 1 else ''})" + (f" = {meaning}" if meaning else "")

@@ -1,0 +1,1 @@
+"""Policies, one family per file; each carries its guarantee."""

@@ -1,0 +1,15 @@
+"""The catalogue: the design function of every policy kind. A new policy is one file and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from taciturn.design.lqg import lqg
+from taciturn.design.periodic import all_time, periodic
+from taciturn.model.policy import Policy
+
+CATALOGUE: Mapping[str, Callable[..., Policy]] = {
+    "all-time": all_time,
+    "periodic": periodic,
+    "lqg": lqg,
+}

@@ -1,0 +1,153 @@
+"""Certainty-equivalent control over an actuator link: a filter, a gain, a trigger, and an actuator that holds or predicts.
+
+Within a tick: the sensor measures; the controller (at the sensor's site) estimates, computes ``command`` = L x̂ and the
+``candidate`` that the actuator will apply if nothing is sent, and decides on their difference ``error``; the packet
+travels; the actuator applies ``input``; the controller notes the same input as ``held`` and predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.riccati import Regulator, regulate
+from taciturn.model.policy import Assign, Decide, Identity, Location, NodeName, Received, Send, Step
+from taciturn.model.trigger import Form, Trigger
+
+Actuation: TypeAlias = Literal["hold", "model"]
+COLLOCATED: tuple[frozenset[NodeName], ...] = (frozenset({"sensor", "controller"}),)
+SEND = "send"
+
+
+@dataclass(frozen=True, eq=False)
+class Certainty:
+    """What every such policy shares: the discrete problem, its regulator and its filter.
+
+    Args:
+        problem: the plant from tick to tick.
+        regulator: K, L and H of the infinite horizon.
+        estimation: the filter.
+        cost_all_time: cost of sending at every tick, per tick, without the inter-sample noise cost.
+    """
+
+    problem: Discrete
+    regulator: Regulator
+    estimation: Estimation
+    cost_all_time: float
+
+    def per_unit(self, cost: float) -> float:
+        """Return a cost per tick in the units of the cost: inter-sample noise added, per second if ticks have seconds."""
+        return (cost + self.problem.noise_cost) / self.problem.tick
+
+
+def design_certainty(kind: str, problem: Discrete) -> Certainty:
+    """Return regulator, filter and all-time cost J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) of an average cost.
+
+    Raises:
+        ProblemError: the cost has a horizon or a discount, which ``kind`` does not know.
+        UnstableError: no stabilising gain.
+
+    Source: khashooei2017, anderson1990optimal
+    """
+    if problem.cost.horizon is not None:
+        raise ProblemError(f"cost.horizon is {problem.cost.horizon}, which {kind} does not use; expected an average cost: remove it")
+    if problem.cost.discount != 1.0:
+        raise ProblemError(f"cost.discount is {problem.cost.discount:g}, which {kind} does not use; expected an average cost: remove it")
+    plant = problem.plant
+    regulator = regulate(plant.A, plant.B, problem.Q, problem.R, problem.N)
+    estimation = estimate_state(problem)
+    prior, posterior = estimation.filter.prior, estimation.filter.posterior
+    cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
+    return Certainty(problem, regulator, estimation, float(cost))
+
+
+def control_steps(
+    certainty: Certainty, L: Array, actuation: Actuation, trigger: Trigger | None
+) -> tuple[tuple[Step, ...], dict[str, Array]]:
+    """Return the steps of a tick and the first values of the memories.
+
+    Args:
+        certainty: filter and model.
+        L: the gain of the command.
+        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃.
+        trigger: over ``estimate``, ``candidate`` and ``error``; None: send at every tick.
+    """
+    plant, estimation = certainty.problem.plant, certainty.estimation
+    on = None if trigger is None else SEND
+    decide = () if trigger is None else (Decide("controller", SEND, trigger),)
+    part = _ACTUATIONS[actuation](certainty, L, on)
+    steps: tuple[Step, ...] = (
+        *estimation.correct,
+        Assign("controller", "command", {ESTIMATE: L}),
+        part.candidate,
+        Assign("controller", "error", {"candidate": np.eye(plant.inputs), "command": -np.eye(plant.inputs)}),
+        *decide,
+        *part.send,
+        *estimation.predict,
+    )
+    return steps, {**estimation.initial, **part.initial}
+
+
+def completed_square(certainty: Certainty) -> Identity:
+    """Return J = J_all + E[(û − Lx̂)'H(û − Lx̂)]: silence costs exactly e'He, sending nothing.
+
+    Source: khashooei2017
+    """
+    silent, sent = Form(("error",), certainty.regulator.H / certainty.problem.tick), Form()
+    return Identity(certainty.per_unit(certainty.cost_all_time), (silent, sent), SEND)
+
+
+def phase_clock(every: int) -> tuple[Location, ...]:
+    """Return a clock that counts 0, 1, …, every − 1 and starts again."""
+    return (Location("phase", np.roll(np.arange(every), -1)),)
+
+
+@dataclass(frozen=True, eq=False)
+class _Actuation:
+    candidate: Step
+    send: tuple[Step, ...]
+    initial: dict[str, Array]
+
+
+def _hold(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
+    unit = np.eye(L.shape[0])
+    known = ({"candidate": unit}, {"command": unit})
+    return _Actuation(
+        Assign("controller", "candidate", {HELD: unit}),
+        (
+            Send("controller", "actuator", ("command",), on),
+            Assign("actuator", "input", ({"input": unit}, {"command": unit}), Received("actuator")),
+            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
+        ),
+        {},
+    )
+
+
+def _model(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
+    plant = certainty.problem.plant
+    unit, closed = np.eye(plant.states), plant.A + plant.B @ L
+    copied = ({"prediction": unit}, {ESTIMATE: unit})
+    known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
+    return _Actuation(
+        Assign("controller", "candidate", {"prediction": L}),
+        (
+            Send("controller", "actuator", (ESTIMATE,), on),
+            Assign("actuator", "input", ({"forecast": L}, {ESTIMATE: L}), Received("actuator")),
+            Assign("actuator", "model", ({"forecast": unit}, {ESTIMATE: unit}), Received("actuator")),
+            Assign("actuator", "forecast", {"model": closed}),
+            Assign("controller", "copy", copied, on) if on else Assign("controller", "copy", copied[1]),
+            Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
+            Assign("controller", "prediction", {"copy": closed}),
+        ),
+        {"prediction": plant.mean, "forecast": plant.mean},
+    )
+
+
+_ACTUATIONS: dict[Actuation, Callable[[Certainty, Array, str | None], _Actuation]] = {"hold": _hold, "model": _model}

@@ -1,0 +1,113 @@
+"""Output-feedback event-triggered LQG: send only when silence would cost more than a share θ of the stage cost."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from taciturn._arrays import number
+from taciturn.design.certainty import COLLOCATED, Actuation, Certainty, completed_square, control_steps, design_certainty
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Guarantee, Policy
+from taciturn.model.trigger import Form, Trigger
+
+
+def lqg(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    theta: float,
+    period: float | None = None,
+    trigger: Literal["joint", "separate"] = "joint",
+    epsilon: float | None = None,
+    actuation: Actuation = "hold",
+) -> Policy:
+    """Design the policy whose cost is at most 1 + θ times that of sending at every tick.
+
+    With x̂ the filtered estimate and e = û − Lx̂, û the input applied in silence, send if and only if
+
+        joint:    (1+θ) e'(R+B'KB)e − θ (x̂'Qx̂ + û'Rû + 2x̂'Nû) > θ tr(QΣ)
+        separate: e'Ze − x̂'Yx̂ > θ tr(QΣ),  Y = θ(Q + L'RL + U − εI),  U = NL + L'N',
+                  Z = R + (1+θ)B'KB + (θ/ε)(RL + N')(L'R + N)
+
+    The separate trigger fires whenever the joint one does. A continuous plant is sampled exactly.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        theta: the share θ ≥ 0; 0 sends at every tick.
+        period: seconds between ticks; only with a continuous plant.
+        trigger: ``"joint"`` or ``"separate"``.
+        epsilon: ε of the separate trigger, 0 < ε < λ_min(Q + L'RL + U); omitted: half that limit.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+
+    Returns:
+        The policy, with J ≤ (1+θ) J_all and mean-square stability.
+
+    Raises:
+        ProblemError: θ < 0, ε outside its interval or without use, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: khashooei2017
+
+    Example:
+        >>> policy = lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
+        >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
+        1.1
+    """
+    theta = number("theta", theta, 0.0, closed=True)
+    if epsilon is not None and trigger != "separate":
+        raise ProblemError("epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon")
+    problem = discretise(plant, cost, period)
+    certainty = design_certainty("lqg", problem)
+    threshold = theta * float(np.trace(problem.Q @ certainty.estimation.filter.posterior))
+    silent = _joint(certainty, theta) if trigger == "joint" else _separate(certainty, theta, epsilon)
+    rule = Trigger({"silent": silent, "send": Form(constant=threshold)})
+    steps, initial = control_steps(certainty, certainty.regulator.L, actuation, rule)
+    return Policy(
+        kind="lqg",
+        steps=steps,
+        model=problem.plant,
+        cost_all_time=certainty.per_unit(certainty.cost_all_time),
+        sites=COLLOCATED,
+        initial=initial,
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        guarantee=Guarantee(
+            certainty.per_unit((1 + theta) * certainty.cost_all_time), "J ≤ (1+θ) J_all, mean-square stable", "khashooei2017"
+        ),
+        identity=completed_square(certainty),
+        innovations=certainty.estimation.innovations,
+    )
+
+
+def _joint(certainty: Certainty, theta: float) -> Form:
+    """(1+θ) e'He − θ·(stage cost of staying silent): [x̂; e]'Γ[x̂; e] of (2.13) with its terms collected."""
+    p = certainty.problem
+    stage = np.block([[p.Q, p.N], [p.N.T, p.R]])
+    return Form(("estimate", "candidate", "error"), block_diag(-theta * stage, (1 + theta) * certainty.regulator.H))
+
+
+def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form:
+    """e'Ze − x̂'Yx̂ of (2.12)."""
+    p, B = certainty.problem, certainty.problem.plant.B
+    K, L = certainty.regulator.K, certainty.regulator.L
+    U = p.N @ L + L.T @ p.N.T
+    M = p.Q + L.T @ p.R @ L + U
+    limit = float(np.linalg.eigvalsh((M + M.T) / 2)[0])
+    if limit <= 1e-12 * np.abs(M).max():
+        raise ProblemError(f"the separate trigger needs Q + L'RL + U positive definite; its smallest eigenvalue is {limit:.3g}; "
+                           "use trigger = 'joint', or give Q a small positive part")  # fmt: skip
+    if epsilon is None:
+        epsilon = limit / 2
+    if not 0 < epsilon < limit:
+        raise ProblemError(f"epsilon is {epsilon:g}; expected 0 < epsilon < {limit:.6g}, the smallest eigenvalue of Q + L'RL + U")
+    G = L.T @ p.R + p.N
+    Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
+    Y = theta * (M - epsilon * np.eye(p.plant.states))
+    return Form(("estimate", "error"), block_diag(-(Y + Y.T) / 2, (Z + Z.T) / 2))

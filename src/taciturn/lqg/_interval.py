@@ -1,0 +1,141 @@
+"""What a stretch of time does to a noisy linear system and its quadratic cost; two stretches compose exactly.
+
+All of ``Ad``, ``Bd``, the weights, the noise and its cost follow from one extended system ż = Fz + noise of
+intensity G with cost ∫ z'Mz dt, where z holds the state and whatever the actuator keeps between two
+decisions.
+"""
+
+# Matrices carry their paper symbols, which pyright takes for constants.
+# pyright: reportConstantRedefinition=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn import _arrays
+from taciturn._arrays import Array
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """A discrete problem that stands for a stretch of finer time.
+
+    x⁺ = Ax + Bu + w, w of covariance W; the cost of the stretch is x'Qx + u'Ru + 2x'Nu + noise_cost on
+    average. No controller changes ``noise_cost``, but costs are only comparable between stretches of
+    different length with it.
+    """
+
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    N: Array
+    W: Array
+    noise_cost: float
+
+
+@dataclass(frozen=True)
+class Interval:
+    """Transition ``Phi``, cost weight ``M`` at its start, noise covariance ``G`` at its end, and the cost "
+    "of that noise."""
+
+    Phi: Array
+    M: Array
+    G: Array
+    noise_cost: float
+
+
+def compose(first: Interval, second: Interval) -> Interval:
+    """Return the stretch that is ``first`` followed by ``second``."""
+    return Interval(
+        second.Phi @ first.Phi,
+        _symmetric(first.M + first.Phi.T @ second.M @ first.Phi),
+        _symmetric(second.G + second.Phi @ first.G @ second.Phi.T),
+        first.noise_cost + second.noise_cost + float(np.sum(second.M * first.G)),
+    )
+
+
+def repeat(once: Interval, times: int) -> Interval:
+    """Return ``times`` stretches in a row, by binary powers."""
+    result: Interval | None = None
+    while True:
+        if times & 1:
+            result = once if result is None else compose(result, once)
+        times >>= 1
+        if not times:
+            assert result is not None
+            return result
+        once = compose(once, once)
+
+
+def integrate(F: Array, M: Array, G: Array, period: float) -> Interval:
+    """Return the stretch of length ``period`` of ż = Fz + noise of intensity ``G`` with cost ∫ z'Mz dt.
+
+    Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt: power series over
+    h/2^k, then k doublings. Block exponentials with e^{−Fh} in one corner lose all digits when ‖Fh‖ is large;
+    doublings only add semidefinite terms.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = float(np.abs(F).sum(axis=0).max(initial=0.0)) * period
+        doublings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / 0.5)))) if np.isfinite(size) else 10**9
+        if doublings <= 1000:
+            result = _doubled(F, M, G, period / 2.0**doublings, doublings)
+            if all(np.isfinite(part).all() for part in (result.Phi, result.M, result.G, result.noise_cost)):
+                return result
+    raise ProblemError(
+        f"period is {period:g}, over which the state grows beyond every number the computer holds "
+        f"(‖A‖·period = {size:.3g}); shorten the period"
+    )
+
+
+def _doubled(F: Array, M: Array, G: Array, step: float, doublings: int) -> Interval:
+    change, M, G, cost = _series(F, M, G, step)
+    one = np.eye(len(F))
+    Phi = one + change
+    for _ in range(doublings):
+        cost = 2 * cost + float(np.sum(M * G))
+        M = _symmetric(M + Phi.T @ M @ Phi)
+        G = _symmetric(G + Phi @ G @ Phi.T)
+        # Near the identity the small Φ − I carries the digits; far from it (decayed modes) Φ itself does.
+        if np.abs(change).max() < 0.5:
+            change = 2 * change + change @ change
+            Phi = one + change
+        else:
+            change = Phi = Phi @ Phi
+    return Interval(Phi, M, G, cost)
+
+
+def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Array, float]:
+    """Return Φ − I, M_h, G_h and c over a step with ‖Fh‖ ≤ 1/2, where 24 terms reach rounding."""
+    change, weight, noise, cost = np.zeros_like(F), np.zeros_like(F), np.zeros_like(F), 0.0
+    power, m, g = np.eye(len(F)), M * step, G * step
+    for k in range(1, 26):
+        weight, noise = weight + m, noise + g
+        cost += float(np.sum(M * g)) * step / (k + 1)
+        power = power @ F * (step / k)
+        change = change + power
+        m = _symmetric(m @ F) * (2 * step / (k + 1))
+        g = _symmetric(F @ g) * (2 * step / (k + 1))
+    return change, weight, noise, cost
+
+
+def split(stretch: Interval, states: int) -> Sampled:
+    """Return the stretch as a problem whose first ``states`` variables are the state and whose rest is the "
+    "input."""
+    n = states
+    return Sampled(
+        A=_arrays.frozen(stretch.Phi[:n, :n]),
+        B=_arrays.frozen(stretch.Phi[:n, n:]),
+        Q=_arrays.frozen(stretch.M[:n, :n]),
+        R=_arrays.frozen(stretch.M[n:, n:]),
+        N=_arrays.frozen(stretch.M[:n, n:]),
+        W=_arrays.frozen(stretch.G[:n, :n]),
+        noise_cost=stretch.noise_cost,
+    )
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2

@@ -1,0 +1,74 @@
+"""The discrete-time problem that a policy sees: a discrete plant as it is, a continuous one sampled exactly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from taciturn._arrays import Array, number
+from taciturn.errors import ProblemError
+from taciturn.lqg.sampling import sample, sample_prediction
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+
+
+@dataclass(frozen=True, eq=False)
+class Discrete:
+    """A discrete plant and its cost per tick.
+
+    Args:
+        plant: the plant from tick to tick.
+        Q, R, N: weights of one tick; a sampled R may be only semidefinite.
+        cost: horizon, terminal weight and discount, and the weights as the user gave them.
+        tick: seconds per tick; 1 where time is counted in steps.
+        noise_cost: inter-sample noise cost per tick, which no policy can change.
+    """
+
+    plant: Plant
+    Q: Array
+    R: Array
+    N: Array
+    cost: Cost
+    tick: float
+    noise_cost: float
+
+
+def discretise(
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction_gain: Array | None = None
+) -> Discrete:
+    """Return the problem from tick to tick.
+
+    Args:
+        plant: discrete, or continuous and then sampled exactly at ``period``.
+        cost: per step, or per second.
+        period: seconds between ticks; only with a continuous plant.
+        prediction_gain: gain L of an actuator that runs the model between ticks; then the input is the model's state.
+
+    Returns:
+        The discrete plant with the weights of one tick.
+
+    Raises:
+        ProblemError: sizes of plant and cost differ, period missing or out of place.
+
+    Source: vanloan1978
+    """
+    if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
+        raise ProblemError(
+            f"Q is {cost.Q.shape} and R is {cost.R.shape}; expected {(plant.states, plant.states)} and "
+            f"{(plant.inputs, plant.inputs)} = the states and inputs of the plant"
+        )
+    if isinstance(plant, Plant):
+        if period is not None:
+            raise ProblemError(f"period is {period:g} with a discrete-time plant; expected none: its ticks are its steps (use every, or remove plant.dt)")
+        return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
+    if period is None:
+        raise ProblemError("period is missing; expected the seconds between ticks, as the plant is continuous in time")
+    number("period", period, 0.0)
+    if prediction_gain is None:
+        sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
+    else:
+        sampled = sample_prediction(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction_gain, period)
+    C, V = (None, None) if plant.full_state else (plant.C, plant.V)
+    discrete = Plant(
+        sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit
+    )
+    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost)

@@ -1,0 +1,257 @@
+"""Kalman filters: steady and time-varying, in filtered form, noise-free measurements included."""
+
+# Matrices carry their paper symbols, which pyright takes for constants.
+# pyright: reportConstantRedefinition=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn import _arrays
+from taciturn._arrays import Array, ArrayLike
+from taciturn.errors import UnstableError
+from taciturn.lqg import _dare
+from taciturn.lqg.modes import mode_text, radius, root, uncontrollable_modes
+
+
+@dataclass(frozen=True)
+class Filter:
+    """A steady filter: x̂ = x̂⁻ + gain (y − C x̂⁻), x̂⁻ the prediction.
+
+    ``prior`` and ``posterior`` are the error covariances before and after the measurement, ``innovation`` the
+    covariance S of y − C x̂⁻. The estimate is driven by corrections of covariance gain S gain' = prior −
+    posterior.
+    """
+
+    prior: Array
+    posterior: Array
+    gain: Array
+    innovation: Array
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """A filter in time, k = 0 … steps: ``prior`` and ``posterior`` (steps+1, n, n), ``gains`` (steps+1, n, "
+    "p)."""
+
+    prior: Array
+    posterior: Array
+    gains: Array
+
+
+def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
+    """Return the steady Kalman filter of x⁺ = Ax + w, y = Cx + v, always a stable one.
+
+    Σ̃ = AΣA' + W,  S = CΣ̃C' + V,  gain = Σ̃C'S^{-1},  Σ = Σ̃ − gain S gain', with A − A gain C stable.
+
+    What the noise leaves undetermined is settled so that the observer stays stable:
+
+    - V = 0 and C of full column rank: the state is read off, gain = C^+ (the identity for C = I), Σ = 0, Σ̃ =
+      W.
+    - W = 0 and V = 0: nothing is random, Σ = Σ̃ = 0, S = 0; the gain is the one for W = sI, V = sI, which is
+      the same for every s > 0.
+    - S singular otherwise: some output is known in advance; gain S = Σ̃C' still holds, and in the free
+      directions the gain keeps the entries of such a stable observer.
+    - W = 0, V > 0 and A unstable: Σ = 0 also solves the equation, but only until the first disturbance. The
+      filter returned is the stabilising one, the limit of W = sI as s → 0, with Σ > 0 on the unstable modes.
+    - A mode on the unit circle that W does not reach, with V > 0: its covariance falls to zero only as 1/k
+      and the gain with it; there is no steady stable filter, and the problem is refused.
+
+    Args:
+        A: (n, n) dynamics.
+        C: (p, n) output matrix.
+        W: (n, n) semidefinite covariance of w, per step.
+        V: (p, p) semidefinite covariance of v; may be zero.
+
+    Returns:
+        The filter (prior Σ̃, posterior Σ, gain, innovation S).
+
+    Raises:
+        ProblemError: data of the wrong shape, or W or V not semidefinite.
+        UnstableError: an unstable mode that C does not see, or a mode on the unit circle that no noise
+            reaches.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> found = steady_filter([[2.0]], [[1.0]], [[0.0]], [[1.0]])
+        >>> round(float(found.prior[0, 0]), 9), round(float(found.gain[0, 0]), 9)
+        (3.0, 0.75)
+    """
+    A, C, W, V = _checked(A, C, W, V)
+    unseen = uncontrollable_modes(A.T, C.T)
+    unseen = unseen[np.abs(unseen) >= 1 - 1e-12]
+    if unseen.size:
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
+            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
+            "that state out of the problem"
+        )
+    n, p = A.shape[0], C.shape[0]
+    if not V.any() and np.linalg.matrix_rank(C) == n:
+        gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
+        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T)
+    if not V.any() and not W.any():
+        observer = _filter(A, C, np.eye(n), np.eye(p))
+        if observer is not None:
+            return _frozen(np.zeros((n, n)), np.zeros((n, n)), observer.gain, np.zeros((p, p)))
+    elif _dare.is_definite(V):
+        _refuse_unreached(A, W)
+    found = _filter(A, C, W, V)
+    if found is None:
+        _refuse_unreached(A, W)
+        raise UnstableError(
+            "no stable steady filter was found: with this V some combination of outputs is free of noise and "
+            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small "
+            "positive part, or scale the states"
+        )
+    return found
+
+
+def predict_covariances(
+    A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, initial: ArrayLike, steps: int
+) -> Covariances:
+    """Return the covariances and gains of the time-varying Kalman filter.
+
+    Σ̃_0 = initial,  gain_k = Σ̃_kC'(CΣ̃_kC' + V)^{-1},  Σ_k = (I − gain_kC)Σ̃_k,  Σ̃_{k+1} = AΣ_kA' + W.
+    Where CΣ̃C' + V is singular the pseudo-inverse stands for the inverse.
+
+    Args:
+        A: (n, n) dynamics.
+        C: (p, n) output matrix.
+        W: (n, n) semidefinite covariance of the process noise.
+        V: (p, p) semidefinite covariance of the measurement noise.
+        initial: (n, n) semidefinite covariance of the state before the first measurement.
+        steps: last time index, at least 0.
+
+    Returns:
+        Prior Σ̃_k, posterior Σ_k and gains for k = 0 … steps.
+
+    Raises:
+        ProblemError: data of the wrong shape, or a covariance not semidefinite.
+        UnstableError: the covariance overflows: an unstable mode that C does not see, over too many steps.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> found = predict_covariances([[1.0]], [[1.0]], [[0.0]], [[1.0]], [[1.0]], 3)
+        >>> (1 / found.posterior[:, 0, 0]).round(9).tolist()
+        [2.0, 3.0, 4.0, 5.0]
+    """
+    A, C, W, V = _checked(A, C, W, V)
+    n, p = A.shape[0], C.shape[0]
+    Sigma = _arrays.semidefinite("initial", initial, n, "states × states")
+    size = _arrays.count("steps", steps, 0) + 1
+    prior, posterior, gains = np.zeros((size, n, n)), np.zeros((size, n, n)), np.zeros((size, n, p))
+    noisy = _dare.is_definite(V)
+    for k in range(size):
+        prior[k] = Sigma
+        gains[k] = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+        posterior[k] = _posterior(Sigma, gains[k], C, V)
+        if (
+            not noisy
+        ):  # a noise-free output leaves exact zeros; their rounding must not be inverted at the next step
+            posterior[k] = _cleaned(posterior[k], Sigma)
+        with np.errstate(over="ignore", invalid="ignore"):
+            Sigma = _symmetric(A @ posterior[k] @ A.T + W)
+        if not np.isfinite(Sigma @ Sigma).all():
+            raise UnstableError(
+                f"the error covariance overflows after {k + 1} steps; expected (A, C) detectable; take fewer "
+                "steps or add a sensor"
+            )
+    return Covariances(_arrays.frozen(prior), _arrays.frozen(posterior), _arrays.frozen(gains))
+
+
+def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: ArrayLike) -> Array:
+    """Return the next predicted covariance: one measurement, then one step.
+
+    Ric(Σ) = AΣA' + W − AΣC'(CΣC' + V)^{-1}CΣA', with the pseudo-inverse where CΣC' + V is singular.
+
+    Args:
+        A: (n, n) dynamics.
+        C: (p, n) output matrix.
+        W: (n, n) semidefinite covariance of the process noise.
+        V: (p, p) semidefinite covariance of the measurement noise.
+        Sigma: (n, n) semidefinite predicted covariance.
+
+    Returns:
+        Ric(Σ), (n, n).
+
+    Raises:
+        ProblemError: data of the wrong shape, or a covariance not semidefinite.
+
+    Source: khashooei2017, anderson1990optimal
+
+    Example:
+        >>> riccati_step([[2.0]], [[1.0]], [[1.0]], [[1.0]], [[1.0]]).tolist()
+        [[3.0]]
+    """
+    A, C, W, V = _checked(A, C, W, V)
+    Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
+    gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+    return _arrays.frozen(_symmetric(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
+
+
+def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
+    """Return the filter by duality with the regulator of (A', C', W, V), or None."""
+    found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
+    if found is None:
+        return None
+    Sigma, L, S = found
+    gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+    if not _dare.is_definite(S):
+        # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
+        gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain)
+    if radius(A - A @ gain @ C) >= 1 - _dare.MARGIN:
+        return None
+    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S)
+
+
+def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
+    """Return the covariance after a measurement in Joseph's form, which stays semidefinite under rounding."""
+    rest = np.eye(len(Sigma)) - gain @ C
+    return _symmetric(rest @ Sigma @ rest.T + gain @ V @ gain.T)
+
+
+def _cleaned(posterior: Array, prior: Array) -> Array:
+    """Return ``posterior`` without the directions that are rounding errors of ``prior``."""
+    scale = np.sqrt(np.diag(prior))
+    inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
+    values, vectors = np.linalg.eigh(posterior * np.outer(inverse, inverse))
+    kept = values > 1e-14 * len(prior)
+    half = scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    return half @ half.T
+
+
+def _refuse_unreached(A: Array, W: Array) -> None:
+    still = uncontrollable_modes(A, root(W))
+    still = still[np.abs(np.abs(still) - 1) <= _dare.CIRCLE]
+    if still.size:
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(still[0]))} on the unit circle, which the noise W does "
+            "not reach, so the optimal gain fades to zero and no steady filter is stable; give W a small "
+            "positive part"
+        )
+
+
+def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array) -> Filter:
+    return Filter(*(_arrays.frozen(part) for part in (prior, posterior, gain, innovation)))
+
+
+def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:
+    A = _arrays.array("A", A, (None, None), "states × states")
+    n = A.shape[0]
+    A = _arrays.array("A", A, (n, n), "states × states")
+    C = _arrays.array("C", C, (None, n), "outputs × states")
+    return (
+        A,
+        C,
+        _arrays.semidefinite("W", W, n, "states × states"),
+        _arrays.semidefinite("V", V, C.shape[0], "outputs × outputs"),
+    )
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2

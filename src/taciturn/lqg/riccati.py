@@ -1,0 +1,314 @@
+"""Optimal gains: infinite and finite horizon, discounted, and in continuous time. The input is u = L x."""
+
+# Matrices carry their paper symbols, which pyright takes for constants.
+# pyright: reportConstantRedefinition=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from taciturn import _arrays
+from taciturn._arrays import Array, ArrayLike
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg import _dare, _scipy
+from taciturn.lqg.modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
+
+__all__ = [
+    "FiniteRegulator",
+    "Regulator",
+    "regulate",
+    "regulate_continuous",
+    "regulate_discounted",
+    "regulate_finite",
+    "uncontrollable_modes",
+]
+
+_Data: TypeAlias = tuple[Array, Array, Array, Array, Array]
+
+
+@dataclass(frozen=True)
+class Regulator:
+    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of an input that differs from "
+    "it."""
+
+    K: Array
+    L: Array
+    H: Array
+
+
+@dataclass(frozen=True)
+class FiniteRegulator:
+    """The gains of a finite horizon: K of shape (N+1, n, n), L of shape (N, m, n), H of shape (N, m, m)."""
+
+    K: Array
+    L: Array
+    H: Array
+
+
+def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
+    """Return the gain that minimises the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu.
+
+    K = Q + A'KA − L'HL,  L = −H^{-1}(B'KA + N'),  H = R + B'KB, with A + BL stable. Any other input costs
+    (u − Lx)'H(u − Lx) more.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) symmetric state weight; [[Q, N], [N', R]] semidefinite is the caller's duty.
+        R: (m, m) symmetric input weight; may be singular as long as H is definite.
+        N: (n, m) cross weight.
+
+    Returns:
+        The regulator (K, L, H); adding noise of covariance W costs tr(KW) per step.
+
+    Raises:
+        ProblemError: data of the wrong shape, or H singular.
+        UnstableError: an unstable mode that B cannot move, or a mode on the unit circle that the cost does
+            not see.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> found = regulate([[2.0]], [[1.0]], [[1.0]], [[2.0]], [[0.0]])
+        >>> round(float(found.L[0, 0]), 6)
+        -1.568729
+    """
+    data = _checked(A, B, Q, R, N)
+    return _regulate(*data, unit=1.0)
+
+
+def regulate_discounted(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, discount: float
+) -> Regulator:
+    """Return the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
+
+    L = −H^{-1}(αB'KA + N'),  H = R + αB'KB,  K = Q + αA'KA − L'HL. It is the undiscounted problem of √α·A and
+    √α·B; only √α(A + BL) is certain to be stable.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) symmetric state weight.
+        R: (m, m) symmetric input weight.
+        N: (n, m) cross weight.
+        discount: α, 0 < α ≤ 1.
+
+    Returns:
+        The regulator (K, L, H).
+
+    Raises:
+        ProblemError: data of the wrong shape or range, or H singular.
+        UnstableError: a mode with √α·|λ| ≥ 1 that B cannot move, or one with √α·|λ| = 1 that the cost does
+            not see.
+
+    Source: khashooei2017
+
+    Example:
+        >>> found = regulate_discounted([[2.0]], [[1.0]], [[1.0]], [[2.0]], [[0.0]], 0.9)
+        >>> round(float(found.L[0, 0]), 6)
+        -1.522789
+    """
+    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    root = np.sqrt(_arrays.number("discount", discount, 0.0, np.nextafter(1.0, 2.0)))
+    return _regulate(root * A, root * B, Q, R, N, unit=float(root))
+
+
+def regulate_finite(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, terminal: ArrayLike, horizon: int
+) -> FiniteRegulator:
+    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
+
+    K_N = Q_N,  H_k = R + B'K_{k+1}B,  L_k = −H_k^{-1}(B'K_{k+1}A + N'),  K_k = Q + A'K_{k+1}A − L_k'H_kL_k.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) symmetric state weight.
+        R: (m, m) symmetric input weight.
+        N: (n, m) cross weight.
+        terminal: (n, n) symmetric terminal weight Q_N.
+        horizon: number of steps N, at least 1.
+
+    Returns:
+        K (N+1, n, n), L (N, m, n), H (N, m, m), indexed by time.
+
+    Raises:
+        ProblemError: data of the wrong shape, or some H_k singular.
+        UnstableError: the cost overflows: an unstable mode that B cannot move, over too long a horizon.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> found = regulate_finite([[1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[0.0]], 3)
+        >>> found.K[:, 0, 0].tolist()
+        [1.6, 1.5, 1.0, 0.0]
+    """
+    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    horizon = _arrays.count("horizon", horizon)
+    n, m = B.shape
+    K, L, H = np.zeros((horizon + 1, n, n)), np.zeros((horizon, m, n)), np.zeros((horizon, m, m))
+    K[horizon] = _arrays.symmetric("terminal", terminal, n, "states × states")
+    for k in reversed(range(horizon)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            H[k] = _symmetric(R + B.T @ K[k + 1] @ B)
+            cross = B.T @ K[k + 1] @ A + N.T
+        if not (np.isfinite(H[k]).all() and np.isfinite(cross).all()):
+            raise UnstableError(
+                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}; A "
+                f"has the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; shorten the horizon or let B "
+                "reach that mode"
+            )
+        if not _dare.is_definite(H[k]):
+            raise _singular(H[k], f" at step {k}")
+        L[k] = -np.linalg.solve(H[k], cross)
+        closed = A + B @ L[k]
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is met, and named, in the next turn
+            K[k] = _symmetric(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
+    if not np.isfinite(K[0]).all():
+        raise UnstableError(
+            f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon"
+        )
+    return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
+
+
+def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
+    """Return the gain that minimises ∫ x'Qx + u'Ru + 2x'Nu dt along ẋ = Ax + Bu.
+
+    0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R.
+
+    Args:
+        A: (n, n) dynamics, per unit of time.
+        B: (n, m) input matrix.
+        Q: (n, n) symmetric state weight.
+        R: (m, m) positive definite input weight.
+        N: (n, m) cross weight.
+
+    Returns:
+        The regulator (K, L, H = R); noise of intensity W costs tr(KW) per unit of time.
+
+    Raises:
+        ProblemError: data of the wrong shape, or R not positive definite.
+        UnstableError: an unstable mode that B cannot move, or a mode on the imaginary axis that the cost does
+            not see.
+
+    Source: anderson1990optimal
+
+    Example:
+        >>> found = regulate_continuous([[0, 1], [0, 0]], [[0], [1]], [[1, 0], [0, 1]], [[10]], [[0], [0]])
+        >>> found.L.round(6).tolist()
+        [[-0.316228, -0.855836]]
+    """
+    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    R = _arrays.definite("R", R, len(R), "inputs × inputs")
+    size = max(float(np.abs(A).max(initial=0.0)), 1e-300)
+    fixed = uncontrollable_modes(A, B)
+    _refuse_unmoved(fixed[fixed.real >= -1e-12 * size], "the open left half-plane")
+    unseen = _unseen_modes(A, B, Q, R, N)
+    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * size], "the imaginary axis")
+    K = _scipy.continuous_riccati(A, B, Q, R, N)
+    for _ in range(3):  # Newton's method: from a stabilising gain each turn doubles the correct digits
+        if K is None:
+            break
+        L = -np.linalg.solve(R, B.T @ K + N.T)
+        if eigenvalues(A + B @ L).real.max() >= 0:
+            K = None
+            break
+        K = _scipy.continuous_lyapunov((A + B @ L).T, _symmetric(Q + N @ L + L.T @ N.T + L.T @ R @ L))
+    if K is not None:
+        L = -np.linalg.solve(R, B.T @ K + N.T)
+        residual = A.T @ K + K.T @ A + Q - L.T @ R @ L
+        terms = (
+            np.abs(A.T) @ np.abs(K) + np.abs(K) @ np.abs(A) + np.abs(Q) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
+        )
+        if eigenvalues(A + B @ L).real.max() < 0 and np.abs(residual).max() <= 1e-8 * terms.max():
+            return Regulator(_arrays.frozen(K), _arrays.frozen(np.asarray(L, dtype=np.float64)), R)
+    raise UnstableError(_NOT_FOUND)
+
+
+_NOT_FOUND = (
+    "no stabilising gain was found to rounding accuracy: the Riccati equation is too badly conditioned; "
+    "scale the states and inputs to comparable sizes, or weigh every state a little in Q and every input in R"
+)
+
+
+def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
+    """Solve for ``A`` and ``B`` already multiplied by ``unit`` = √α, which is taken out of the modes that "
+    "are named."""
+    fixed = uncontrollable_modes(A, B)
+    _refuse_unmoved(fixed[np.abs(fixed) >= 1 - 1e-12] / unit, _disc(unit))
+    if _dare.is_definite(R):
+        unseen = _unseen_modes(A, B, Q, R, N)
+        _refuse_unseen(
+            unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit)
+        )
+    found = _dare.solve(A, B, Q, R, N)
+    if found is None:
+        raise UnstableError(_NOT_FOUND)
+    K, L, H = found
+    if not _dare.is_definite(H):
+        raise _singular(H, "")
+    residual = Q + A.T @ K @ A - L.T @ H @ L - K
+    terms = np.abs(Q) + np.abs(A.T) @ np.abs(K) @ np.abs(A) + np.abs(L.T) @ np.abs(H) @ np.abs(L)
+    if np.abs(residual).max() > 1e-9 * terms.max():
+        raise UnstableError(_NOT_FOUND)
+    return Regulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
+
+
+def _checked(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> _Data:
+    A = _arrays.array("A", A, (None, None), "states × states")
+    n = A.shape[0]
+    A = _arrays.array("A", A, (n, n), "states × states")
+    B = _arrays.array("B", B, (n, None), "states × inputs")
+    m = B.shape[1]
+    return (
+        A,
+        B,
+        _arrays.symmetric("Q", Q, n, "states × states"),
+        _arrays.symmetric("R", R, m, "inputs × inputs"),
+        _arrays.array("N", N, (n, m), "states × inputs"),
+    )
+
+
+def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
+    """Return the modes that cost nothing once the input is −R^{-1}N'x plus a free part, for R definite."""
+    share = np.linalg.solve(R, N.T)
+    weight = Q - N @ share
+    weight = np.where(np.abs(weight) > 1e-13 * (np.abs(Q) + np.abs(N) @ np.abs(share)), weight, 0.0)
+    return uncontrollable_modes((A - B @ share).T, root(_symmetric(weight)))
+
+
+def _refuse_unmoved(modes: Modes, region: str) -> None:
+    if modes.size:
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; expected (A, B) "
+            f"stabilisable: every eigenvalue outside {region} must be reached; add an actuator or take that "
+            "state out of the problem"
+        )
+
+
+def _refuse_unseen(modes: Modes, edge: str) -> None:
+    if modes.size:
+        raise UnstableError(
+            f"the cost does not see the mode {mode_text(complex(modes[0]))} on {edge}, so no optimal gain "
+            "moves it inside; give Q a small positive part there"
+        )
+
+
+def _disc(unit: float) -> str:
+    return "the unit circle" if unit == 1 else f"the circle of radius 1/√discount = {1 / unit:.6g}"
+
+
+def _singular(H: Array, where: str) -> ProblemError:
+    smallest = float(np.linalg.eigvalsh(H)[0])
+    return ProblemError(
+        f"R + B'KB is not positive definite{where}: it has the eigenvalue {smallest:.3g}, so an input "
+        "direction is free; expected every input to cost something; give R a positive part or drop the "
+        "redundant input"
+    )
+
+
+def _symmetric(matrix: Array) -> Array:
+    return (matrix + matrix.T) / 2

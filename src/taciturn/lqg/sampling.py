@@ -1,0 +1,123 @@
+"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise in between."""
+
+# Matrices carry their paper symbols, which pyright takes for constants.
+# pyright: reportConstantRedefinition=false
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn import _arrays
+from taciturn._arrays import Array, ArrayLike
+from taciturn.lqg._interval import Sampled, integrate, split
+
+__all__ = ["Sampled", "sample", "sample_prediction"]
+
+
+def sample(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, period: float
+) -> Sampled:
+    """Return the discrete problem of a continuous one whose input is held between samples.
+
+    dx = (Ax + Bu)dt + noise of intensity W, cost ∫ x'Qx + u'Ru + 2x'Nu dt, u constant over a period h:
+    A_d = e^{Ah}, B_d = ∫e^{As}ds B, W_d = ∫e^{As}We^{A's}ds, [[Q_d, N_d], [N_d', R_d]] = ∫e^{F't}Me^{Ft}dt
+    with F = [[A, B], [0, 0]], M = [[Q, N], [N', R]], and noise_cost = ∫_0^h tr(Q ∫_0^s e^{Ar}We^{A'r}dr)ds.
+    N_d is not zero even where N is. The cost per unit of time is (discrete average + noise_cost)/h.
+
+    Args:
+        A: (n, n) dynamics, per unit of time.
+        B: (n, m) input matrix, per unit of time.
+        Q: (n, n) symmetric state weight, per unit of time.
+        R: (m, m) symmetric input weight, per unit of time.
+        N: (n, m) cross weight, per unit of time.
+        W: (n, n) semidefinite noise intensity, covariance per unit of time.
+        period: h > 0, in the same unit of time.
+
+    Returns:
+        The sampled problem, exact to rounding.
+
+    Raises:
+        ProblemError: data of the wrong shape or range, or a period over which the state overflows.
+
+    Source: astrom1997computer, vanloan1978
+
+    Example:
+        >>> A, B, Q, W = [[0, 1], [0, 0]], [[0], [1]], [[1, 0], [0, 0]], [[0, 0], [0, 1]]
+        >>> found = sample(A, B, Q, [[0]], [[0], [0]], W, 1.0)
+        >>> found.B.ravel().tolist(), round(found.noise_cost * 12, 12)
+        ([0.5, 1.0], 1.0)
+    """
+    A, B, Q, R, N, W = _checked(A, B, Q, R, N, W)
+    n, m = B.shape
+    F = np.block([[A, B], [np.zeros((m, n + m))]])
+    M = np.block([[Q, N], [N.T, R]])
+    return split(integrate(F, M, _padded(W, m), _arrays.number("period", period, 0.0)), n)
+
+
+def sample_prediction(
+    A: ArrayLike,
+    B: ArrayLike,
+    Q: ArrayLike,
+    R: ArrayLike,
+    N: ArrayLike,
+    W: ArrayLike,
+    L: ArrayLike,
+    period: float,
+) -> Sampled:
+    """Return the discrete problem of a continuous one whose actuator predicts the state between samples.
+
+    Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
+    x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost as in :func:`sample`, with
+    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]].
+
+    Args:
+        A: (n, n) dynamics, per unit of time.
+        B: (n, m) input matrix, per unit of time.
+        Q: (n, n) symmetric state weight, per unit of time.
+        R: (m, m) symmetric input weight, per unit of time.
+        N: (n, m) cross weight, per unit of time.
+        W: (n, n) semidefinite noise intensity, covariance per unit of time.
+        L: (m, n) gain, u = L x̂.
+        period: h > 0, in the same unit of time.
+
+    Returns:
+        The sampled problem with an input of n entries: B is (n, n), R is (n, n), N is (n, n).
+
+    Raises:
+        ProblemError: data of the wrong shape or range, or a period over which the state overflows.
+
+    Source: khashooei2017, vanloan1978
+
+    Example:
+        >>> found = sample_prediction([[0]], [[1]], [[1]], [[1]], [[0]], [[1]], [[-1]], 1.0)
+        >>> round(float(found.A[0, 0] + found.B[0, 0]), 6)  # e^{-1}: the prediction is exact at the sample
+        0.367879
+    """
+    A, B, Q, R, N, W = _checked(A, B, Q, R, N, W)
+    n, m = B.shape
+    L = _arrays.array("L", L, (m, n), "inputs × states")
+    F = np.block([[A, B @ L], [np.zeros((n, n)), A + B @ L]])
+    M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
+    return split(integrate(F, M, _padded(W, n), _arrays.number("period", period, 0.0)), n)
+
+
+def _checked(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    A = _arrays.array("A", A, (None, None), "states × states")
+    n = A.shape[0]
+    A = _arrays.array("A", A, (n, n), "states × states")
+    B = _arrays.array("B", B, (n, None), "states × inputs")
+    m = B.shape[1]
+    return (
+        A,
+        B,
+        _arrays.symmetric("Q", Q, n, "states × states"),
+        _arrays.symmetric("R", R, m, "inputs × inputs"),
+        _arrays.array("N", N, (n, m), "states × inputs"),
+        _arrays.semidefinite("W", W, n, "states × states"),
+    )
+
+
+def _padded(W: Array, more: int) -> Array:
+    return np.pad(W, ((0, more), (0, more)))

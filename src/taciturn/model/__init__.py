@@ -1,0 +1,1 @@
+"""Plants, costs, networks, triggers and policies: frozen data, checked when they are made."""

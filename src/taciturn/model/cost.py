@@ -1,0 +1,69 @@
+"""The quadratic cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, count, array, definite, frozen, number, semidefinite
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False)
+class Cost:
+    """The cost x'Qx + u'Ru + 2x'Nu, per step (discrete plant) or per second (continuous plant).
+
+    Args:
+        Q: state weight, (n, n), semidefinite.
+        R: input weight, (m, m), definite.
+        N: cross weight, (n, m); omitted: 0. [[Q, N], [N', R]] must be semidefinite.
+        horizon: steps of a finite mission; omitted: the infinite-horizon average.
+        terminal: weight of the final state, (n, n), with horizon; omitted: Q.
+        discount: factor per step in (0, 1]; below 1 the cost is the discounted sum.
+
+    Raises:
+        ProblemError: wrong shape, indefinite weight, ``terminal`` without ``horizon``, ``discount`` with ``horizon``.
+
+    Example:
+        >>> Cost(Q=[[1.0]], R=[[2.0]]).N
+        array([[0.]])
+    """
+
+    Q: Array
+    R: Array
+    N: Array
+    horizon: int | None
+    terminal: Array | None
+    discount: float
+
+    def __init__(
+        self,
+        Q: ArrayLike,
+        R: ArrayLike,
+        N: ArrayLike | None = None,
+        horizon: int | None = None,
+        terminal: ArrayLike | None = None,
+        discount: float = 1.0,
+    ) -> None:
+        n = np.atleast_2d(array("Q", Q, (None, None))).shape[0]
+        m = array("R", R, (None, None)).shape[0]
+        Q = semidefinite("Q", Q, n, "(states, states)")
+        R = definite("R", R, m, "(inputs, inputs)")
+        N = frozen(np.zeros((n, m))) if N is None else array("N", N, (n, m), "(states, inputs)")
+        if N.any():
+            semidefinite("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
+        if terminal is not None and horizon is None:
+            raise ProblemError("terminal is given without horizon; expected both, or neither")
+        discount = number("discount", discount, 0.0, 1.0, closed=True)
+        if discount == 0:
+            raise ProblemError("discount is 0; expected 0 < discount ≤ 1")
+        if discount < 1 and horizon is not None:
+            raise ProblemError("discount and horizon are both given; expected one of them")
+        if horizon is not None:
+            horizon = count("horizon", horizon)
+            terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
+        for key, value in zip(
+            ("Q", "R", "N", "horizon", "terminal", "discount"), (Q, R, N, horizon, terminal, discount), strict=True
+        ):
+            object.__setattr__(self, key, value)

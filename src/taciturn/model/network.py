@@ -1,0 +1,77 @@
+"""The network between sensor, controller and actuator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from taciturn._arrays import count, number
+from taciturn.errors import ProblemError
+
+ProtocolName = Literal["udp", "tcp", "ideal"]
+
+
+@dataclass(frozen=True)
+class Burst:
+    """Gilbert–Elliott losses: a link that is now good, now bad.
+
+    Args:
+        to_bad: probability per step of turning bad, in [0, 1].
+        to_good: probability per step of turning good, in [0, 1].
+        loss_good: loss probability while good, in [0, 1].
+        loss_bad: loss probability while bad, in [0, 1].
+
+    Raises:
+        ProblemError: a probability outside [0, 1].
+    """
+
+    to_bad: float
+    to_good: float
+    loss_good: float
+    loss_bad: float
+
+    def __post_init__(self) -> None:
+        for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
+            number(name, getattr(self, name), 0.0, 1.0, closed=True)
+
+
+@dataclass(frozen=True)
+class Network:
+    """Two links, sensor → controller and controller → actuator.
+
+    Args:
+        protocol: ``"udp"`` (no acknowledgement), ``"tcp"`` (acknowledged) or ``"ideal"``.
+        actuator_loss: loss probability of a packet to the actuator, in [0, 1].
+        sensor_loss: loss probability of a packet from the sensor, in [0, 1].
+        delay: steps of computation delay, at least 0.
+        actuator_burst: bursty losses instead of ``actuator_loss``.
+        sensor_burst: bursty losses instead of ``sensor_loss``.
+
+    Raises:
+        ProblemError: a probability outside [0, 1], losses on an ideal network, loss and burst on one link.
+    """
+
+    protocol: ProtocolName = "ideal"
+    actuator_loss: float = 0.0
+    sensor_loss: float = 0.0
+    delay: int = 0
+    actuator_burst: Burst | None = None
+    sensor_burst: Burst | None = None
+
+    def __post_init__(self) -> None:
+        if self.protocol not in ("udp", "tcp", "ideal"):
+            raise ProblemError(f"network.protocol is {self.protocol!r}; expected 'udp', 'tcp' or 'ideal'")
+        count("network.delay", self.delay, 0)
+        for link in ("actuator", "sensor"):
+            loss = number(f"network.{link}_loss", getattr(self, f"{link}_loss"), 0.0, 1.0, closed=True)
+            burst = getattr(self, f"{link}_burst")
+            if burst is not None and loss > 0:
+                raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
+            if self.protocol == "ideal" and (loss > 0 or burst is not None):
+                raise ProblemError(
+                    f"network.{link}_loss is given for an ideal network; expected protocol = 'udp' or 'tcp' where packets are lost"
+                )
+
+    def loss(self, link: str) -> float:
+        """Return the constant loss probability of a link."""
+        return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link]

@@ -1,0 +1,315 @@
+"""Plants: linear, discrete or continuous in time, driven by noise, and checked when they are made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
+from taciturn._modes import uncontrollable_modes
+from taciturn.errors import ProblemError
+
+JumpDistribution = Literal["normal", "uniform", "two-point"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white w ~ N(0, W) and v ~ N(0, V).
+
+    Args:
+        A: dynamics, (n, n).
+        B: inputs, (n, m).
+        W: process-noise covariance per step, (n, n), semidefinite; zero is legal.
+        C: measurement, (p, n); omitted: the full state is measured.
+        V: measurement-noise covariance, (p, p), semidefinite; omitted: exact measurement.
+        dt: seconds per step; omitted: time is counted in steps.
+        mean: initial mean, (n,); omitted: 0.
+        covariance: initial covariance, (n, n); omitted: 0.
+        input_limit: symmetric clip of each input at the plant, (m,), positive; omitted: none.
+
+    Raises:
+        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable.
+
+    Example:
+        >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
+        1
+    """
+
+    A: Array
+    B: Array
+    W: Array
+    C: Array
+    V: Array
+    dt: float | None
+    mean: Array
+    covariance: Array
+    input_limit: Array | None
+    full_state: bool = field(repr=False)
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        W: ArrayLike,
+        C: ArrayLike | None = None,
+        V: ArrayLike | None = None,
+        dt: float | None = None,
+        mean: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        input_limit: ArrayLike | None = None,
+    ) -> None:
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit)
+        object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
+        object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
+        _refuse_lost_modes(self, lambda values: np.abs(values) >= 1 - 1e-12)
+
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return self.A.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs m."""
+        return self.B.shape[1]
+
+    @property
+    def outputs(self) -> int:
+        """Number of measured outputs p."""
+        return self.C.shape[0]
+
+    def same_as(self, other: Plant) -> bool:
+        """Tell whether the other plant has the same dynamics, noise and input limit."""
+        limits = (self.input_limit, other.input_limit)
+        same_limit = limits[0] is limits[1] is None or (
+            limits[0] is not None and limits[1] is not None and np.array_equal(limits[0], limits[1])
+        )
+        return same_limit and all(
+            np.array_equal(getattr(self, key), getattr(other, key)) for key in ("A", "B", "C", "W", "V")
+        )
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Poisson jumps of the state: at each event of rate λ the state moves by a zero-mean draw.
+
+    Args:
+        rate: events per second λ, positive.
+        covariance: of one jump, (n, n), semidefinite.
+        distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``, each scaled to the covariance.
+
+    Raises:
+        ProblemError: rate not positive, or covariance not semidefinite.
+    """
+
+    rate: float
+    covariance: Array
+    distribution: JumpDistribution = "normal"
+
+    def __post_init__(self) -> None:
+        number("jumps.rate", self.rate, 0.0)
+        size = np.atleast_2d(np.asarray(self.covariance, dtype=np.float64)).shape[0]
+        object.__setattr__(self, "covariance", semidefinite("jumps.covariance", self.covariance, size))
+        if self.distribution not in ("normal", "uniform", "two-point"):
+            raise ProblemError(
+                f"jumps.distribution is {self.distribution!r}; expected 'normal', 'uniform' or 'two-point'"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class ContinuousPlant:
+    """A continuous-time plant dx = (A x + B u) dt + noise, sampled measurement y = C x + v.
+
+    Args:
+        A: dynamics, (n, n), per second.
+        B: inputs, (n, m).
+        W: intensity per second of the Wiener noise, (n, n), semidefinite; give W or jumps.
+        jumps: Poisson jumps instead of Wiener noise.
+        C: measurement, (p, n); omitted: the full state is measured.
+        V: measurement-noise covariance of each sample, (p, p); omitted: exact measurement.
+        mean: initial mean, (n,); omitted: 0.
+        covariance: initial covariance, (n, n); omitted: 0.
+        input_limit: symmetric clip of each input at the plant, (m,); omitted: none.
+
+    Raises:
+        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable, W and jumps both given.
+
+    Example:
+        >>> ContinuousPlant(A=[[0, 1], [0, 0]], B=[[0], [1]], W=[[0, 0], [0, 2.5]]).states
+        2
+    """
+
+    A: Array
+    B: Array
+    W: Array
+    jumps: Jumps | None
+    C: Array
+    V: Array
+    mean: Array
+    covariance: Array
+    input_limit: Array | None
+    full_state: bool = field(repr=False)
+
+    def __init__(
+        self,
+        A: ArrayLike,
+        B: ArrayLike,
+        W: ArrayLike | None = None,
+        jumps: Jumps | None = None,
+        C: ArrayLike | None = None,
+        V: ArrayLike | None = None,
+        mean: ArrayLike | None = None,
+        covariance: ArrayLike | None = None,
+        input_limit: ArrayLike | None = None,
+    ) -> None:
+        _set_linear(self, A, B, C, V, mean, covariance, input_limit)
+        if (W is None) == (jumps is None):
+            got = "neither" if W is None else "both"
+            raise ProblemError(f"W and jumps: got {got}; expected exactly one kind of noise (W = 0 for none)")
+        if jumps is not None:
+            semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
+            W = jumps.rate * jumps.covariance
+        object.__setattr__(self, "W", semidefinite("W", np.asarray(W), self.states, "(states, states)"))
+        object.__setattr__(self, "jumps", jumps)
+        _refuse_lost_modes(self, lambda values: values.real >= -1e-12)
+
+    @property
+    def states(self) -> int:
+        """Number of states n."""
+        return self.A.shape[0]
+
+    @property
+    def inputs(self) -> int:
+        """Number of inputs m."""
+        return self.B.shape[1]
+
+
+@runtime_checkable
+class StateSpaceLike(Protocol):
+    """What `control.StateSpace` and `scipy.signal.StateSpace`/`dlti` have in common."""
+
+    A: npt.NDArray[np.float64]
+    B: npt.NDArray[np.float64]
+    C: npt.NDArray[np.float64]
+    D: npt.NDArray[np.float64]
+
+
+def plant_from(
+    system: StateSpaceLike,
+    W: ArrayLike,
+    V: ArrayLike | None = None,
+    mean: ArrayLike | None = None,
+    covariance: ArrayLike | None = None,
+    input_limit: ArrayLike | None = None,
+) -> Plant | ContinuousPlant:
+    """Make a plant of a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti`.
+
+    A continuous system gives a ContinuousPlant (W is then an intensity), a discrete one a Plant.
+    scipy's ``dt=None`` means continuous; python-control's ``dt=None`` (unspecified) is refused.
+
+    Args:
+        system: an object with A, B, C, D and dt.
+        W: process noise, (n, n).
+        V: measurement-noise covariance, (p, p); omitted: exact measurement.
+        mean: initial mean, (n,).
+        covariance: initial covariance, (n, n).
+        input_limit: clip of each input, (m,).
+
+    Returns:
+        The plant.
+
+    Raises:
+        ProblemError: no such attributes, D ≠ 0, or an unspecified time base.
+
+    Example:
+        >>> import scipy.signal
+        >>> plant_from(scipy.signal.dlti([[2.0]], [[1.0]], [[1.0]], [[0.0]], dt=0.1), W=[[1.0]]).dt
+        0.1
+    """
+    if not isinstance(system, StateSpaceLike):
+        to_state_space = getattr(system, "to_ss", None)  # scipy's transfer functions and zero-pole-gain systems
+        if to_state_space is None:
+            raise ProblemError(f"system is a {type(system).__name__}; expected a state-space object with A, B, C, D")
+        system = to_state_space()
+    if np.any(np.asarray(system.D) != 0):
+        raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
+    dt: float | bool | None = getattr(system, "dt", None)
+    if dt is None and not type(system).__module__.startswith("scipy"):
+        raise ProblemError(
+            "dt of the system is unspecified; expected 0 (continuous) or the seconds per step; make it anew with dt=0 or dt=…"
+        )
+    C = np.asarray(system.C, dtype=np.float64)
+    if dt is None or (dt is not True and dt == 0):
+        return ContinuousPlant(
+            system.A, system.B, W, C=C, V=V, mean=mean, covariance=covariance, input_limit=input_limit
+        )
+    step = None if dt is True else float(dt)
+    return Plant(system.A, system.B, W, C, V, step, mean, covariance, input_limit)
+
+
+def _set_linear(
+    plant: Plant | ContinuousPlant,
+    A: ArrayLike,
+    B: ArrayLike,
+    C: ArrayLike | None,
+    V: ArrayLike | None,
+    mean: ArrayLike | None,
+    covariance: ArrayLike | None,
+    input_limit: ArrayLike | None,
+) -> None:
+    """Check and set what both kinds of plant share."""
+    A = array("A", A, (None, None))
+    n = A.shape[0]
+    if n == 0 or A.shape[1] != n:
+        raise ProblemError(f"A has shape {A.shape}; expected a square matrix with at least one state")
+    B = array("B", B, (n, None), "(states, inputs)")
+    if B.shape[1] == 0:
+        raise ProblemError("B has no columns; expected at least one input")
+    full_state = C is None and V is None
+    C = frozen(np.eye(n)) if C is None else array("C", C, (None, n), "(outputs, states)")
+    p = C.shape[0]
+    if p == 0:
+        raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
+    values: dict[str, object] = {
+        "A": A,
+        "B": B,
+        "C": C,
+        "V": frozen(np.zeros((p, p))) if V is None else semidefinite("V", V, p, "(outputs, outputs)"),
+        "mean": frozen(np.zeros(n)) if mean is None else array("initial.mean", mean, (n,), "(states,)"),
+        "covariance": frozen(np.zeros((n, n)))
+        if covariance is None
+        else semidefinite("initial.covariance", covariance, n, "(states, states)"),
+        "input_limit": None if input_limit is None else array("input_limit", input_limit, (B.shape[1],), "(inputs,)"),
+        "full_state": full_state,
+    }
+    limit = values["input_limit"]
+    if isinstance(limit, np.ndarray) and (limit <= 0).any():
+        raise ProblemError(f"input_limit is {limit.min():g}; expected positive limits (omit it for no limit)")
+    for key, value in values.items():
+        object.__setattr__(plant, key, value)
+
+
+def _refuse_lost_modes(
+    plant: Plant | ContinuousPlant, persists: Callable[[npt.NDArray[np.complex128]], npt.NDArray[np.bool_]]
+) -> None:
+    """Refuse a plant with a persisting mode that no input moves or no measurement shows."""
+    for A, B, verb, what, remedy in (
+        (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
+        (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
+    ):
+        lost = uncontrollable_modes(A, B)
+        lost = lost[persists(lost)]
+        if lost.size:
+            matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
+            raise ProblemError(
+                f"{matrices} is not {verb}: {what} the mode at {_mode_text(lost[0])}, which does not decay; "
+                f"expected a {verb} plant; {remedy}"
+            )
+
+
+def _mode_text(value: complex) -> str:
+    return f"{value.real:.6g}" if abs(value.imag) < 1e-12 else f"{value.real:.6g}{value.imag:+.6g}i"

@@ -1,0 +1,139 @@
+"""Triggers: the action is the cheapest of a few quadratic forms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, frozen
+from taciturn.errors import ProblemError
+
+
+@dataclass(frozen=True, eq=False)
+class Scheduled:
+    """Matrices (or numbers) read from a table by a finite location: the entry of location i is ``values[i]``.
+
+    Args:
+        by: name of the location.
+        values: (locations, …).
+
+    Example:
+        >>> Scheduled("clock", [[[1.0]], [[2.0]]]).entry_shape
+        (1, 1)
+    """
+
+    by: str
+    values: Array
+
+    def __init__(self, by: str, values: ArrayLike) -> None:
+        table = np.asarray(values, dtype=np.float64)
+        if table.ndim not in (1, 3) or not len(table):
+            raise ProblemError(f"the table by {by!r} has shape {table.shape}; expected (locations,) or (locations, rows, columns)")
+        object.__setattr__(self, "by", by)
+        object.__setattr__(self, "values", array(f"the table by {by!r}", table, (None,) * table.ndim))
+
+    @property
+    def entry_shape(self) -> tuple[int, ...]:
+        """Shape of the entry of one location."""
+        return self.values.shape[1:]
+
+
+Matrix = Array | Scheduled
+"""A constant matrix, or one for each location."""
+
+
+def matrix(name: str, value: ArrayLike | Scheduled) -> Matrix:
+    """Return a read-only two-dimensional matrix, or the table of them unchanged."""
+    if isinstance(value, Scheduled):
+        if value.values.ndim != 3:
+            raise ProblemError(f"{name} is a table of numbers; expected a table of matrices")
+        return value
+    return array(name, value, (None, None))
+
+
+def shape_of(value: Matrix) -> tuple[int, ...]:
+    """Return (rows, columns) of a constant or scheduled matrix."""
+    return value.entry_shape if isinstance(value, Scheduled) else value.shape
+
+
+@dataclass(frozen=True, eq=False)
+class Form:
+    """A scalar: η'Ψη + Σ weight·s + constant, with η the stack of ``signals`` and s scalar signals.
+
+    Args:
+        signals: names of the signals stacked in η.
+        Psi: weight of the quadratic part, (d, d), symmetric; omitted: none.
+        constant: a number, or a table of numbers by location.
+        plus: weight of each scalar signal that is added (a memory, a drawn threshold).
+
+    Raises:
+        ProblemError: Psi without signals, or not symmetric.
+    """
+
+    signals: tuple[str, ...]
+    Psi: Matrix | None
+    constant: float | Scheduled
+    plus: Mapping[str, float]
+
+    def __init__(
+        self,
+        signals: tuple[str, ...] = (),
+        Psi: ArrayLike | Scheduled | None = None,
+        constant: float | Scheduled = 0.0,
+        plus: Mapping[str, float] | None = None,
+    ) -> None:
+        if (Psi is None) != (not signals):
+            raise ProblemError(f"a form over {signals} has Psi = {Psi!r}; expected both signals and Psi, or neither")
+        checked = None if Psi is None else matrix("Psi", Psi)
+        if checked is not None:
+            values = checked.values if isinstance(checked, Scheduled) else checked
+            swapped = np.swapaxes(values, -1, -2)
+            if values.shape != swapped.shape or not np.allclose(values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max()):
+                raise ProblemError("Psi is not symmetric; expected a symmetric matrix")
+            halves = (values + swapped) / 2
+            checked = Scheduled(checked.by, halves) if isinstance(checked, Scheduled) else frozen(halves)
+        object.__setattr__(self, "signals", signals)
+        object.__setattr__(self, "Psi", checked)
+        object.__setattr__(self, "constant", constant if isinstance(constant, Scheduled) else float(constant))
+        object.__setattr__(self, "plus", dict(plus or {}))
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of all signals read."""
+        return (*self.signals, *self.plus)
+
+
+@dataclass(frozen=True, eq=False)
+class Trigger:
+    """The action argmin_j (η'Ψ_j η + c_j); ties go to the first listed, so list silence first.
+
+    Args:
+        options: the form of each action, by label.
+
+    Raises:
+        ProblemError: fewer than two options.
+
+    Example: send when e'e exceeds 2.
+
+        >>> Trigger({"silent": Form(("error",), [[1.0]]), "send": Form(constant=2.0)}).labels
+        ('silent', 'send')
+    """
+
+    options: Mapping[str, Form]
+
+    def __post_init__(self) -> None:
+        if len(self.options) < 2:
+            raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two")
+        object.__setattr__(self, "options", dict(self.options))
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the actions in the order of ties."""
+        return tuple(self.options)
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Names of all signals read."""
+        return tuple(dict.fromkeys(name for form in self.options.values() for name in form.reads))

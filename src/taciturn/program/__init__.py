@@ -1,0 +1,1 @@
+"""Straight-line programs of one tick, and what runs them: NumPy (the meaning) and LLVM."""

@@ -1,0 +1,326 @@
+"""Straight-line programs in single-assignment form: one tick of a loop or of a node.
+
+An operation is a tuple: its name, then the indices of earlier operations (or literals, where the table below says so).
+Values are doubles, truth values, or 64-bit words; vectors and loops belong to the printers, not to the program.
+
+| operation | arguments | result |
+|---|---|---|
+| `const` | index into `constants` | double |
+| `state`, `input` | index into `states`, `inputs` | double or word |
+| `add` `sub` `mul` `sqrt` | doubles | double, rounded once each: the order is the meaning |
+| `select` | truth value, two doubles | the first where true |
+| `lookup` | index into `tables`, a double that holds a small integer | double |
+| `greater` `less_equal` | two doubles | truth value |
+| `and` `not` | truth values | truth value |
+| `word` | literal | word |
+| `word_add` `word_and` `word_or` `word_xor` | two words | word |
+| `shift_left` `shift_right` `rotate_left` | word, literal | word |
+| `bits` / `double` | double / word | the same 64 bits as word / double |
+| `any_bit` | word | truth value: not zero |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from taciturn._arrays import Array
+
+Op = tuple[str, *tuple[int, ...]]
+Coefficient = float | int  # a float is a number known now; an int is the index of an operation
+
+LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of arguments that are no operations
+    "const": (0,),
+    "state": (0,),
+    "input": (0,),
+    "word": (0,),
+    "lookup": (0,),
+    "shift_left": (1,),
+    "shift_right": (1,),
+    "rotate_left": (1,),
+}
+TRUTHS = frozenset({"greater", "less_equal", "and", "not", "any_bit"})
+WORDS = frozenset(
+    {"word", "word_add", "word_and", "word_or", "word_xor", "shift_left", "shift_right", "rotate_left", "bits"}
+)
+
+
+@dataclass(frozen=True)
+class State:
+    """One scalar of memory.
+
+    Args:
+        name: the signal.
+        index: entry of the signal.
+        start: key of its first value; states with equal keys start equal.
+        word: whether it is a 64-bit word.
+    """
+
+    name: str
+    index: int
+    start: object = 0.0
+    word: bool = False
+
+
+@dataclass(frozen=True)
+class Program:
+    """One tick: from states, inputs and constants to next states, sums and outputs.
+
+    Args:
+        ops: operations in order.
+        states: what is remembered from tick to tick.
+        following: operation that gives each state its next value.
+        inputs: names of what is supplied at each tick.
+        constants: values of the ``const`` operations; programs that differ only here share machine code.
+        tables: values of the ``lookup`` operations.
+        sums: operations that are summed over the ticks, by name.
+        outputs: operations that are recorded at each tick, by name.
+    """
+
+    ops: tuple[Op, ...]
+    states: tuple[State, ...]
+    following: tuple[int, ...]
+    inputs: tuple[str, ...]
+    constants: tuple[float, ...]
+    tables: tuple[tuple[float, ...], ...]
+    sums: Mapping[str, int]
+    outputs: Mapping[str, int]
+
+    @property
+    def operations(self) -> int:
+        """Number of operations that compute something."""
+        return sum(op[0] not in ("const", "state", "input", "word") for op in self.ops)
+
+    def is_word(self, index: int) -> bool:
+        """Tell whether an operation gives a word."""
+        op = self.ops[index]
+        return op[0] in WORDS or (op[0] == "state" and self.states[op[1]].word)
+
+
+class Builder:
+    """Collects operations; equal operations are shared."""
+
+    def __init__(self) -> None:
+        self.ops: list[Op] = []
+        self.constants: list[float] = []
+        self.tables: list[tuple[float, ...]] = []
+        self.states: list[State] = []
+        self.inputs: list[str] = []
+        self._known: dict[Op, int] = {}
+        self._constant_index: dict[str, int] = {}
+
+    def emit(self, *op: str | int) -> int:
+        """Return the index of the operation, new or shared."""
+        key: Op = op  # pyright: ignore[reportAssignmentType]  # the name first, then indices
+        if key not in self._known:
+            self._known[key] = len(self.ops)
+            self.ops.append(key)
+        return self._known[key]
+
+    def constant(self, value: float) -> int:
+        """Return a number known now."""
+        key = float(value).hex()
+        if key not in self._constant_index:
+            self._constant_index[key] = len(self.constants)
+            self.constants.append(float(value))
+        return self.emit("const", self._constant_index[key])
+
+    def state(self, state: State) -> int:
+        """Return the value at the start of the tick, declaring the state when new."""
+        if state not in self.states:
+            self.states.append(state)
+        return self.emit("state", self.states.index(state))
+
+    def input(self, name: str) -> int:
+        """Return what is supplied at this tick under a name."""
+        if name not in self.inputs:
+            self.inputs.append(name)
+        return self.emit("input", self.inputs.index(name))
+
+    def lookup(self, values: Sequence[float], index: int) -> Coefficient:
+        """Return values[index]: a number where all values are equal."""
+        if len(set(values)) == 1:
+            return float(values[0])
+        row = tuple(float(value) for value in values)
+        if row not in self.tables:
+            self.tables.append(row)
+        return self.emit("lookup", self.tables.index(row), index)
+
+    def value(self, coefficient: Coefficient) -> int:
+        """Return the operation of a coefficient."""
+        return self.constant(coefficient) if isinstance(coefficient, float) else coefficient
+
+    def scale(self, coefficient: Coefficient, x: int) -> int:
+        """Return coefficient · x."""
+        return x if coefficient == 1.0 and isinstance(coefficient, float) else self.emit("mul", self.value(coefficient), x)
+
+    def add(self, *terms: int | None) -> int | None:
+        """Return the sum of the terms that are there, from the left."""
+        total: int | None = None
+        for term in terms:
+            if term is not None:
+                total = term if total is None else self.emit("add", total, term)
+        return total
+
+    def combine(self, coefficients: Sequence[Coefficient], values: Sequence[int]) -> int | None:
+        """Return Σ coefficient·value without the zeros, or None when nothing is left.
+
+        Four terms or more are summed in two halves, which shortens the chain of dependent operations.
+        """
+        kept = [
+            (c, v) for c, v in zip(coefficients, values, strict=True) if not (isinstance(c, float) and c == 0.0)
+        ]
+        if len(kept) >= 4:
+            half = len(kept) // 2
+            halves = [self.combine(*zip(*part, strict=True)) for part in (kept[:half], kept[half:])]
+            return self.add(*halves)
+        total: int | None = None
+        for coefficient, value in kept:
+            if total is not None and isinstance(coefficient, float) and coefficient == -1.0:
+                total = self.emit("sub", total, value)
+            else:
+                total = self.add(total, self.scale(coefficient, value))
+        return total
+
+    def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
+        """Return v'Ψv of a symmetric Ψ without the zeros; equal diagonal weights share one product."""
+        alone: dict[Coefficient, list[int]] = {}
+        total: int | None = None
+        for i, value in enumerate(values):
+            row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
+            if all(isinstance(c, float) and c == 0.0 for c in row[1:]):
+                alone.setdefault(row[0], []).append(self.emit("mul", value, value))
+            else:
+                inner = self.combine(row, values[i:])
+                total = self.add(total, None if inner is None else self.emit("mul", inner, value))
+        for coefficient, squares in alone.items():
+            total = self.add(total, self.combine([coefficient], [self.add(*squares) or 0]))
+        return total
+
+    def _twice(self, coefficient: Coefficient) -> Coefficient:
+        return 2.0 * coefficient if isinstance(coefficient, float) else self.emit("add", coefficient, coefficient)
+
+    def finish(
+        self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
+    ) -> Program:
+        """Return the program, with states that always agree merged and dead operations removed."""
+        program = Program(
+            tuple(self.ops),
+            tuple(self.states),
+            tuple(following),
+            tuple(self.inputs),
+            tuple(self.constants),
+            tuple(self.tables),
+            dict(sums),
+            dict(outputs or {}),
+        )
+        return merge_states(program)
+
+
+def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
+    """Replay a program: ``substitute`` may replace an operation; only the given states are kept.
+
+    Unused operations, constants and tables disappear on the way.
+    """
+    roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
+    needed = _needed(program, roots)
+    builder = Builder()
+    for i in states:  # the order of the states is that of the original, whatever is read first
+        builder.state(program.states[i])
+    new: dict[int, int] = {}
+    for index, op in enumerate(program.ops):
+        if index not in needed:
+            continue
+        replaced = substitute(builder, op)
+        if replaced is None:
+            replaced = _copy(program, builder, op, new)
+        new[index] = replaced
+    return Program(
+        tuple(builder.ops),
+        tuple(builder.states),
+        tuple(new[program.following[i]] for i in states),
+        tuple(builder.inputs),
+        tuple(builder.constants),
+        tuple(builder.tables),
+        {name: new[index] for name, index in program.sums.items()},
+        {name: new[index] for name, index in program.outputs.items()},
+    )
+
+
+def merge_states(program: Program) -> Program:
+    """Merge states that provably agree at every tick, and drop states that nothing depends on.
+
+    States are first taken to agree where they start equal; classes whose next values differ are split until
+    none does (the coarsest partition, as in the minimisation of automata).
+    """
+    starts: dict[object, int] = {}
+    leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
+    while True:
+        kept = sorted(set(leader))
+        positions = {old: new for new, old in enumerate(kept)}
+        every = replace(program, sums={}, outputs={f"{i}": op for i, op in enumerate(program.following)})
+
+        def lead(builder: Builder, op: Op, leader: list[int] = leader, positions: dict[int, int] = positions) -> int | None:
+            return builder.emit("state", positions[leader[op[1]]]) if op[0] == "state" else None
+
+        merged = rebuild(every, lead, kept)
+        following = [merged.outputs[f"{i}"] for i in range(len(program.states))]
+        classes: dict[tuple[int, int], int] = {}
+        split = [classes.setdefault((leader[i], following[i]), i) for i in range(len(program.states))]
+        if split == leader:
+            break
+        leader = split
+    alive = _alive(program, leader)
+    positions = {old: new for new, old in enumerate(alive)}
+
+    def lead_alive(builder: Builder, op: Op) -> int | None:
+        return builder.emit("state", positions[leader[op[1]]]) if op[0] == "state" else None
+
+    return rebuild(program, lead_alive, alive)
+
+
+def _alive(program: Program, leader: Sequence[int]) -> list[int]:
+    """Return the states that sums and outputs depend on, through any number of ticks."""
+    alive: set[int] = set()
+    roots = list(program.sums.values()) + list(program.outputs.values())
+    while True:
+        read = {leader[program.ops[i][1]] for i in _needed(program, roots) if program.ops[i][0] == "state"}
+        if read <= alive:
+            return sorted(alive)
+        alive |= read
+        roots += [program.following[i] for i in read]
+
+
+def _needed(program: Program, roots: Sequence[int]) -> set[int]:
+    needed: set[int] = set()
+    waiting = list(roots)
+    while waiting:
+        index = waiting.pop()
+        if index not in needed:
+            needed.add(index)
+            waiting += arguments(program.ops[index])
+    return needed
+
+
+def arguments(op: Op) -> list[int]:
+    """Return the operations that an operation reads."""
+    literal = LITERAL_ARGUMENTS.get(op[0], ())
+    return [argument for position, argument in enumerate(op[1:]) if position not in literal]
+
+
+def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) -> int:
+    if op[0] == "const":
+        return builder.constant(program.constants[op[1]])
+    if op[0] == "lookup":
+        return builder.value(builder.lookup(program.tables[op[1]], new[op[2]]))
+    if op[0] == "state":
+        return builder.state(program.states[op[1]])
+    if op[0] == "input":
+        return builder.input(program.inputs[op[1]])
+    literal = LITERAL_ARGUMENTS.get(op[0], ())
+    return builder.emit(op[0], *(a if i in literal else new[a] for i, a in enumerate(op[1:])))
+
+
+def entries(matrix: Array) -> list[list[Coefficient]]:
+    """Return a constant matrix as rows of coefficients."""
+    return [[float(value) for value in row] for row in matrix]

@@ -1,0 +1,1 @@
+"""Runs programs of loops: estimates with standard errors, and single trajectories."""

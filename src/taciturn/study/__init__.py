@@ -1,0 +1,1 @@
+"""Whole studies: evaluate, trade off, reproduce."""
