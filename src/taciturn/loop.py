@@ -61,7 +61,7 @@ class Loop:
         """Return one tick of the loop with the plant in it.
 
         Sums: ``cost`` (stage cost), ``excess`` (completed square, where the policy has an identity that holds),
-        ``sent LINK`` (packets). Outputs: what ``taciturn.simulate`` records.
+        ``sent LINK`` (packets). Outputs: what ``taciturn.simulation`` records.
         """
         plant = self.problem.plant
         tick = self._tick({"x": plant.states, "noise on y": plant.outputs})

@@ -112,7 +112,7 @@ def _blind(
         model=problem.plant,
         cost_all_time=certainty.per_unit(certainty.cost_all_time),
         sites=COLLOCATED,
-        locations=() if every == 1 else phase_clock(every),
+        locations=phase_clock(every),
         initial=initial,
         tick=problem.tick,
         noise_cost=problem.noise_cost,

@@ -14,7 +14,7 @@ import numpy as np
 
 from taciturn._arrays import DEFINITENESS_TOLERANCE, Array
 from taciturn.lqg import _scipy
-from taciturn.lqg.modes import radius, summed
+from taciturn.lqg.modes import TINY, radius, summed
 
 Solution = tuple[Array, Array, Array]
 
@@ -28,26 +28,27 @@ SINGULAR_MARGIN = 1e-6
 def is_definite(matrix: Array) -> bool:
     """Say whether a symmetric matrix is positive definite, each variable measured in its own unit."""
     diagonal = np.diag(matrix)
-    if (diagonal <= 0).any():
+    if (diagonal <= TINY).any():
         return False
     scale = 1 / np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(matrix * np.outer(scale, scale))[0] > DEFINITENESS_TOLERANCE)
+    return bool(np.linalg.eigvalsh(matrix * scale * scale[:, None])[0] > DEFINITENESS_TOLERANCE)
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     """Return H = R + B'KB and its inverse, or a pseudo-inverse that maps null directions to zero.
 
-    A diagonal entry counts as zero when it is rounding of the products it is the sum of, and the rest is judged
-    with a unit diagonal: the units of the variables decide nothing.
+    A diagonal entry counts as zero when it is rounding of the products it sums; the rest is judged with a
+    unit diagonal. So the units of the variables decide nothing.
     """
     H = R + B.T @ K @ B
     H = (H + H.T) / 2
     diagonal = np.diag(H)
     products = (np.abs(B.T) @ np.sqrt(np.maximum(np.diag(K), 0))) ** 2 + np.abs(np.diag(R))
-    kept = diagonal > 1e-14 * products
+    kept = diagonal > np.maximum(1e-14 * products, TINY)
     scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
-    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
-    inside = values > 1e-13 * len(diagonal)
+    values, vectors = np.linalg.eigh(H * scale * scale[:, None])
+    # With R definite every direction is real; otherwise one this small may be the error of a computed K.
+    inside = values > (1e-15 if is_definite(R) else 1e-10) * len(diagonal)
     vectors = scale[:, None] * vectors[:, inside]
     return H, (vectors / values[inside]) @ vectors.T
 
@@ -75,12 +76,14 @@ def _newton(A: Array, B: Array, Q: Array, R: Array, N: Array, L: Array) -> Solut
         if radius(A + B @ L) >= 1 - margin:
             return None
         K = summed((A + B @ L).T, Q + N @ L + L.T @ N.T + L.T @ R @ L)
+        terms = np.abs(Q) + 2 * np.abs(N) @ np.abs(L) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
         K = (K + K.T) / 2
         if not np.isfinite(K).all():
             return None
         H, inverse = price(B, K, R)
         L = -inverse @ (B.T @ K @ A + N.T) + (np.eye(len(H)) - inverse @ H) @ L
-        size = float(np.abs(K).max(initial=0.0))
+        # Where the terms cancel, K holds their rounding and cannot settle below it.
+        size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
         last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
         stalled = change <= 1e-9 * size and change >= last / 2  # down at the rounding error
         if change <= 1e-14 * size or stalled:

@@ -19,7 +19,7 @@ from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sampled:
     """A discrete problem that stands for a stretch of finer time.
 
@@ -37,7 +37,7 @@ class Sampled:
     noise_cost: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Interval:
     """Transition ``Phi``, cost weight ``M`` at its start, noise covariance ``G`` at its end, and the cost "
     "of that noise."""

@@ -13,10 +13,10 @@ from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg.modes import mode_text, radius, root, uncontrollable_modes
+from taciturn.lqg.modes import TINY, mode_text, radius, root, uncontrollable_modes
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Filter:
     """A steady filter: x̂ = x̂⁻ + gain (y − C x̂⁻), x̂⁻ the prediction.
 
@@ -31,7 +31,7 @@ class Filter:
     innovation: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Covariances:
     """A filter in time, k = 0 … steps: ``prior`` and ``posterior`` (steps+1, n, n), ``gains`` (steps+1, n, "
     "p)."""
@@ -199,11 +199,13 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
     if found is None:
         return None
-    Sigma, L, S = found
-    gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
+    L = found[1]
+    Sigma = _without_crumbs(found[0], L, C, W, V)
+    S, inverse = _dare.price(C.T, Sigma, V)
+    gain = Sigma @ C.T @ inverse
     if not _dare.is_definite(S):
         # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
-        gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain)
+        gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
     if radius(A - A @ gain @ C) >= 1 - _dare.MARGIN:
         return None
     return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S)
@@ -217,11 +219,22 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
 
 def _cleaned(posterior: Array, prior: Array) -> Array:
     """Return ``posterior`` without the directions that are rounding errors of ``prior``."""
-    scale = np.sqrt(np.diag(prior))
+    scale = np.sqrt(np.where(np.diag(prior) > TINY, np.diag(prior), 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(posterior * np.outer(inverse, inverse))
+    values, vectors = np.linalg.eigh(posterior * inverse * inverse[:, None])
     kept = values > 1e-14 * len(prior)
     half = scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    return half @ half.T
+
+
+def _without_crumbs(Sigma: Array, L: Array, C: Array, W: Array, V: Array) -> Array:
+    """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
+    rows = np.sum(C * C, axis=1)
+    seen = np.diag(V)[rows > 0] / rows[rows > 0]
+    natural = max(float(np.diag(W).max(initial=0.0)), float(seen.max(initial=0.0)))
+    terms = np.diag(W) + np.diag(np.abs(L.T) @ np.abs(V) @ np.abs(L))
+    kept = np.diag(Sigma) > np.maximum(1e-13 * terms, 1e-28 * natural)
+    half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
 

@@ -16,6 +16,7 @@ from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
+TINY = 1e-290  # a variance or weight below this is zero: its inverse could not be computed with
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -82,11 +83,10 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
 
 
 def root(matrix: Array) -> Array:
-    """Return columns that span a semidefinite matrix: G with G G' = matrix, whatever the units of its variables."""
-    diagonal = np.maximum(np.diag(matrix), 0)
-    scale = np.sqrt(diagonal)
+    """Return G with G G' = matrix, one column per direction; the units of the variables decide nothing."""
+    scale = np.sqrt(np.where(np.diag(matrix) > TINY, np.diag(matrix), 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(matrix * np.outer(inverse, inverse))
+    values, vectors = np.linalg.eigh(matrix * inverse * inverse[:, None])
     kept = values > 1e-13 * len(matrix)
     return scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
 
@@ -121,16 +121,23 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
             f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}; the sum Σ F^k W F'^k needs all "
             "of them inside the unit circle; stabilise the loop first"
         )
-    return _arrays.frozen(summed(F, W))
+    X = summed(F, W)
+    if not np.isfinite(X).all():
+        raise UnstableError(
+            "the sum Σ F^k W F'^k overflows: F is stable but its powers grow too far first; scale the states"
+        )
+    return _arrays.frozen(X)
 
 
 def summed(F: Array, W: Array) -> Array:
     """Return Σ_k F^k W F'^k for an F already known to be stable (:func:`accumulate` without its checks)."""
     X, power = np.array(W), np.array(F)
-    for _ in range(64):  # 2^64 terms
-        term = power @ X @ power.T
-        X = X + (term + term.T) / 2
-        if (np.abs(np.diag(term)) <= 1e-17 * np.abs(np.diag(X))).all() and np.abs(power).max(initial=0.0) < 1:
-            break
-        power = power @ power
+    with np.errstate(over="ignore", invalid="ignore"):  # the callers look for overflow
+        for _ in range(64):  # 2^64 terms
+            term = power @ X @ power.T
+            X = X + (term + term.T) / 2
+            settled = (np.abs(np.diag(term)) <= 1e-17 * np.abs(np.diag(X))).all()
+            if settled and np.abs(power).max(initial=0.0) < 1:
+                break
+            power = power @ power
     return X

@@ -19,7 +19,7 @@ from taciturn.lqg.riccati import Regulator, regulate
 __all__ = ["Periodic", "Sampled", "lift", "periodic_cost"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Periodic:
     """An input u = L x̂ renewed every few steps, L = ``regulator.L``, and its average cost per step."""
 

@@ -29,7 +29,7 @@ __all__ = [
 _Data: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Regulator:
     """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of an input that differs from "
     "it."""
@@ -39,7 +39,7 @@ class Regulator:
     H: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FiniteRegulator:
     """The gains of a finite horizon: K of shape (N+1, n, n), L of shape (N, m, n), H of shape (N, m, m)."""
 

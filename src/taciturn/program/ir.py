@@ -21,7 +21,7 @@ Values are doubles, truth values, or 64-bit words; vectors and loops belong to t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 
 from taciturn._arrays import Array
@@ -39,11 +39,6 @@ LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of ar
     "shift_right": (1,),
     "rotate_left": (1,),
 }
-TRUTHS = frozenset({"greater", "less_equal", "and", "not", "any_bit"})
-WORDS = frozenset(
-    {"word", "word_add", "word_and", "word_or", "word_xor", "shift_left", "shift_right", "rotate_left", "bits"}
-)
-
 
 @dataclass(frozen=True)
 class State:
@@ -91,10 +86,11 @@ class Program:
         """Number of operations that compute something."""
         return sum(op[0] not in ("const", "state", "input", "word") for op in self.ops)
 
-    def is_word(self, index: int) -> bool:
-        """Tell whether an operation gives a word."""
-        op = self.ops[index]
-        return op[0] in WORDS or (op[0] == "state" and self.states[op[1]].word)
+    def keep(self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset()) -> Program:
+        """Return the program with only these sums and outputs, and what they depend on."""
+        kept_sums = {name: index for name, index in self.sums.items() if name in sums}
+        kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
+        return merge_states(replace(self, sums=kept_sums, outputs=kept_outputs))
 
 
 class Builder:

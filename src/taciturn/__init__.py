@@ -1,0 +1,89 @@
+"""Event-triggered control for linear systems, with guarantees on performance and on the transmission rate."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from taciturn import design as design
+    from taciturn.errors import InformationError as InformationError
+    from taciturn.errors import PrecisionError as PrecisionError
+    from taciturn.errors import ProblemError as ProblemError
+    from taciturn.errors import TaciturnError as TaciturnError
+    from taciturn.errors import UnstableError as UnstableError
+    from taciturn.loop import Loop as Loop
+    from taciturn.loop import close as close
+    from taciturn.model.cost import Cost as Cost
+    from taciturn.model.estimate import Estimate as Estimate
+    from taciturn.model.network import Burst as Burst
+    from taciturn.model.network import Network as Network
+    from taciturn.model.plant import ContinuousPlant as ContinuousPlant
+    from taciturn.model.plant import Jumps as Jumps
+    from taciturn.model.plant import Plant as Plant
+    from taciturn.model.plant import plant_from as plant_from
+    from taciturn.model.policy import Guarantee as Guarantee
+    from taciturn.model.policy import Policy as Policy
+    from taciturn.model.trigger import Form as Form
+    from taciturn.model.trigger import Scheduled as Scheduled
+    from taciturn.model.trigger import Trigger as Trigger
+    from taciturn.problem import Problem as Problem
+    from taciturn.problem import load as load
+    from taciturn.simulation.average import average as average
+    from taciturn.simulation.trajectory import Trajectory as Trajectory
+    from taciturn.simulation.trajectory import simulate as simulate
+    from taciturn.study.evaluate import Evaluation as Evaluation
+    from taciturn.study.evaluate import evaluate as evaluate
+    from taciturn.study.reproduce import reproduce as reproduce
+    from taciturn.study.tradeoff import Tradeoff as Tradeoff
+    from taciturn.study.tradeoff import tradeoff as tradeoff
+
+# Where each public name lives; it is imported when it is first asked for, so that `taciturn --help` is quick.
+_HOME = {
+    "Burst": "model.network",
+    "ContinuousPlant": "model.plant",
+    "Cost": "model.cost",
+    "Estimate": "model.estimate",
+    "Evaluation": "study.evaluate",
+    "Form": "model.trigger",
+    "Guarantee": "model.policy",
+    "InformationError": "errors",
+    "Jumps": "model.plant",
+    "Loop": "loop",
+    "Network": "model.network",
+    "Plant": "model.plant",
+    "Policy": "model.policy",
+    "PrecisionError": "errors",
+    "Problem": "problem",
+    "ProblemError": "errors",
+    "Scheduled": "model.trigger",
+    "TaciturnError": "errors",
+    "Tradeoff": "study.tradeoff",
+    "Trajectory": "simulation.trajectory",
+    "Trigger": "model.trigger",
+    "UnstableError": "errors",
+    "average": "simulation.average",
+    "close": "loop",
+    "evaluate": "study.evaluate",
+    "load": "problem",
+    "plant_from": "model.plant",
+    "reproduce": "study.reproduce",
+    "simulate": "simulation.trajectory",
+    "tradeoff": "study.tradeoff",
+}
+__version__ = "0.1.0"
+__all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place
+
+
+def __getattr__(name: str) -> object:
+    if name == "design":  # the policies, by name: taciturn.design.lqg(…)
+        return import_module("taciturn.design")
+    if name not in _HOME:
+        raise AttributeError(f"module 'taciturn' has no attribute {name!r}")
+    value: object = getattr(import_module(f"taciturn.{_HOME[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

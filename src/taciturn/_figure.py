@@ -1,0 +1,99 @@
+"""Pictures: the one door to matplotlib. A picture is panels of series; the file name's ending picks the format."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from taciturn.errors import ProblemError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FORMATS = (".svg", ".png", ".pdf")
+Style = Literal["line", "dashed", "dotted", "points", "steps", "stems"]
+
+
+@dataclass(frozen=True)
+class Series:
+    """One curve: points (x, y), drawn in a style, with an error bar of ±``error`` where given."""
+
+    x: Sequence[float]
+    y: Sequence[float]
+    label: str = ""
+    style: Style = "line"
+    error: Sequence[float] | None = None
+    color: int | None = None
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One pair of axes."""
+
+    series: Sequence[Series]
+    xlabel: str = ""
+    ylabel: str = ""
+    title: str = ""
+    logarithmic: bool = False
+
+
+def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
+    """Return a figure of panels under one another."""
+    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
+
+    figure: Any = Figure(figsize=(width, height), layout="constrained")
+    axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=len(panels) > 1)
+    for axis, panel in zip(axes[:, 0], panels, strict=True):
+        for series in panel.series:
+            _plot(axis, series)
+        axis.set_ylabel(panel.ylabel)
+        axis.set_title(panel.title, fontsize="medium")
+        axis.grid(True, alpha=0.3)
+        if panel.logarithmic:
+            axis.set_yscale("log")
+        if any(series.label for series in panel.series):
+            axis.legend(fontsize="small", framealpha=0.8)
+    axes[-1, 0].set_xlabel(panels[-1].xlabel)
+    return figure
+
+
+def check_format(path: str | Path) -> Path:
+    """Return the path if its ending is one of ours.
+
+    Raises:
+        ProblemError: another ending, or a folder that does not exist.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in FORMATS:
+        raise ProblemError(f"the picture {str(path)!r} ends in {path.suffix!r}; expected one of {', '.join(FORMATS)}")
+    if not path.parent.is_dir():
+        raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the picture to")
+    return path
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Write a figure as SVG, PNG or PDF, by the ending of the name.
+
+    Raises:
+        ProblemError: another ending, or the file cannot be written.
+    """
+    target = check_format(path)
+    try:
+        figure.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
+    except OSError as error:
+        raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
+
+
+def _plot(axis: Any, series: Series) -> None:
+    color = None if series.color is None else f"C{series.color}"
+    lines = {"line": "-", "dashed": "--", "dotted": ":", "points": "o"}
+    if series.style == "steps":
+        axis.step(series.x, series.y, where="post", label=series.label, color=color)
+    elif series.style == "stems":
+        axis.vlines(series.x, 0, series.y, label=series.label, color=color or "0.4", linewidth=0.8)
+    elif series.error is not None:
+        axis.errorbar(series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color)
+    else:
+        axis.plot(series.x, series.y, lines[series.style], markersize=4, label=series.label, color=color)

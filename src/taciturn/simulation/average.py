@@ -1,0 +1,232 @@
+"""Cost and rates by simulation, with standard errors: many independent paths, a burn-in, and as many ticks as needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, count, number
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.loop import COST, EXCESS, SENT, Loop
+from taciturn.model.estimate import Estimate
+from taciturn.program.ir import Program
+from taciturn.simulation.engine import run
+
+PATHS = 4096
+BURN_IN = 512  # ticks; more where the first half of what is kept still differs from the second
+BUDGET = 4_000_000_000  # steps of all paths together
+CHUNK = 1 << 26  # steps between two reports of progress
+DRIFT = 3.5  # standard errors by which two halves may differ
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Averages:
+    """What a simulation found.
+
+    Args:
+        cost: per unit of time, or the total of a finite horizon.
+        rates: sends per tick (finite horizon: mean fraction of the steps), by link.
+        steps: simulated steps of all paths together, burn-in included.
+        burn_in: ticks dropped at the start of each path.
+        reached: whether the asked standard error was met.
+    """
+
+    cost: Estimate
+    rates: Mapping[str, Estimate]
+    steps: int
+    burn_in: int
+    reached: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """Which program is run, and how the mean of a sum gives the cost: offset + scale·mean.
+
+    Args:
+        program: one tick of the loop.
+        sum: name of the sum.
+        offset: what is added, in the units of the cost.
+        scale: factor of the mean per tick.
+    """
+
+    program: Program
+    sum: str
+    offset: float
+    scale: float
+
+
+def completed_squares(loop: Loop) -> Estimator:
+    """Return the estimator J = J_all + E[completed square], in the innovations form where that holds.
+
+    Raises:
+        ProblemError: the policy has no identity, or the plant is not the one of its design.
+
+    Source: khashooei2017
+    """
+    identity = loop.policy.identity
+    if identity is None or not loop.nominal:
+        raise ProblemError("completion of squares needs the plant and network of the design, and a policy that has it; use the plain average")
+    program = loop.reduced_program() if loop.reducible else loop.program()
+    return Estimator(program.keep({EXCESS, *_rates(loop)}), EXCESS, identity.constant, 1.0)
+
+
+def plain_average(loop: Loop) -> Estimator:
+    """Return the estimator that averages the stage cost of the loop with its plant."""
+    tick = loop.problem.tick
+    return Estimator(loop.program().keep({COST, *_rates(loop)}), COST, loop.problem.noise_cost / tick, 1.0 / tick)
+
+
+def choose_estimator(loop: Loop) -> Estimator:
+    """Return completion of squares where the theory allows it, else the plain average."""
+    return completed_squares(loop) if loop.nominal and loop.policy.identity is not None else plain_average(loop)
+
+
+def average(
+    loop: Loop,
+    estimator: Estimator | None = None,
+    *,
+    seed: int = 0,
+    standard_error: float | None = None,
+    steps: int | None = None,
+    progress: Progress | None = None,
+    threads: int | None = None,
+) -> Averages:
+    """Estimate the stationary cost and rates, or those of a finite horizon.
+
+    Every path is independent, so the standard error is that of the mean over paths, whatever the correlation in time.
+    The first ticks are dropped; if the two halves of what is kept differ, the first is dropped as well.
+
+    Args:
+        loop: the closed loop.
+        estimator: omitted: the best that holds.
+        seed: of the draws; the result depends on nothing else.
+        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
+        steps: run this many steps of all paths together instead.
+        progress: called with the fraction done.
+        threads: omitted: all processors.
+
+    Returns:
+        Cost and rates; ``reached`` is False where the budget ended first.
+
+    Raises:
+        ProblemError: a budget or precision that is not positive.
+        UnstableError: the loop diverges.
+    """
+    estimator = estimator or choose_estimator(loop)
+    if standard_error is not None:
+        number("standard_error", standard_error, 0.0)
+    if steps is not None:
+        count("steps", steps, 1024)
+    sampling = _Sampling(loop, estimator, seed, progress, threads)
+    horizon = loop.problem.cost.horizon
+    target = (lambda cost: 1e-4 * abs(cost.value)) if standard_error is None else (lambda cost: standard_error)
+    if horizon is not None:
+        return sampling.missions(horizon, target, steps)
+    return sampling.stationary(target, steps)
+
+
+class _Sampling:
+    def __init__(
+        self, loop: Loop, estimator: Estimator, seed: int, progress: Progress | None, threads: int | None
+    ) -> None:
+        self.loop, self.estimator, self.seed, self.threads = loop, estimator, seed, threads
+        self.progress = progress or (lambda fraction: None)
+        self.names = [estimator.sum, *_rates(loop)]
+        self.steps = 0
+
+    def stationary(self, target: Callable[[Estimate], float], steps: int | None) -> Averages:
+        budget = steps or BUDGET
+        paths = min(PATHS, max(8, budget // (2 * BURN_IN) // 8 * 8))
+        ticks = budget // paths
+        dropped = min(BURN_IN, ticks // 2)
+        state = self.loop.start(self.estimator.program, paths, self.seed)
+        _, state = self._advance(state, dropped)
+        kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
+        window = min(BURN_IN, ticks - dropped)
+        while True:
+            sums, state = self._advance(state, window)
+            kept.append((window, sums))
+            settled = len(kept) < 2 or self._settled(kept)
+            if not settled:
+                dropped += sum(length for length, _ in kept[:-1])
+                kept = kept[-1:]
+            cost, rates = self._summary(kept)
+            reached = len(kept) > 1 and steps is None and cost.standard_error <= target(cost)
+            left = ticks - self.steps // paths
+            if reached or left < 1:
+                enough = reached or (steps is not None and settled)
+                return Averages(cost, rates, self.steps, dropped, enough)
+            wanted = target(cost) if steps is None else None
+            self._report(cost, wanted, self.steps / budget)
+            measured = sum(length for length, _ in kept)
+            needed = left if wanted is None else int(measured * ((cost.standard_error / wanted) ** 2 * 1.05 - 1)) + 1
+            window = max(1, min(left, measured, max(needed, BURN_IN // 4)))
+
+    def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
+        budget = steps or BUDGET
+        paths = min(PATHS, max(8, budget // horizon))
+        totals: list[Array] = []
+        terminal = self.loop.problem.cost.terminal
+        while True:
+            program = self.estimator.program
+            state = self.loop.start(program, paths, self.seed + len(totals) * 1_000_003)
+            sums, state = self._advance(state, horizon)
+            if self.estimator.sum == COST and terminal is not None:
+                x = np.array([row for row, s in zip(state, program.states, strict=True) if s.name == "x"])
+                sums[0] += np.einsum("ip,ij,jp->p", x, terminal, x)
+            totals.append(sums)
+            every = np.concatenate(totals, axis=1)
+            cost = _mean(every[0]).scaled(self.estimator.scale, self.estimator.offset)
+            rates = {name.split()[1]: _mean(row / horizon) for name, row in zip(self.names[1:], every[1:], strict=True)}
+            reached = steps is None and cost.standard_error <= target(cost)
+            if reached or self.steps + paths * horizon > budget:
+                return Averages(cost, rates, self.steps, 0, reached or steps is not None)
+            self._report(cost, None if steps else target(cost), self.steps / budget)
+
+    def _advance(self, state: Array, ticks: int) -> tuple[Array, Array]:
+        """Run ticks in chunks that let progress be seen and the run be interrupted."""
+        sums = np.zeros((len(self.names), state.shape[1]))
+        chunk = max(1, CHUNK // state.shape[1])
+        while ticks > 0:
+            now = min(ticks, chunk)
+            result = run(self.estimator.program, state, now, self.threads)
+            state = result.states
+            sums += np.array([result.sums[name] for name in self.names])
+            self.steps += now * state.shape[1]
+            ticks -= now
+            if not np.isfinite(sums).all() or np.abs(sums).max() > 1e150:
+                raise UnstableError(f"the loop of {self.loop.policy.kind} diverges: its cost passed 1e150 after {self.steps} steps; "
+                                    "expected a stable loop; send more often, or check [plant.actual]")  # fmt: skip
+        return sums, state
+
+    def _settled(self, kept: list[tuple[int, Array]]) -> bool:
+        """Compare the last window with what came before it, path by path."""
+        before, (length, last) = kept[:-1], kept[-1]
+        earlier = sum((sums for _, sums in before), np.zeros_like(last)) / sum(ticks for ticks, _ in before)
+        change = last / length - earlier
+        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        if np.abs(last).max() > 1e6 * length * max(float(np.abs(earlier).max()), 1e-300):
+            raise UnstableError(f"the loop of {self.loop.policy.kind} diverges: its cost grew a million times; expected a stable loop; "
+                                "send more often, or check [plant.actual]")  # fmt: skip
+        return bool((np.abs(change.mean(axis=1)) <= DRIFT * spread + 1e-12 * np.abs(earlier.mean(axis=1))).all())
+
+    def _summary(self, kept: list[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
+        ticks = sum(length for length, _ in kept)
+        means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
+        cost = _mean(means[0]).scaled(self.estimator.scale, self.estimator.offset)
+        return cost, {name.split()[1]: _mean(row) for name, row in zip(self.names[1:], means[1:], strict=True)}
+
+    def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
+        precise = 0.0 if wanted is None or cost.standard_error == 0 else (wanted / cost.standard_error) ** 2
+        self.progress(min(1.0, max(spent, precise)))
+
+
+def _rates(loop: Loop) -> list[str]:
+    return [f"{SENT} {link}" for link in loop.policy.scheduled]
+
+
+def _mean(values: Array) -> Estimate:
+    return Estimate(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), "simulation")

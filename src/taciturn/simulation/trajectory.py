@@ -1,0 +1,120 @@
+"""One path of a loop, tick by tick."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array, count
+from taciturn._figure import Panel, Series, draw
+from taciturn.errors import ProblemError
+from taciturn.loop import SENT, Loop
+from taciturn.simulation.engine import run
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What happened at each tick of one path.
+
+    Args:
+        time: in seconds, or ticks where the plant counts steps; (ticks,).
+        state: of the plant, (ticks, n).
+        estimate: x̂, (ticks, n); empty where the policy has none.
+        input: applied to the plant, (ticks, m).
+        trigger_value: value of staying silent, (ticks,); empty where nothing is decided.
+        threshold: least value of the other actions; silence is kept while trigger_value ≤ threshold.
+        sends: whether a packet was sent, by link, (ticks,).
+    """
+
+    time: Array
+    state: Array
+    estimate: Array
+    input: Array
+    trigger_value: Array
+    threshold: Array
+    sends: dict[str, npt.NDArray[np.bool_]]
+
+    def plot(self) -> Figure:
+        """Return a figure: states, input, trigger against threshold with a mark for every send."""
+        time = self.time.tolist()
+        states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$") for i, x in enumerate(self.state.T)]
+        inputs = [Series(time, u.tolist(), f"$u_{{{i + 1}}}$", "steps") for i, u in enumerate(self.input.T)]
+        panels = [Panel(states, ylabel="state"), Panel(inputs, ylabel="input")]
+        if self.trigger_value.size:
+            crossed = [
+                Series(time, self.trigger_value.tolist(), "trigger", "line"),
+                Series(time, self.threshold.tolist(), "threshold", "dashed"),
+            ]
+            panels.append(Panel(crossed, ylabel="trigger"))
+        marks = [
+            Series(self.time[sent].tolist(), [1.0] * int(sent.sum()), f"{link}: {int(sent.sum())} of {len(sent)}", "stems", color=i)
+            for i, (link, sent) in enumerate(self.sends.items())
+        ]
+        panels.append(Panel(marks, ylabel="sends", xlabel="time"))
+        return draw(panels, height=1.9 * len(panels))
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a table with one row per tick.
+
+        Raises:
+            ProblemError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ProblemError("pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'") from None
+        columns: dict[str, object] = {}
+        for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input)):
+            columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
+        if self.trigger_value.size:
+            columns |= {"trigger": self.trigger_value, "threshold": self.threshold}
+        columns |= {f"sent_{link}": sent for link, sent in self.sends.items()}
+        return pandas.DataFrame(columns, index=pandas.Index(self.time, name="time"))
+
+
+def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
+    """Run one path of a loop from its initial distribution and keep everything.
+
+    Args:
+        loop: the closed loop.
+        ticks: number of ticks, at least 1.
+        seed: of the draws.
+
+    Returns:
+        The trajectory.
+
+    Raises:
+        ProblemError: ticks below 1.
+
+    Example:
+        >>> from taciturn import Cost, Plant, close, design
+        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
+        >>> simulate(close(plant, design.lqg(plant, cost, theta=0.5), cost=cost), 50).state.shape
+        (50, 1)
+    """
+    ticks = count("ticks", ticks)
+    program = loop.program()
+    program = program.keep(outputs=set(program.outputs))
+    outputs = run(program, loop.start(program, 1, seed), ticks, threads=1).outputs
+    records = {name: values[:, 0] for name, values in outputs.items()}
+
+    def stacked(name: str) -> Array:
+        rows = [records[key] for key in sorted((k for k in records if k.rpartition(" ")[0] == name), key=_entry)]
+        return np.array(rows).T if rows else np.empty((ticks, 0))
+
+    options = [values for name, values in records.items() if name.startswith("option ")]
+    silent, others = (options[0], np.min(options[1:], axis=0)) if options else (np.empty(0), np.empty(0))
+    sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
+    time = np.arange(ticks) * (loop.problem.plant.dt or 1.0)
+    return Trajectory(time, stacked("x"), stacked("estimate"), stacked("applied"), silent, others, sends)
+
+
+def _entry(name: str) -> int:
+    return int(name.rpartition(" ")[2])

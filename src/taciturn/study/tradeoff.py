@@ -1,0 +1,221 @@
+"""Cost against rate: a policy over its parameters, beside optimal periodic control and the guarantee."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taciturn._figure import Panel, Series, draw
+from taciturn.design.certainty import Actuation
+from taciturn.design.periodic import periodic
+from taciturn.errors import ProblemError, TaciturnError
+from taciturn.model.plant import ContinuousPlant
+from taciturn.problem import Problem
+from taciturn.simulation.average import Progress
+from taciturn.study.evaluate import Evaluation, evaluate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CURVE_POINTS = 40  # of the periodic curve of a continuous plant
+
+
+@dataclass(frozen=True)
+class PeriodicPoint:
+    """Optimal periodic control at one rate: exact cost."""
+
+    rate: float
+    cost: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """One evaluation, and optimal periodic control at its rate with the same actuation.
+
+    Args:
+        values: what was varied.
+        evaluation: of the policy.
+        actuation: of the policy, and of the periodic controller it is compared with.
+        cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable.
+    """
+
+    values: Mapping[str, Any]
+    evaluation: Evaluation
+    actuation: Actuation
+    cost_periodic_same_rate: float | None
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Cost against rate.
+
+    Args:
+        points: in the order of the grid.
+        periodic: the curve of optimal periodic control, by actuation.
+        unit: what a rate counts: ``"step"`` or ``"second"``.
+        base_rate: of sending at every tick.
+        guarantee: the theorem behind the bounds, or None.
+    """
+
+    points: tuple[Point, ...]
+    periodic: Mapping[Actuation, tuple[PeriodicPoint, ...]]
+    unit: str
+    base_rate: float
+    guarantee: str | None
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn tradeoff --json``."""
+        return {
+            "points": [
+                {"values": dict(point.values), "cost_periodic_same_rate": point.cost_periodic_same_rate}
+                | point.evaluation.document()
+                for point in self.points
+            ],
+            "periodic": {
+                actuation: [{"rate": p.rate, "cost": p.cost} for p in curve] for actuation, curve in self.periodic.items()
+            },
+            "unit": self.unit,
+            "guarantee": self.guarantee,
+        }
+
+    def plot(self) -> Figure:
+        """Return a figure of cost against rate: the policy with standard errors, periodic control, the guarantee."""
+        series: list[Series] = []
+        families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
+        lead = next(iter(self.points[0].values))
+        for point in self.points:
+            families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
+        for index, (family, points) in enumerate(families.items()):
+            ordered = sorted(points, key=_rate)
+            label = ", ".join([ordered[0].evaluation.policy, *(f"{value}" for _, value in family)])
+            x, y = [_rate(p) for p in ordered], [p.evaluation.cost.value for p in ordered]
+            series.append(Series(x, y, label, error=[p.evaluation.cost.standard_error for p in ordered], color=index))
+            bounds = [p.evaluation.cost_bound for p in ordered]
+            top = 1.6 * max(y)
+            inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None and b <= top]
+            if len(inside) > 1:
+                series.append(Series([a for a, _ in inside], [b for _, b in inside], "", "dotted", color=index))
+        for actuation, curve in self.periodic.items():
+            shown = [p for p in curve if p.cost <= 1.6 * max(point.evaluation.cost.value for point in self.points)]
+            style = "dashed" if len(self.periodic) == 1 or actuation == "hold" else "line"
+            series.append(Series([p.rate for p in shown], [p.cost for p in shown], f"periodic, {actuation}", style, color=7 if actuation == "hold" else 5))
+        title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
+        return draw([Panel(series, f"sends per {self.unit}", f"cost per {self.unit}", title)])
+
+
+def tradeoff(
+    problem: Problem,
+    over: Mapping[str, Sequence[object]],
+    *,
+    seed: int = 0,
+    standard_error: float | None = None,
+    progress: Progress | None = None,
+) -> Tradeoff:
+    """Return cost against rate of a problem's policy over a grid of its parameters.
+
+    Args:
+        problem: the problem; each point changes the named keys.
+        over: the values of each key (of ``[policy]``, or dotted); several keys make a grid.
+        seed: of the draws, the same at every point.
+        standard_error: absolute, of each cost; omitted: 1e-4 of it.
+        progress: called with the fraction done.
+
+    Returns:
+        The points with the periodic curve of the same plant and cost.
+
+    Raises:
+        ProblemError: no values, an unknown key, or data that do not fit.
+    """
+    if not over or not all(over.values()):
+        raise ProblemError("no values to trade off over; expected a name with at least one value, as theta=0.1,1")
+    grid = [dict(zip(over, cell, strict=True)) for cell in itertools.product(*over.values())]
+    problems = [problem.changed(cell) for cell in grid]
+    for changed in problems:
+        changed.design()  # a mistake in the last cell is told before the first one runs
+    points: list[Point] = []
+    for index, (cell, changed) in enumerate(zip(grid, problems, strict=True)):
+
+        def report(fraction: float, index: int = index) -> None:
+            if progress is not None:
+                progress((index + fraction) / len(grid))
+
+        evaluation = evaluate(changed, seed=seed, standard_error=standard_error, progress=report)
+        actuation: Actuation = "model" if changed.parameters.get("actuation") == "model" else "hold"
+        same = periodic_cost_at(changed, next(iter(evaluation.rates.values())).value, actuation)
+        points.append(Point(cell, evaluation, actuation, same))
+    slowest = min(_rate(point) for point in points)
+    curves = {actuation: periodic_curve(problems[0], slowest, actuation) for actuation in sorted({p.actuation for p in points})}
+    policy = problems[0].design()
+    statement = None if policy.guarantee is None or points[0].evaluation.cost_bound is None else policy.guarantee.statement
+    continuous = isinstance(problem.plant, ContinuousPlant)
+    return Tradeoff(
+        tuple(points),
+        {actuation: curve for actuation, curve in curves.items() if curve},
+        "second" if continuous else "step",
+        1 / policy.tick,
+        statement,
+    )
+
+
+def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> float | None:
+    """Return the exact cost of optimal periodic control at a rate, or None where none is stable.
+
+    A discrete plant has the rates 1/k only; between them two controllers share the time over long phases, which
+    interpolates rate and cost linearly; an interval at which sampling loses a mode is passed over.
+
+    Args:
+        problem: its plant and cost.
+        rate: sends per step or per second.
+        actuation: of the periodic controller.
+    """
+    if isinstance(problem.plant, ContinuousPlant):
+        return _cost(problem, 1 / rate, actuation)
+    every = int(np.floor(1 / rate * (1 + 1e-12)))
+    faster = _first_stable(problem, range(every, 0, -1), actuation)
+    if faster is None or faster.rate == rate:
+        return None if faster is None else faster.cost
+    slower = _first_stable(problem, range(every + 1, 2 * every + 8), actuation)
+    if slower is None:
+        return None
+    share = (rate - slower.rate) / (faster.rate - slower.rate)
+    return share * faster.cost + (1 - share) * slower.cost
+
+
+def periodic_curve(problem: Problem, slowest: float, actuation: Actuation) -> tuple[PeriodicPoint, ...]:
+    """Return optimal periodic control from the base rate down to ``slowest``; unstable rates are left out."""
+    if isinstance(problem.plant, ContinuousPlant):
+        base = problem.design().tick
+        intervals: Sequence[float] = np.geomspace(base, max(1.05 / slowest, 1.05 * base), CURVE_POINTS).tolist()
+    else:
+        intervals = range(1, int(np.ceil(1 / slowest)) + 1)
+    found = [(1 / interval, _cost(problem, interval, actuation)) for interval in intervals]
+    return tuple(PeriodicPoint(rate, cost) for rate, cost in found if cost is not None)
+
+
+def _first_stable(problem: Problem, steps: Sequence[int], actuation: Actuation) -> PeriodicPoint | None:
+    """Return periodic control at the first of these intervals that has a stable one."""
+    for every in steps:
+        cost = _cost(problem, every, actuation)
+        if cost is not None:
+            return PeriodicPoint(1 / every, cost)
+    return None
+
+
+def _cost(problem: Problem, interval: float, actuation: Actuation) -> float | None:
+    """The closed form of a periodic policy; sampling that loses a mode, and predictions without the state, have none."""
+    try:
+        if isinstance(problem.plant, ContinuousPlant):
+            policy = periodic(problem.plant, problem.cost, period=interval, actuation=actuation)
+        else:
+            policy = periodic(problem.plant, problem.cost, every=int(interval), actuation=actuation)
+    except TaciturnError:
+        return None
+    return None if policy.closed_form is None else policy.closed_form.cost
+
+
+def _rate(point: Point) -> float:
+    return next(iter(point.evaluation.rates.values())).value

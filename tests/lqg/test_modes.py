@@ -1,0 +1,73 @@
+"""Modes that an input cannot move, and stationary sums."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.modes import accumulate, uncontrollable_modes
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seed=seeds, reached=st.integers(0, 4), fixed=st.integers(0, 4))
+def test_the_fixed_modes_are_those_of_the_block_that_no_input_enters(seed, reached, fixed):
+    """A hidden block structure is found again after a change of coordinates."""
+    rng = np.random.default_rng(seed)
+    n = reached + fixed
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, 2))
+    A[reached:, :reached], B[reached:] = 0, 0
+    T = np.linalg.qr(rng.normal(size=(n, n)))[0]
+    found = uncontrollable_modes(T @ A @ T.T, T @ B)
+    expected = np.linalg.eigvals(A[reached:, reached:])
+    assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected), abs=1e-7)
+
+
+def test_a_repeated_eigenvalue_is_fixed_as_often_as_it_is_beyond_reach():
+    """Of three equal decoupled integrators one input moves only one combination."""
+    assert uncontrollable_modes(np.eye(3), [[1.0], [2.0], [3.0]]) == pytest.approx([1, 1])
+
+
+def test_a_long_chain_of_integrators_is_moved_from_its_end():
+    """A Jordan block, whose computed eigenvalues scatter, is recognised as controllable; its reverse is not."""
+    A = np.eye(6) + np.diag(np.ones(5), 1)
+    end = np.eye(6)[:, 5:]
+    assert uncontrollable_modes(A, end).size == 0
+    assert uncontrollable_modes(A, end[::-1]).size == 5
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_units_of_the_input_do_not_decide_what_is_reached(scale):
+    """Measuring one of two inputs in other units leaves the answer as it is."""
+    A, B = np.diag([2.0, 3.0, 4.0]), np.array([[1.0, 0], [0, scale], [0, 0]])
+    assert uncontrollable_modes(A, B) == pytest.approx([4.0])
+
+
+def test_without_any_input_every_mode_is_fixed():
+    """A zero input matrix, or none, moves nothing."""
+    assert uncontrollable_modes([[0.0, 1], [-1, 0]], [[0.0], [0]]) == pytest.approx([1j, -1j])
+    assert uncontrollable_modes([[2.0]], np.zeros((1, 0))) == pytest.approx([2])
+
+
+@given(seed=seeds)
+def test_the_stationary_sum_solves_its_equation(draw, seed):
+    """X = F X F' + W, also close to the unit circle and far from normal."""
+    case = draw(seed)
+    F = case.A * case.rng.uniform(0.1, 0.9999) / np.abs(np.linalg.eigvals(case.A)).max()
+    X = accumulate(F, case.W)
+    assert F @ X @ F.T + case.W == pytest.approx(X, rel=1e-9, abs=1e-11 * np.abs(X).max())
+
+
+def test_the_stationary_sum_of_an_unstable_map_is_refused():
+    """The message names the eigenvalue."""
+    with pytest.raises(UnstableError, match=r"eigenvalue 1\.5"):
+        accumulate([[1.5]], [[1.0]])
+
+
+def test_a_matrix_that_is_not_square_is_refused():
+    """Shapes are checked at the door."""
+    with pytest.raises(ProblemError, match="A has shape"):
+        uncontrollable_modes(np.zeros((2, 3)), np.zeros((2, 1)))
