@@ -11,7 +11,7 @@ import pytest
 
 @dataclass(frozen=True)
 class Case:
-    """A random problem: full-rank weights with a cross term, full-rank noise, A as often unstable as stable."""
+    """A random problem: full-rank weights with a cross term, full-rank noise, A often unstable."""
 
     A: np.ndarray
     B: np.ndarray

@@ -1,5 +1,6 @@
 """Modes that an input cannot move, and stationary sums."""
 
+# ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
 from __future__ import annotations
 
 import numpy as np
@@ -32,7 +33,7 @@ def test_a_repeated_eigenvalue_is_fixed_as_often_as_it_is_beyond_reach():
 
 
 def test_a_long_chain_of_integrators_is_moved_from_its_end():
-    """A Jordan block, whose computed eigenvalues scatter, is recognised as controllable; its reverse is not."""
+    """A Jordan block, whose computed eigenvalues scatter, is moved from its end, not from its start."""
     A = np.eye(6) + np.diag(np.ones(5), 1)
     end = np.eye(6)[:, 5:]
     assert uncontrollable_modes(A, end).size == 0

@@ -1,5 +1,6 @@
 """Regulators: optimality, limits, refusals."""
 
+# ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
 from __future__ import annotations
 
 import numpy as np

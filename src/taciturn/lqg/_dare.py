@@ -85,7 +85,8 @@ def _newton(A: Array, B: Array, Q: Array, R: Array, N: Array, L: Array) -> Solut
         # Where the terms cancel, K holds their rounding and cannot settle below it.
         size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
         last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
-        stalled = change <= 1e-9 * size and change >= last / 2  # down at the rounding error
+        # Down at the rounding error; where a closed-loop mode tends to the circle the changes halve instead.
+        stalled = change <= 1e-5 * size and change >= 0.9 * last
         if change <= 1e-14 * size or stalled:
             return (K, L, H) if radius(A + B @ L) < 1 - margin else None
         previous = K

@@ -39,8 +39,7 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Transition ``Phi``, cost weight ``M`` at its start, noise covariance ``G`` at its end, and the cost "
-    "of that noise."""
+    """Transition ``Phi``, cost weight ``M`` at its start, noise ``G`` at its end, and the cost of noise."""
 
     Phi: Array
     M: Array
@@ -71,40 +70,52 @@ def repeat(once: Interval, times: int) -> Interval:
         once = compose(once, once)
 
 
-def integrate(F: Array, M: Array, G: Array, period: float) -> Interval:
+def integrate(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
     """Return the stretch of length ``period`` of ż = Fz + noise of intensity ``G`` with cost ∫ z'Mz dt.
 
     Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt: power series over
     h/2^k, then k doublings. Block exponentials with e^{−Fh} in one corner lose all digits when ‖Fh‖ is large;
-    doublings only add semidefinite terms.
+    doublings only add semidefinite terms. ``units``, powers of two, are those of z in which F is best scaled;
+    they are undone exactly.
     """
     with np.errstate(over="ignore", invalid="ignore"):
+        F, M, G = F / units[:, None] * units, M * units * units[:, None], G / units / units[:, None]
         size = float(np.abs(F).sum(axis=0).max(initial=0.0)) * period
         doublings = max(0, int(np.ceil(np.log2(max(size, 1e-300) / 0.5)))) if np.isfinite(size) else 10**9
         if doublings <= 1000:
             result = _doubled(F, M, G, period / 2.0**doublings, doublings)
             if all(np.isfinite(part).all() for part in (result.Phi, result.M, result.G, result.noise_cost)):
-                return result
+                return _in_units(result, units)
     raise ProblemError(
         f"period is {period:g}, over which the state grows beyond every number the computer holds "
         f"(‖A‖·period = {size:.3g}); shorten the period"
     )
 
 
+def _in_units(scaled: Interval, units: Array) -> Interval:
+    return Interval(
+        scaled.Phi / units * units[:, None],
+        scaled.M / units / units[:, None],
+        scaled.G * units * units[:, None],
+        scaled.noise_cost,
+    )
+
+
 def _doubled(F: Array, M: Array, G: Array, step: float, doublings: int) -> Interval:
     change, M, G, cost = _series(F, M, G, step)
     one = np.eye(len(F))
-    Phi = one + change
+    Phi, near = one + change, True
     for _ in range(doublings):
         cost = 2 * cost + float(np.sum(M * G))
         M = _symmetric(M + Phi.T @ M @ Phi)
         G = _symmetric(G + Phi @ G @ Phi.T)
         # Near the identity the small Φ − I carries the digits; far from it (decayed modes) Φ itself does.
-        if np.abs(change).max() < 0.5:
+        near = near and bool(np.abs(change).max() < 0.5)
+        if near:
             change = 2 * change + change @ change
             Phi = one + change
         else:
-            change = Phi = Phi @ Phi
+            Phi = Phi @ Phi
     return Interval(Phi, M, G, cost)
 
 
@@ -123,8 +134,7 @@ def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Ar
 
 
 def split(stretch: Interval, states: int) -> Sampled:
-    """Return the stretch as a problem whose first ``states`` variables are the state and whose rest is the "
-    "input."""
+    """Return the stretch as a problem whose first ``states`` variables are the state, the rest the input."""
     n = states
     return Sampled(
         A=_arrays.frozen(stretch.Phi[:n, :n]),

@@ -15,9 +15,7 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array 
     """Return scipy's solution of the discrete Riccati equation, or None where it finds none."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore"
-            )  # the caller verifies; a warning here would be an answer nobody reads
+            warnings.simplefilter("ignore")  # the callers verify what they get
             K = cast(Array, scipy.linalg.solve_discrete_are(A, B, Q, R, s=N))
     except (np.linalg.LinAlgError, ValueError):
         return None
@@ -39,3 +37,11 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
     """Return X with F X + X F' + M = 0."""
     X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
     return (X + X.T) / 2
+
+
+def balancing(A: Array) -> Array:
+    """Return the powers of two d for which D^{-1}AD has rows and columns of like size."""
+    if not A.size:
+        return np.ones(0)
+    _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
+    return np.asarray(scale, dtype=np.float64)

@@ -33,8 +33,10 @@ class Filter:
 
 @dataclass(frozen=True, eq=False)
 class Covariances:
-    """A filter in time, k = 0 … steps: ``prior`` and ``posterior`` (steps+1, n, n), ``gains`` (steps+1, n, "
-    "p)."""
+    """A filter in time, k = 0 … steps.
+
+    ``prior`` and ``posterior`` have shape (steps+1, n, n), ``gains`` (steps+1, n, p).
+    """
 
     prior: Array
     posterior: Array
@@ -145,18 +147,14 @@ def predict_covariances(
     Sigma = _arrays.semidefinite("initial", initial, n, "states × states")
     size = _arrays.count("steps", steps, 0) + 1
     prior, posterior, gains = np.zeros((size, n, n)), np.zeros((size, n, n)), np.zeros((size, n, p))
-    noisy = _dare.is_definite(V)
     for k in range(size):
         prior[k] = Sigma
         gains[k] = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
         posterior[k] = _posterior(Sigma, gains[k], C, V)
-        if (
-            not noisy
-        ):  # a noise-free output leaves exact zeros; their rounding must not be inverted at the next step
-            posterior[k] = _cleaned(posterior[k], Sigma)
         with np.errstate(over="ignore", invalid="ignore"):
             Sigma = _symmetric(A @ posterior[k] @ A.T + W)
-        if not np.isfinite(Sigma @ Sigma).all():
+            overflown = not np.isfinite(Sigma @ Sigma).all()
+        if overflown:
             raise UnstableError(
                 f"the error covariance overflows after {k + 1} steps; expected (A, C) detectable; take fewer "
                 "steps or add a sensor"
@@ -214,7 +212,9 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     """Return the covariance after a measurement in Joseph's form, which stays semidefinite under rounding."""
     rest = np.eye(len(Sigma)) - gain @ C
-    return _symmetric(rest @ Sigma @ rest.T + gain @ V @ gain.T)
+    posterior = _symmetric(rest @ Sigma @ rest.T + gain @ V @ gain.T)
+    # A noise-free output leaves exact zeros, whose rounding must not be inverted at a next step.
+    return posterior if _dare.is_definite(V) else _cleaned(posterior, Sigma)
 
 
 def _cleaned(posterior: Array, prior: Array) -> Array:

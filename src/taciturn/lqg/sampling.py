@@ -9,6 +9,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
+from taciturn.lqg import _scipy
 from taciturn.lqg._interval import Sampled, integrate, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
@@ -51,7 +52,12 @@ def sample(
     n, m = B.shape
     F = np.block([[A, B], [np.zeros((m, n + m))]])
     M = np.block([[Q, N], [N.T, R]])
-    return split(integrate(F, M, _padded(W, m), _arrays.number("period", period, 0.0)), n)
+    period = _arrays.number("period", period, 0.0)
+    scale = _scipy.balancing(A)
+    pace = max(float(np.abs(A / scale[:, None] * scale).max(initial=0.0)), 1 / period)
+    reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
+    units = np.concatenate([scale, np.exp2(np.round(np.log2(pace / reach)))])
+    return split(integrate(F, M, _padded(W, m), period, units), n)
 
 
 def sample_prediction(
@@ -98,7 +104,8 @@ def sample_prediction(
     L = _arrays.array("L", L, (m, n), "inputs × states")
     F = np.block([[A, B @ L], [np.zeros((n, n)), A + B @ L]])
     M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
-    return split(integrate(F, M, _padded(W, n), _arrays.number("period", period, 0.0)), n)
+    units = np.tile(_scipy.balancing(A), 2)
+    return split(integrate(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
 
 
 def _checked(

@@ -1,0 +1,141 @@
+"""What is proved of the policies holds for random systems, unstable plants and cross terms included."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from catalogue import CLOSED_FORM, GUARANTEED, POLICIES
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from systems import System, systems
+
+from taciturn import Policy, close, design
+from taciturn.model.policy import Decide
+from taciturn.simulation.average import average, completed_squares, plain_average
+
+STEPS = 1_000_000
+FEW = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+
+
+def no_policy_exceeds_its_guarantee(system: System, name: str) -> None:
+    """J ≤ (1+θ) J_all, as simulated with the full plant's law."""
+    policy = POLICIES[name](system)
+    found = average(close(system.plant, policy, cost=system.cost), seed=system.seed, steps=STEPS)
+    assert policy.guarantee is not None
+    assert found.cost.value - 4 * found.cost.standard_error <= policy.guarantee.cost * (1 + 1e-9)
+    assert found.cost.value + 4 * found.cost.standard_error >= policy.cost_all_time * (1 - 1e-9)
+
+
+def both_estimators_agree(system: System, name: str) -> None:
+    """Completed squares without the plant and the average of the stage cost with it are one number."""
+    loop = close(system.plant, POLICIES[name](system), cost=system.cost)
+    squares = average(loop, completed_squares(loop), seed=system.seed, steps=STEPS)
+    plain = average(loop, plain_average(loop), seed=system.seed + 1, steps=4 * STEPS)
+    combined = np.hypot(squares.cost.standard_error, plain.cost.standard_error)
+    assert abs(squares.cost.value - plain.cost.value) <= 4.5 * combined  # 300 comparisons: 4 would fail once in 50 runs
+    link = "actuator"
+    combined = np.hypot(squares.rates[link].standard_error, plain.rates[link].standard_error)
+    assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + 1e-12
+
+
+def closed_forms_are_what_is_simulated(system: System, name: str) -> None:
+    """The exact cost of a policy that ignores the state is the average of its stage cost."""
+    policy = POLICIES[name](system)
+    loop = close(system.plant, policy, cost=system.cost)
+    found = average(loop, plain_average(loop), seed=system.seed, steps=2 * STEPS)
+    assert policy.closed_form is not None
+    assert abs(found.cost.value - policy.closed_form.cost) <= 4.5 * found.cost.standard_error
+
+
+@pytest.mark.parametrize("name", GUARANTEED)
+def test_no_policy_exceeds_its_guarantee(name: str) -> None:
+    """J_all ≤ J ≤ (1+θ) J_all."""
+    FEW(given(system=systems())(lambda system: no_policy_exceeds_its_guarantee(system, name)))()
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", GUARANTEED)
+def test_no_policy_exceeds_its_guarantee_over_300_systems(name: str) -> None:
+    """J_all ≤ J ≤ (1+θ) J_all, 300 systems each."""
+    MANY(given(system=systems())(lambda system: no_policy_exceeds_its_guarantee(system, name)))()
+
+
+@pytest.mark.parametrize("name", GUARANTEED)
+def test_reduced_and_plain_estimators_agree(name: str) -> None:
+    """One number by two programs."""
+    FEW(given(system=systems())(lambda system: both_estimators_agree(system, name)))()
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", ["lqg joint hold", "lqg separate model"])
+def test_reduced_and_plain_estimators_agree_over_300_systems(name: str) -> None:
+    """One number by two programs, 300 systems each."""
+    MANY(given(system=systems())(lambda system: both_estimators_agree(system, name)))()
+
+
+@pytest.mark.parametrize("name", CLOSED_FORM)
+def test_closed_forms_are_what_is_simulated(name: str) -> None:
+    """Exact against simulated."""
+    FEW(given(system=systems())(lambda system: closed_forms_are_what_is_simulated(system, name)))()
+
+
+def trigger_values(policy: Policy, estimate: np.ndarray, candidate: np.ndarray, error: np.ndarray) -> np.ndarray:
+    """Return silence's value minus that of sending, for columns of signals."""
+    (decide,) = (step for step in policy.steps if isinstance(step, Decide))
+    silent, send = decide.trigger.options.values()
+    known = {"estimate": estimate, "candidate": candidate, "error": error}
+    stacked = np.vstack([known[name] for name in silent.signals])
+    assert isinstance(silent.Psi, np.ndarray)
+    assert isinstance(send.constant, float)
+    return np.einsum("ip,ij,jp->p", stacked, silent.Psi, stacked) - send.constant
+
+
+@settings(max_examples=300, deadline=None)
+@given(system=systems(), theta=st.floats(0.001, 20), share=st.floats(0.01, 0.99))
+def test_the_separate_trigger_fires_whenever_the_joint_one_does(system: System, theta: float, share: float) -> None:
+    """diag(−Y, Z) ⪰ Γ: 300 systems, 400 points each around both thresholds, any admissible ε."""
+    joint = design.lqg(system.plant, system.cost, theta=theta)
+    L = close_gain(joint)
+    M = system.cost.Q + L.T @ system.cost.R @ L + system.cost.N @ L + (system.cost.N @ L).T
+    limit = float(np.linalg.eigvalsh(M)[0])
+    separate = design.lqg(system.plant, system.cost, theta=theta, trigger="separate", epsilon=share * limit)
+    draws = np.random.default_rng(system.seed)
+    estimate = draws.standard_normal((system.plant.states, 400)) * draws.lognormal(0, 2, 400)
+    candidate = L @ estimate + draws.standard_normal((system.plant.inputs, 400)) * draws.lognormal(-1, 2, 400)
+    error = candidate - L @ estimate
+    at_joint = trigger_values(joint, estimate, candidate, error)
+    at_separate = trigger_values(separate, estimate, candidate, error)
+    rounding = 1e-9 * (np.abs(at_joint) + np.abs(at_separate))
+    assert (at_joint > 0).any()
+    assert (at_separate[at_joint > 0] > -rounding[at_joint > 0]).all()
+    assert (at_separate + rounding >= at_joint - rounding).all()
+
+
+def close_gain(policy: Policy) -> np.ndarray:
+    """Return the gain L of the command."""
+    (step,) = (step for step in policy.steps if getattr(step, "signal", "") == "command")
+    return step.branches[0]["estimate"]
+
+
+@pytest.mark.parametrize("actuation", ["hold", "model"])
+@pytest.mark.parametrize("trigger", ["joint", "separate"])
+def test_a_vanishing_theta_is_all_time_control(trigger: str, actuation: str) -> None:
+    """θ = 0 sends always and costs J_all exactly; θ → 0 approaches both."""
+
+    @FEW
+    @given(system=systems())
+    def law(system: System) -> None:
+        all_time = design.all_time(system.plant, system.cost)
+        assert all_time.closed_form is not None
+        rates = []
+        for theta in (0.0, 1e-13, 1e-3):
+            policy = design.lqg(system.plant, system.cost, theta=theta, trigger=trigger, actuation=actuation)
+            found = average(close(system.plant, policy, cost=system.cost), seed=system.seed, steps=200_000)
+            rates.append(found.rates["actuator"].value)
+            assert found.cost.value - all_time.closed_form.cost <= theta * all_time.closed_form.cost + 4 * found.cost.standard_error + 1e-12
+        assert rates[0] >= 1 - 1e-3  # a tie (an error of exactly zero) is silence
+        assert rates[1] >= 0.99
+        assert rates[0] >= rates[1] >= rates[2] - 0.02
+
+    law()

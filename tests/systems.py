@@ -1,0 +1,63 @@
+"""Random systems for the laws: stable and unstable, with cross terms, several inputs and singular noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from hypothesis import assume
+from hypothesis import strategies as st
+
+from taciturn import Cost, Plant
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A discrete plant with its cost, and the seed that made it."""
+
+    plant: Plant
+    cost: Cost
+    seed: int
+
+    def __repr__(self) -> str:
+        """Return what is needed to make the system again."""
+        sizes = (self.plant.states, self.plant.inputs, self.plant.outputs)
+        return f"make_system(seed={self.seed}, n, m, p={sizes}, full_state={self.plant.full_state})"
+
+
+def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: bool) -> System:
+    """Return the system of a seed: spectral radius between 0.4 and 1.25, weights and noises of condition up to about 100."""
+    draws = np.random.default_rng(seed)
+    A = draws.standard_normal((states, states))
+    A *= draws.uniform(0.4, 1.25) / np.abs(np.linalg.eigvals(A)).max()
+    B = draws.standard_normal((states, inputs))
+    C = draws.standard_normal((outputs, states))
+    size = states + inputs
+    G = draws.standard_normal((size, size)) / np.sqrt(size)
+    weight = G @ G.T + 0.05 * np.eye(size)
+    rank = draws.integers(1, states + 1)  # singular process noise included
+    D = draws.standard_normal((states, rank)) * 0.3
+    W = D @ D.T if full_state else D @ D.T + 1e-3 * np.eye(states)
+    E = draws.standard_normal((outputs, outputs)) * 0.3
+    V = E @ E.T + 1e-2 * np.eye(outputs)
+    plant = Plant(A, B, W) if full_state else Plant(A, B, W, C, V)
+    cost = Cost(weight[:states, :states], weight[states:, states:], weight[:states, states:])
+    return System(plant, cost, seed)
+
+
+@st.composite
+def systems(draw: st.DrawFn, states: int = 6, inputs: int = 3) -> System:
+    """Draw a system of at most so many states and inputs."""
+    n = draw(st.integers(1, states))
+    m = draw(st.integers(1, min(inputs, n)))
+    p = draw(st.integers(1, n))
+    system = make_system(draw(st.integers(0, 2**32 - 1)), n, m, p, draw(st.booleans()))
+    assume(well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T))
+    return system
+
+
+def well_posed(A: np.ndarray, B: np.ndarray) -> bool:
+    """Tell whether every persisting mode is clearly reached: a cost of 1e8 teaches nothing about a law."""
+    slow = [value for value in np.linalg.eigvals(A) if abs(value) > 0.9]
+    unit = np.eye(len(A))
+    return all(np.linalg.svd(np.hstack([A - value * unit, B]), compute_uv=False)[-1] > 0.1 for value in slow)
