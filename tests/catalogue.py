@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from taciturn import Policy, design
 from systems import System
+
+from taciturn import Policy, design
 
 POLICIES: Mapping[str, Callable[[System], Policy]] = {
     "all-time": lambda s: design.all_time(s.plant, s.cost),

@@ -26,7 +26,7 @@ class System:
 
 
 def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: bool) -> System:
-    """Return the system of a seed: spectral radius between 0.4 and 1.25, weights and noises of condition up to about 100."""
+    """Return the system of a seed: spectral radius from 0.4 to 1.25, weights and noises of moderate condition."""
     draws = np.random.default_rng(seed)
     A = draws.standard_normal((states, states))
     A *= draws.uniform(0.4, 1.25) / np.abs(np.linalg.eigvals(A)).max()

@@ -94,6 +94,8 @@ def _plot(axis: Any, series: Series) -> None:
     elif series.style == "stems":
         axis.vlines(series.x, 0, series.y, label=series.label, color=color or "0.4", linewidth=0.8)
     elif series.error is not None:
-        axis.errorbar(series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color)
+        axis.errorbar(
+            series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color
+        )
     else:
         axis.plot(series.x, series.y, lines[series.style], markersize=4, label=series.label, color=color)

@@ -8,27 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, factor
-from taciturn.errors import InformationError, ProblemError
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.cost import Cost
+from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import (
-    ENDS,
-    Acknowledged,
-    Assign,
-    Condition,
-    Decide,
-    Draw,
-    Evaluate,
-    Innovations,
-    NodeName,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
-from taciturn.model.trigger import Form, Scheduled
+from taciturn.model.policy import ENDS, Assign, Policy
+from taciturn.model.trigger import Form
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.lower import Tick
@@ -94,7 +81,9 @@ class Loop:
         """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError("the loop has no innovations form: its plant, network or horizon is not that of the design")
+            raise ProblemError(
+                "the loop has no innovations form: its plant, network or horizon is not that of the design"
+            )
         tick = self._tick({})
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
@@ -202,86 +191,7 @@ def close(
     return Loop(problem, policy, network, nominal)
 
 
-def check_information(policy: Policy, network: Network) -> None:
-    """Refuse a policy whose nodes read what they do not hold.
-
-    A node holds what it or a node at its site assigned, the measurement if the sensor is at its site, and, in the
-    branch where a packet has arrived, what was in the packet.
-
-    Args:
-        policy: the policy.
-        network: the network; only ``"udp"`` keeps outcomes from the sender.
-
-    Raises:
-        InformationError: naming node and signal.
-    """
-    home: dict[str, frozenset[NodeName]] = {"y": policy.site("sensor")}
-    decided: dict[str, frozenset[NodeName]] = {}
-    senders: dict[str, tuple[frozenset[NodeName], tuple[str, ...]]] = {}
-    for step in policy.steps:
-        site = policy.site(step.at)
-        if isinstance(step, Decide):
-            decided[step.decision] = site
-        elif isinstance(step, Send):
-            senders[step.link] = (site, step.payload)
-        elif home.setdefault(step.signal, site) != site:
-            raise InformationError(f"{step.signal} is assigned at {step.at} and elsewhere; expected one owner")
-
-    def check_condition(condition: Condition | None, at: NodeName) -> None:
-        site = policy.site(at)
-        if isinstance(condition, str) and decided[condition] != site:
-            raise InformationError(f"{at} uses the decision {condition!r} of another node; expected its own decisions, or a received packet")
-        if isinstance(condition, Received) and ENDS[condition.link] not in site:
-            raise InformationError(f"{at} uses what arrived on the {condition.link} link; expected its own links")
-        if isinstance(condition, Acknowledged):
-            if condition.link not in senders or senders[condition.link][0] != site:
-                raise InformationError(f"{at} uses an acknowledgement of the {condition.link} link; expected the sender's own link")
-            if network.protocol == "udp":
-                raise InformationError(f"{at} uses an acknowledgement of the {condition.link} link, and udp sends none; expected protocol 'tcp'")
-
-    def check_read(name: str, step: Step, arrived: str | None) -> None:
-        packet = senders[arrived][1] if arrived in senders else ()
-        if home.get(name) != policy.site(step.at) and name not in packet:
-            raise InformationError(f"{step.at} reads {name!r}, which it does not hold; expected its own signals or a packet's payload")
-
-    def check_schedule(value: object, at: NodeName) -> None:
-        if isinstance(value, Scheduled):
-            owner = next((location.at for location in policy.locations if location.name == value.by), None)
-            if owner is not None and policy.site(owner) != policy.site(at):
-                raise InformationError(f"{at} reads the location {value.by!r} of {owner}; expected its own or a shared clock")
-
-    for step in policy.steps:
-        if isinstance(step, Assign | Evaluate):
-            check_condition(step.on, step.at)
-        branches = (
-            [(list(terms), list(terms.values())) for terms in step.branches]
-            if isinstance(step, Assign)
-            else [(list(form.reads), [form.Psi, form.constant]) for form in step.forms]
-            if isinstance(step, Evaluate)
-            else [(list(form.reads), [form.Psi, form.constant]) for form in step.trigger.options.values()]
-            if isinstance(step, Decide)
-            else [(list(step.payload), [])]
-            if isinstance(step, Send)
-            else []
-        )
-        for outcome, (names, weights) in enumerate(branches):
-            on = step.on if isinstance(step, Assign | Evaluate) else None
-            arrived = on.link if isinstance(on, Received) and outcome == 1 else None
-            for name in names:
-                check_read(name, step, arrived)
-            for weight in weights:
-                check_schedule(weight, step.at)
-        if isinstance(step, Send) and step.on is not None:
-            check_condition(step.on, step.at)
-    for location in policy.locations:
-        if location.at is not None:
-            check_condition(location.on, location.at)
-
-
 def _noise(tick: Tick, spread: Array, first: int) -> list[int]:
     """Return G·normals, drawn under names that count from ``first``."""
     drawn = [tick.builder.input(f"{NORMAL} {first + i}") for i in range(spread.shape[1])]
     return [tick.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]
-
-
-__all__ = ["Draw", "Innovations", "Loop", "check_information", "close"]

@@ -133,7 +133,10 @@ def test_a_vanishing_theta_is_all_time_control(trigger: str, actuation: str) -> 
             policy = design.lqg(system.plant, system.cost, theta=theta, trigger=trigger, actuation=actuation)
             found = average(close(system.plant, policy, cost=system.cost), seed=system.seed, steps=200_000)
             rates.append(found.rates["actuator"].value)
-            assert found.cost.value - all_time.closed_form.cost <= theta * all_time.closed_form.cost + 4 * found.cost.standard_error + 1e-12
+            assert (
+                found.cost.value - all_time.closed_form.cost
+                <= theta * all_time.closed_form.cost + 4 * found.cost.standard_error + 1e-12
+            )
         assert rates[0] >= 1 - 1e-3  # a tie (an error of exactly zero) is silence
         assert rates[1] >= 0.99
         assert rates[0] >= rates[1] >= rates[2] - 0.02

@@ -22,9 +22,7 @@ def assert_consistent(found, A, C, W, V):
     close = {"rel": 1e-7, "abs": 1e-8 * size}
     assert A @ found.posterior @ A.T + W == pytest.approx(found.prior, **close)
     assert riccati_step(A, C, W, V, found.prior) == pytest.approx(found.prior, **close)
-    assert found.gain @ found.innovation @ found.gain.T == pytest.approx(
-        found.prior - found.posterior, **close
-    )
+    assert found.gain @ found.innovation @ found.gain.T == pytest.approx(found.prior - found.posterior, **close)
     assert C @ found.prior @ C.T + V == pytest.approx(found.innovation, rel=1e-9, abs=1e-9 * size)
     assert radius(A - A @ found.gain @ C) < 1
 

@@ -44,9 +44,7 @@ def moments_cost(c, seen, L, every):
     if radius(total) >= 0.98:
         return None
     moment = scipy.linalg.solve_discrete_lyapunov(total, added)  # right after an update
-    weight = np.block(
-        [[c.Q, np.zeros((n, n)), c.N], [np.zeros((n, 2 * n + m))], [c.N.T, np.zeros((m, n)), c.R]]
-    )
+    weight = np.block([[c.Q, np.zeros((n, n)), c.N], [np.zeros((n, 2 * n + m))], [c.N.T, np.zeros((m, n)), c.R]])
     cost = 0.0
     for F, G in zip(maps, noises, strict=True):
         cost += np.sum(weight * moment) / every
@@ -133,9 +131,7 @@ def test_holding_a_sampled_plant_with_its_state_measured_is_sampling_it_more_slo
 def test_a_period_that_hides_an_unstable_mode_is_refused():
     """Held for two steps, an input cannot move an eigenvalue −1: its two effects cancel."""
     seen = steady_filter([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
-    with pytest.raises(
-        UnstableError, match=r"holding the input for 2 steps.*eigenvalue 1, which B cannot move"
-    ):
+    with pytest.raises(UnstableError, match=r"holding the input for 2 steps.*eigenvalue 1, which B cannot move"):
         periodic_cost([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], seen, 2)
 
 

@@ -26,9 +26,7 @@ def assert_same(one, other, rel):
     """Compare two sampled problems field by field, relative to the largest entry of each field."""
     for name in FIELDS:
         want = np.asarray(getattr(other, name))
-        assert np.asarray(getattr(one, name)) == pytest.approx(want, rel=rel, abs=rel * np.abs(want).max()), (
-            name
-        )
+        assert np.asarray(getattr(one, name)) == pytest.approx(want, rel=rel, abs=rel * np.abs(want).max()), name
 
 
 @pytest.mark.parametrize("h", [1e-6, 0.1, 1.0, 37.0])
@@ -154,18 +152,12 @@ def test_two_unequal_periods_compose(draw, seed, first, second):
     L = regulate_continuous(c.A, c.B, c.Q, c.R, c.N).L
     one, two, both = (sample(c.A, c.B, c.Q, c.R, c.N, c.W, h) for h in (first, second, first + second))
     assert two.A @ one.A == pytest.approx(both.A, rel=1e-10, abs=1e-11 * np.abs(both.A).max())
-    assert two.A @ one.W @ two.A.T + two.W == pytest.approx(
-        both.W, rel=1e-10, abs=1e-11 * np.abs(both.W).max()
-    )
+    assert two.A @ one.W @ two.A.T + two.W == pytest.approx(both.W, rel=1e-10, abs=1e-11 * np.abs(both.W).max())
     cost = one.noise_cost + np.sum(two.Q * one.W) + two.noise_cost
     assert cost == pytest.approx(both.noise_cost, rel=1e-10)
-    one, two, both = (
-        sample_prediction(c.A, c.B, c.Q, c.R, c.N, c.W, L, h) for h in (first, second, first + second)
-    )
+    one, two, both = (sample_prediction(c.A, c.B, c.Q, c.R, c.N, c.W, L, h) for h in (first, second, first + second))
     carried = two.A @ one.B + two.B @ (one.A + one.B)  # the prediction goes on undisturbed
-    assert carried == pytest.approx(
-        both.B, rel=1e-8, abs=1e-9 * (np.abs(both.B).max() + np.abs(both.A).max())
-    )
+    assert carried == pytest.approx(both.B, rel=1e-8, abs=1e-9 * (np.abs(both.B).max() + np.abs(both.A).max()))
 
 
 def test_units_of_the_input_do_not_cost_digits():
@@ -173,9 +165,7 @@ def test_units_of_the_input_do_not_cost_digits():
     A, B = np.array([[0.0, 1], [-2, -0.3]]), np.array([[0.0], [1]])
     plain = sample(A, B, np.eye(2), [[0.1]], [[0.2], [0.1]], np.eye(2), 0.7)
     for unit in (1e-8, 1e8):
-        other = sample(
-            A, B * unit, np.eye(2), [[0.1 * unit**2]], [[0.2 * unit], [0.1 * unit]], np.eye(2), 0.7
-        )
+        other = sample(A, B * unit, np.eye(2), [[0.1 * unit**2]], [[0.2 * unit], [0.1 * unit]], np.eye(2), 0.7)
         for name, power in (("A", 0), ("B", 1), ("Q", 0), ("R", 2), ("N", 1), ("W", 0)):
             assert getattr(other, name) == pytest.approx(getattr(plain, name) * unit**power, rel=1e-13), name
 
@@ -207,9 +197,7 @@ def test_predictive_periodic_control_costs_the_printed_polynomial(r):
     ("period", "printed", "between"),
     [(0.1697, 0.38913, 0.0043), (0.26, 0.4149, 0.0102), (0.3396, 0.4452, 0.0168)],
 )
-def test_periodic_control_of_the_two_masses_costs_what_the_corrected_figure_shows(
-    masses, period, printed, between
-):
+def test_periodic_control_of_the_two_masses_costs_what_the_corrected_figure_shows(masses, period, printed, between):
     """Figure 2.2: the periodic column per unit of time, and the noise cost in between that it leaves out."""
     N, W, V = np.zeros((4, 1)), 0.1 * np.eye(4), 0.01 * np.eye(2)
     found = sample(masses.A, masses.B, 0.05 * np.eye(4), [[0.05]], N, W, period)

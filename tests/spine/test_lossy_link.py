@@ -26,6 +26,7 @@ def udp_policy(price: float, told: bool = False) -> Policy:
         constant += float(np.trace((K[0] + BETA * P[0]) @ W))
         following = A.T @ K[0] @ A
         K, P = [Q + following - G, *K], [G + BETA * A.T @ P[0] @ A, *P]
+    constant += float(START @ K[0] @ START)
     clock, one = Location("clock", np.minimum(np.arange(1, N + 1), N - 1)), np.eye(1)
     silence = Form(("estimate",), Scheduled("clock", Gamma))
     expected = ({"estimate": A}, {"estimate": A, "command": (1 - ALPHA) * B})
@@ -37,9 +38,9 @@ def udp_policy(price: float, told: bool = False) -> Policy:
         Decide("controller", "send", Trigger({"silent": silence, "send": Form(constant=price)})),
         Send("controller", "actuator", ("command",), "send"),
         Assign("actuator", "input", ({"input": 0 * one}, {"command": one}), Received("actuator")),
-        Assign("controller", "prior", known, Acknowledged("actuator")) if told else Assign("controller", "prior", expected, "send"),
-    ), Plant(A, B, W, mean=START), float(START @ K[0] @ START) + constant, locations=(clock,), initial={"prior": START},
-        network=NETWORK, identity=Identity(float(START @ K[0] @ START) + constant, (silence, Form()), "send"))  # fmt: skip
+        Assign("controller", "prior", *((known, Acknowledged("actuator")) if told else (expected, "send"))),
+    ), Plant(A, B, W, mean=START), constant, locations=(clock,), initial={"prior": START}, network=NETWORK,
+        identity=Identity(constant, (silence, Form()), "send"))  # fmt: skip
 
 
 @pytest.mark.parametrize(("price", "cost", "spread", "rate"), [(0.1, 65.520, 0.004, 0.502), (1.0, 95.03, 0.03, 0.1474)])

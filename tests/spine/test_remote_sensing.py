@@ -35,8 +35,11 @@ def remote_policy(zeta: float) -> Policy:
         Sigma = predict(Sigma) if queries[-1] else A * Sigma * A + W
     period = next(p for p in range(1, 50) if abs(Sigmas[-1] - Sigmas[-1 - p]) < 1e-12)
     Sigmas, queries = np.array(Sigmas[-period:]), np.array(queries[-period:])
-    gains = A * Sigmas * C / (C * Sigmas * C + V)
-    Gamma = [[(1 + THETA) * P - THETA * Q, (1 + THETA) * A * K * B], [(1 + THETA) * A * K * B, R + (1 + THETA) * B * K * B]]
+    gains = (A * Sigmas * C / (C * Sigmas * C + V))[:, None, None]
+    Gamma = [
+        [(1 + THETA) * P - THETA * Q, (1 + THETA) * A * K * B],
+        [(1 + THETA) * A * K * B, R + (1 + THETA) * B * K * B],
+    ]
     one, location = [[1.0]], "schedule"
     silent, send = Form(("prior", "held"), Gamma), Form(constant=Scheduled(location, THETA * Q * Sigmas))
     turn = Form(constant=Scheduled(location, np.where(queries, -1.0, 1.0)))
@@ -49,7 +52,7 @@ def remote_policy(zeta: float) -> Policy:
         Decide("sensor", "query", Trigger({"silent": Form(), "query": turn})),
         Send("sensor", "sensor", ("y",), "query"),
         Assign("controller", "innovation", ({"prior": [[0.0]]}, {"y": one, "prior": [[-C]]}), Received("sensor")),
-        Assign("controller", "prior", {"prior": [[A]], "held": [[B]], "innovation": Scheduled(location, gains[:, None, None])}),
+        Assign("controller", "prior", {"prior": [[A]], "held": [[B]], "innovation": Scheduled(location, gains)}),
     ), Plant([[A]], [[B]], [[W]], [[C]], [[V]]), K * W + P * predict(0.0), ("actuator", "sensor"),
         locations=(Location(location, np.roll(np.arange(period), -1)),))  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Certainty-equivalent control over an actuator link: a filter, a gain, a trigger, and an actuator that holds or predicts.
+"""Certainty-equivalent control over an actuator link: filter, gain, trigger, and an actuator that holds or predicts.
 
 Within a tick: the sensor measures; the controller (at the sensor's site) estimates, computes ``command`` = L x̂ and the
 ``candidate`` that the actuator will apply if nothing is sent, and decides on their difference ``error``; the packet
@@ -43,7 +43,7 @@ class Certainty:
     cost_all_time: float
 
     def per_unit(self, cost: float) -> float:
-        """Return a cost per tick in the units of the cost: inter-sample noise added, per second if ticks have seconds."""
+        """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
         return (cost + self.problem.noise_cost) / self.problem.tick
 
 
@@ -57,9 +57,14 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     Source: khashooei2017, anderson1990optimal
     """
     if problem.cost.horizon is not None:
-        raise ProblemError(f"cost.horizon is {problem.cost.horizon}, which {kind} does not use; expected an average cost: remove it")
+        raise ProblemError(
+            f"cost.horizon is {problem.cost.horizon}, which {kind} does not use; expected an average cost: remove it"
+        )
     if problem.cost.discount != 1.0:
-        raise ProblemError(f"cost.discount is {problem.cost.discount:g}, which {kind} does not use; expected an average cost: remove it")
+        raise ProblemError(
+            f"cost.discount is {problem.cost.discount:g}, which {kind} does not use; "
+            "expected an average cost: remove it"
+        )
     plant = problem.plant
     regulator = regulate(plant.A, plant.B, problem.Q, problem.R, problem.N)
     estimation = estimate_state(problem)

@@ -8,7 +8,14 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from taciturn._arrays import number
-from taciturn.design.certainty import COLLOCATED, Actuation, Certainty, completed_square, control_steps, design_certainty
+from taciturn.design.certainty import (
+    COLLOCATED,
+    Actuation,
+    Certainty,
+    completed_square,
+    control_steps,
+    design_certainty,
+)
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -62,7 +69,9 @@ def lqg(
     """
     theta = number("theta", theta, 0.0, closed=True)
     if epsilon is not None and trigger != "separate":
-        raise ProblemError("epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon")
+        raise ProblemError(
+            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon"
+        )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
     threshold = theta * float(np.trace(problem.Q @ certainty.estimation.filter.posterior))
@@ -79,7 +88,9 @@ def lqg(
         tick=problem.tick,
         noise_cost=problem.noise_cost,
         guarantee=Guarantee(
-            certainty.per_unit((1 + theta) * certainty.cost_all_time), "J ≤ (1+θ) J_all, mean-square stable", "khashooei2017"
+            certainty.per_unit((1 + theta) * certainty.cost_all_time),
+            "J ≤ (1+θ) J_all, mean-square stable",
+            "khashooei2017",
         ),
         identity=completed_square(certainty),
         innovations=certainty.estimation.innovations,
@@ -101,12 +112,16 @@ def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form
     M = p.Q + L.T @ p.R @ L + U
     limit = float(np.linalg.eigvalsh((M + M.T) / 2)[0])
     if limit <= 1e-12 * np.abs(M).max():
-        raise ProblemError(f"the separate trigger needs Q + L'RL + U positive definite; its smallest eigenvalue is {limit:.3g}; "
-                           "use trigger = 'joint', or give Q a small positive part")  # fmt: skip
+        raise ProblemError(
+            f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; "
+            "use trigger = 'joint', or give Q a small positive part"
+        )
     if epsilon is None:
         epsilon = limit / 2
     if not 0 < epsilon < limit:
-        raise ProblemError(f"epsilon is {epsilon:g}; expected 0 < epsilon < {limit:.6g}, the smallest eigenvalue of Q + L'RL + U")
+        raise ProblemError(
+            f"epsilon is {epsilon:g}; expected 0 < epsilon < {limit:.6g}, the smallest eigenvalue of Q + L'RL + U"
+        )
     G = L.T @ p.R + p.N
     Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
     Y = theta * (M - epsilon * np.eye(p.plant.states))

@@ -6,7 +6,15 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from taciturn._arrays import Array, count
-from taciturn.design.certainty import COLLOCATED, SEND, Actuation, Certainty, control_steps, design_certainty, phase_clock
+from taciturn.design.certainty import (
+    COLLOCATED,
+    SEND,
+    Actuation,
+    Certainty,
+    control_steps,
+    design_certainty,
+    phase_clock,
+)
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.periodic import periodic_cost
@@ -136,7 +144,10 @@ def _predicted_cost(certainty: Certainty, every: int) -> float:
 def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Policy:
     """Samples sent to an actuator that runs ẋ̂ = (A + BL)x̂ between them; the scheduled link is the sensor's."""
     if not plant.full_state:
-        raise ProblemError("actuation = 'model' with a continuous-time plant needs the full state; expected no C and V, or actuation = 'hold'")
+        raise ProblemError(
+            "actuation = 'model' with a continuous-time plant needs the full state; "
+            "expected no C and V, or actuation = 'hold'"
+        )
     L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
     problem: Discrete = discretise(plant, cost, period, L)
     unit = np.eye(plant.states)

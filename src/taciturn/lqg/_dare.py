@@ -5,8 +5,8 @@ gain then obeys H L = −(B'KA + N') and keeps, in the directions where H vanish
 stable.
 """
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ intensity G with cost ∫ z'Mz dt, where z holds the state and whatever the actu
 decisions.
 """
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 

@@ -58,7 +58,10 @@ def discretise(
         )
     if isinstance(plant, Plant):
         if period is not None:
-            raise ProblemError(f"period is {period:g} with a discrete-time plant; expected none: its ticks are its steps (use every, or remove plant.dt)")
+            raise ProblemError(
+                f"period is {period:g} with a discrete-time plant; expected none: its ticks are its steps "
+                "(remove plant.dt if the plant is continuous)"
+            )
         return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
     if period is None:
         raise ProblemError("period is missing; expected the seconds between ticks, as the plant is continuous in time")
@@ -68,7 +71,5 @@ def discretise(
     else:
         sampled = sample_prediction(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction_gain, period)
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
-    discrete = Plant(
-        sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit
-    )
+    discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
     return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost)

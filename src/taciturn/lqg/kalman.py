@@ -1,7 +1,7 @@
 """Kalman filters: steady and time-varying, in filtered form, noise-free measurements included."""
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Eigenvalues, modes that no input moves or no output shows, and the stationary sum of a stable map."""
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The optimal controller that may change its input only every so many steps, and its exact average cost."""
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 
@@ -27,9 +27,7 @@ class Periodic:
     cost: float
 
 
-def lift(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int
-) -> Sampled:
+def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int) -> Sampled:
     """Return the problem of ``every`` steps taken as one, the input held meanwhile.
 
     A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
@@ -74,8 +72,7 @@ def lift(
         whole = repeat(once, every)
     if not all(np.isfinite(part).all() for part in (whole.Phi, whole.M, whole.G, whole.noise_cost)):
         raise ProblemError(
-            f"every is {every}, over which the state grows beyond every number the computer holds; hold for "
-            "fewer steps"
+            f"every is {every}, over which the state grows beyond every number the computer holds; hold for fewer steps"
         )
     return split(whole, n)
 
@@ -131,8 +128,6 @@ def periodic_cost(
     except UnstableError as error:
         if every == 1:
             raise
-        raise UnstableError(
-            f"holding the input for {every} steps leaves the plant beyond control: {error}"
-        ) from None
+        raise UnstableError(f"holding the input for {every} steps leaves the plant beyond control: {error}") from None
     held = float(np.sum(regulator.K * whole.W)) + whole.noise_cost
     return Periodic(regulator, float(np.sum(Q * posterior)) + held / every)

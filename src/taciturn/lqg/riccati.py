@@ -1,7 +1,7 @@
 """Optimal gains: infinite and finite horizon, discounted, and in continuous time. The input is u = L x."""
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 
@@ -167,9 +167,7 @@ def regulate_finite(
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is met, and named, in the next turn
             K[k] = _symmetric(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
     if not np.isfinite(K[0]).all():
-        raise UnstableError(
-            f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon"
-        )
+        raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
     return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
 
 
@@ -219,9 +217,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     if K is not None:
         L = -np.linalg.solve(R, B.T @ K + N.T)
         residual = A.T @ K + K.T @ A + Q - L.T @ R @ L
-        terms = (
-            np.abs(A.T) @ np.abs(K) + np.abs(K) @ np.abs(A) + np.abs(Q) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
-        )
+        terms = np.abs(A.T) @ np.abs(K) + np.abs(K) @ np.abs(A) + np.abs(Q) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
         if eigenvalues(A + B @ L).real.max() < 0 and np.abs(residual).max() <= 1e-8 * terms.max():
             return Regulator(_arrays.frozen(K), _arrays.frozen(np.asarray(L, dtype=np.float64)), R)
     raise UnstableError(_NOT_FOUND)
@@ -239,9 +235,7 @@ def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> 
     _refuse_unmoved(fixed[np.abs(fixed) >= 1 - 1e-12] / unit, _disc(unit))
     if _dare.is_definite(R):
         unseen = _unseen_modes(A, B, Q, R, N)
-        _refuse_unseen(
-            unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit)
-        )
+        _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
     found = _dare.solve(A, B, Q, R, N)
     if found is None:
         raise UnstableError(_NOT_FOUND)

@@ -1,7 +1,7 @@
 """Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise in between."""
 
-# Matrices carry their paper symbols, which pyright takes for constants.
 # pyright: reportConstantRedefinition=false
+# (matrices carry their paper symbols, which pyright takes for constants)
 
 from __future__ import annotations
 

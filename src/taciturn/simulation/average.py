@@ -1,4 +1,4 @@
-"""Cost and rates by simulation, with standard errors: many independent paths, a burn-in, and as many ticks as needed."""
+"""Cost and rates by simulation, with standard errors: independent paths, a burn-in, as many ticks as needed."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from taciturn.program.ir import Program
 from taciturn.simulation.engine import run
 
 PATHS = 4096
+RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
 BURN_IN = 512  # ticks; more where the first half of what is kept still differs from the second
 BUDGET = 4_000_000_000  # steps of all paths together
 CHUNK = 1 << 26  # steps between two reports of progress
@@ -68,7 +69,10 @@ def completed_squares(loop: Loop) -> Estimator:
     """
     identity = loop.policy.identity
     if identity is None or not loop.nominal:
-        raise ProblemError("completion of squares needs the plant and network of the design, and a policy that has it; use the plain average")
+        raise ProblemError(
+            "completion of squares holds for the plant and network of the design and a policy that has an identity; "
+            "expected those, or use the plain average"
+        )
     program = loop.reduced_program() if loop.reducible else loop.program()
     return Estimator(program.keep({EXCESS, *_rates(loop)}), EXCESS, identity.constant, 1.0)
 
@@ -122,7 +126,11 @@ def average(
         count("steps", steps, 1024)
     sampling = _Sampling(loop, estimator, seed, progress, threads)
     horizon = loop.problem.cost.horizon
-    target = (lambda cost: 1e-4 * abs(cost.value)) if standard_error is None else (lambda cost: standard_error)
+
+
+    def target(cost: Estimate) -> float:
+        return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
+
     if horizon is not None:
         return sampling.missions(horizon, target, steps)
     return sampling.stationary(target, steps)
@@ -133,7 +141,7 @@ class _Sampling:
         self, loop: Loop, estimator: Estimator, seed: int, progress: Progress | None, threads: int | None
     ) -> None:
         self.loop, self.estimator, self.seed, self.threads = loop, estimator, seed, threads
-        self.progress = progress or (lambda fraction: None)
+        self.progress = progress
         self.names = [estimator.sum, *_rates(loop)]
         self.steps = 0
 
@@ -198,8 +206,7 @@ class _Sampling:
             self.steps += now * state.shape[1]
             ticks -= now
             if not np.isfinite(sums).all() or np.abs(sums).max() > 1e150:
-                raise UnstableError(f"the loop of {self.loop.policy.kind} diverges: its cost passed 1e150 after {self.steps} steps; "
-                                    "expected a stable loop; send more often, or check [plant.actual]")  # fmt: skip
+                raise self._diverges(f"its cost passed 1e150 after {self.steps} steps")
         return sums, state
 
     def _settled(self, kept: list[tuple[int, Array]]) -> bool:
@@ -209,9 +216,14 @@ class _Sampling:
         change = last / length - earlier
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         if np.abs(last).max() > 1e6 * length * max(float(np.abs(earlier).max()), 1e-300):
-            raise UnstableError(f"the loop of {self.loop.policy.kind} diverges: its cost grew a million times; expected a stable loop; "
-                                "send more often, or check [plant.actual]")  # fmt: skip
+            raise self._diverges("its cost grew a million times between two windows")
         return bool((np.abs(change.mean(axis=1)) <= DRIFT * spread + 1e-12 * np.abs(earlier.mean(axis=1))).all())
+
+    def _diverges(self, how: str) -> UnstableError:
+        return UnstableError(
+            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop; send more often, "
+            "or check [plant.actual] and input_limit"
+        )
 
     def _summary(self, kept: list[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         ticks = sum(length for length, _ in kept)
@@ -221,7 +233,8 @@ class _Sampling:
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else (wanted / cost.standard_error) ** 2
-        self.progress(min(1.0, max(spent, precise)))
+        if self.progress is not None:
+            self.progress(min(1.0, max(spent, precise)))
 
 
 def _rates(loop: Loop) -> list[str]:

@@ -54,7 +54,13 @@ class Trajectory:
             ]
             panels.append(Panel(crossed, ylabel="trigger"))
         marks = [
-            Series(self.time[sent].tolist(), [1.0] * int(sent.sum()), f"{link}: {int(sent.sum())} of {len(sent)}", "stems", color=i)
+            Series(
+                self.time[sent].tolist(),
+                [1.0] * int(sent.sum()),
+                f"{link}: {int(sent.sum())} of {len(sent)}",
+                "stems",
+                color=i,
+            )
             for i, (link, sent) in enumerate(self.sends.items())
         ]
         panels.append(Panel(marks, ylabel="sends", xlabel="time"))
@@ -69,7 +75,9 @@ class Trajectory:
         try:
             import pandas
         except ImportError:
-            raise ProblemError("pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'") from None
+            raise ProblemError(
+                "pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'"
+            ) from None
         columns: dict[str, object] = {}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}

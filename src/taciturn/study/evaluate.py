@@ -107,7 +107,9 @@ def evaluate(
     loop = problem.close(policy)
     form = policy.closed_form if loop.nominal else None
     if method == "exact" and form is None:
-        raise ProblemError(f"method is 'exact', and {policy.kind} has no closed form here; expected 'auto' or 'simulation'")
+        raise ProblemError(
+            f"method is 'exact', and {policy.kind} has no closed form here; expected 'auto' or 'simulation'"
+        )
     if form is not None and method != "simulation":
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         found = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
@@ -126,7 +128,9 @@ def evaluate(
         seconds=time.perf_counter() - began,
         steps=found.steps,
         reached=found.reached,
-        notes=() if loop.nominal else ("the plant is not the one of the design (plant.actual or input_limit): no guarantee holds",),
+        notes=()
+        if loop.nominal
+        else ("the plant is not the one of the design (plant.actual or input_limit): no guarantee holds",),
     )
 
 

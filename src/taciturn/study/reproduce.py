@@ -98,7 +98,9 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
     Source: khashooei2017
     """
     if name not in CHAPTERS:
-        raise ProblemError(f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(CHAPTERS)}, or all")
+        raise ProblemError(
+            f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(CHAPTERS)}, or all"
+        )
     return CHAPTERS[name](seed, progress or (lambda fraction: None))
 
 
@@ -134,7 +136,10 @@ def _chapter2(seed: int, progress: Progress) -> Reproduction:
         nonlocal done
         computed: dict[str, Estimate] = {}
         bound = 0.0
-        for equation, trigger in (("2.12", {"trigger": "separate", "epsilon": EPSILON}), ("2.13", {"trigger": "joint"})):
+        for equation, trigger in (
+            ("2.12", {"trigger": "separate", "epsilon": EPSILON}),
+            ("2.13", {"trigger": "joint"}),
+        ):
             found = evaluate(problem.changed({**values, **trigger}), seed=seed, standard_error=PRECISION)
             computed[f"cost ({equation})"] = found.cost
             computed[f"rate ({equation}) %"] = found.rates["actuator"].scaled(100.0)
@@ -150,7 +155,11 @@ def _chapter2(seed: int, progress: Progress) -> Reproduction:
         computed["bound"] = Estimate(bound, 0.0, "bound")
         first.append(Row({"θ": theta}, dict(zip(columns, printed, strict=True)), computed))
     second = [
-        Row({"actuation": actuation}, dict(zip(columns, printed, strict=False)), both({"theta": 0.1, "actuation": actuation})[0])
+        Row(
+            {"actuation": actuation},
+            dict(zip(columns, printed, strict=False)),
+            both({"theta": 0.1, "actuation": actuation})[0],
+        )
         for actuation, printed in TABLE_2_2.items()
     ]
     continuous = load("two-mass-continuous")
@@ -160,9 +169,17 @@ def _chapter2(seed: int, progress: Progress) -> Reproduction:
         done += 1
         progress(done / total)
     tables = (
-        Table("Table 2.1", tuple(first), (f"J_all: printed 0.7335, computed {problem.design().cost_all_time:.6f}", _OFFSET)),
+        Table(
+            "Table 2.1",
+            tuple(first),
+            (f"J_all: printed 0.7335, computed {problem.design().cost_all_time:.6f}", _OFFSET),
+        ),
         Table("Table 2.2, θ = 0.1", tuple(second), (_OFFSET,)),
-        Table("Figure 2.2", tuple(third), ("the thesis prints a picture, no numbers; costs are per second, inter-sample noise cost included",)),
+        Table(
+            "Figure 2.2",
+            tuple(third),
+            ("the thesis prints a picture, no numbers; costs are per second, inter-sample noise cost included",),
+        ),
     )
     return Reproduction("chapter2", tables, _figure_2_2(continuous, third))
 
@@ -185,13 +202,19 @@ def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
     curve = periodic_curve(problem, slowest, "hold")
     x = [row.computed["mean interval"].value for row in rows]
     events = [row.computed["event-triggered"] for row in rows]
-    bounds = [(a, row.computed["bound"].value) for a, row in zip(x, rows, strict=True) if row.computed["bound"].value < 0.6]
+    bounds = [
+        (a, row.computed["bound"].value) for a, row in zip(x, rows, strict=True) if row.computed["bound"].value < 0.6
+    ]
     series = [
-        Series(x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0),
+        Series(
+            x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0
+        ),
         Series([1 / p.rate for p in curve], [p.cost for p in curve], "optimal periodic", "dashed", color=7),
         Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", "dotted", color=3),
     ]
-    return draw([Panel(series, "average transmission period (s)", "cost per second", "Figure 2.2: two masses and a spring")])
+    return draw(
+        [Panel(series, "average transmission period (s)", "cost per second", "Figure 2.2: two masses and a spring")]
+    )
 
 
 CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {"chapter2": _chapter2}

@@ -76,7 +76,8 @@ class Tradeoff:
                 for point in self.points
             ],
             "periodic": {
-                actuation: [{"rate": p.rate, "cost": p.cost} for p in curve] for actuation, curve in self.periodic.items()
+                actuation: [{"rate": p.rate, "cost": p.cost} for p in curve]
+                for actuation, curve in self.periodic.items()
             },
             "unit": self.unit,
             "guarantee": self.guarantee,
@@ -102,7 +103,15 @@ class Tradeoff:
         for actuation, curve in self.periodic.items():
             shown = [p for p in curve if p.cost <= 1.6 * max(point.evaluation.cost.value for point in self.points)]
             style = "dashed" if len(self.periodic) == 1 or actuation == "hold" else "line"
-            series.append(Series([p.rate for p in shown], [p.cost for p in shown], f"periodic, {actuation}", style, color=7 if actuation == "hold" else 5))
+            series.append(
+                Series(
+                    [p.rate for p in shown],
+                    [p.cost for p in shown],
+                    f"periodic, {actuation}",
+                    style,
+                    color=7 if actuation == "hold" else 5,
+                )
+            )
         title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
         return draw([Panel(series, f"sends per {self.unit}", f"cost per {self.unit}", title)])
 
@@ -148,9 +157,14 @@ def tradeoff(
         same = periodic_cost_at(changed, next(iter(evaluation.rates.values())).value, actuation)
         points.append(Point(cell, evaluation, actuation, same))
     slowest = min(_rate(point) for point in points)
-    curves = {actuation: periodic_curve(problems[0], slowest, actuation) for actuation in sorted({p.actuation for p in points})}
+    curves = {
+        actuation: periodic_curve(problems[0], slowest, actuation)
+        for actuation in sorted({p.actuation for p in points})
+    }
     policy = problems[0].design()
-    statement = None if policy.guarantee is None or points[0].evaluation.cost_bound is None else policy.guarantee.statement
+    statement = (
+        None if policy.guarantee is None or points[0].evaluation.cost_bound is None else policy.guarantee.statement
+    )
     continuous = isinstance(problem.plant, ContinuousPlant)
     return Tradeoff(
         tuple(points),
@@ -165,7 +179,8 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
     """Return the exact cost of optimal periodic control at a rate, or None where none is stable.
 
     A discrete plant has the rates 1/k only; between them two controllers share the time over long phases, which
-    interpolates rate and cost linearly; an interval at which sampling loses a mode is passed over.
+    interpolates rate and cost linearly; an interval at which sampling loses a mode is
+    passed over.
 
     Args:
         problem: its plant and cost.

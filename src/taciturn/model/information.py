@@ -1,0 +1,126 @@
+"""Who may know what: a policy whose nodes read what they do not hold is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeAlias
+
+from taciturn.errors import InformationError
+from taciturn.model.network import Network
+from taciturn.model.policy import (
+    ENDS,
+    Acknowledged,
+    Assign,
+    Condition,
+    Decide,
+    Draw,
+    Evaluate,
+    NodeName,
+    Policy,
+    Received,
+    Send,
+    Step,
+)
+from taciturn.model.trigger import Form, Scheduled
+
+Site: TypeAlias = frozenset[NodeName]
+
+
+def check_information(policy: Policy, network: Network) -> None:
+    """Refuse a policy whose nodes read what they do not hold.
+
+    A node holds what it or a node at its site assigned, the measurement if the sensor is at its site, and, in the
+    branch where a packet has arrived, what was in the packet.
+
+    Args:
+        policy: the policy.
+        network: the network; only ``"udp"`` keeps outcomes from the sender.
+
+    Raises:
+        InformationError: naming node and signal.
+    """
+    knowledge = _Knowledge(policy, network)
+    for step in policy.steps:
+        knowledge.check(step)
+    for location in policy.locations:
+        if location.at is not None:
+            knowledge.check_condition(location.on, location.at)
+
+
+class _Knowledge:
+    """Where every signal, decision and packet comes from."""
+
+    def __init__(self, policy: Policy, network: Network) -> None:
+        self.policy, self.network = policy, network
+        self.home: dict[str, Site] = {"y": policy.site("sensor")}
+        self.decided: dict[str, Site] = {}
+        self.packets: dict[str, tuple[Site, tuple[str, ...]]] = {}
+        for step in policy.steps:
+            site = policy.site(step.at)
+            if isinstance(step, Decide):
+                self.decided[step.decision] = site
+            elif isinstance(step, Send):
+                self.packets[step.link] = (site, step.payload)
+            elif self.home.setdefault(step.signal, site) != site:
+                raise InformationError(f"{step.signal} is assigned at {step.at} and elsewhere; expected one owner")
+
+    def check(self, step: Step) -> None:
+        """Check one step."""
+        if isinstance(step, Draw):
+            return
+        on = None if isinstance(step, Decide) else step.on
+        self.check_condition(on, step.at)
+        for outcome, (names, weights) in enumerate(_reads(step)):
+            arrived = on.link if isinstance(on, Received) and outcome == 1 else None
+            for name in names:
+                self._check_read(name, step.at, arrived)
+            for weight in weights:
+                self._check_schedule(weight, step.at)
+
+    def check_condition(self, condition: Condition | None, at: NodeName) -> None:
+        """Check that a node can see an outcome."""
+        site = self.policy.site(at)
+        if isinstance(condition, str) and self.decided[condition] != site:
+            raise InformationError(
+                f"{at} uses the decision {condition!r} of another node; "
+                "expected its own decisions, or a received packet"
+            )
+        if isinstance(condition, Received) and ENDS[condition.link] not in site:
+            raise InformationError(f"{at} uses what arrived on the {condition.link} link; expected its own links")
+        if isinstance(condition, Acknowledged):
+            if condition.link not in self.packets or self.packets[condition.link][0] != site:
+                raise InformationError(
+                    f"{at} uses an acknowledgement of the {condition.link} link; expected a link on which it sends"
+                )
+            if self.network.protocol == "udp":
+                raise InformationError(
+                    f"{at} uses an acknowledgement of the {condition.link} link, and udp sends none; "
+                    "expected protocol 'tcp'"
+                )
+
+    def _check_read(self, name: str, at: NodeName, arrived: str | None) -> None:
+        packet = self.packets[arrived][1] if arrived in self.packets else ()
+        if self.home.get(name) != self.policy.site(at) and name not in packet:
+            raise InformationError(
+                f"{at} reads {name!r}, which it does not hold; "
+                "expected its own signals or a received packet's payload"
+            )
+
+    def _check_schedule(self, weight: object, at: NodeName) -> None:
+        if not isinstance(weight, Scheduled):
+            return
+        owner = next((location.at for location in self.policy.locations if location.name == weight.by), None)
+        if owner is not None and self.policy.site(owner) != self.policy.site(at):
+            raise InformationError(
+                f"{at} reads the location {weight.by!r} of {owner}; expected its own location or a shared clock"
+            )
+
+
+def _reads(step: Assign | Evaluate | Decide | Send) -> list[tuple[Sequence[str], Sequence[object]]]:
+    """Return the signals and the weights that each branch of a step reads."""
+    if isinstance(step, Assign):
+        return [(tuple(terms), tuple(terms.values())) for terms in step.branches]
+    if isinstance(step, Send):
+        return [(step.payload, ())]
+    forms: Sequence[Form] = step.forms if isinstance(step, Evaluate) else tuple(step.trigger.options.values())
+    return [(form.reads, (form.Psi, form.constant)) for form in forms]
