@@ -116,18 +116,6 @@ def frozen(value: Array) -> Array:
     return result
 
 
-def factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance and one column for each positive eigenvalue.
-
-    A positive definite covariance gives its Cholesky factor (triangular, hence cheaper to apply).
-    """
-    if covariance.size and np.linalg.eigvalsh(covariance)[0] > DEFINITENESS_TOLERANCE * np.abs(covariance).max():
-        return np.linalg.cholesky(covariance)
-    values, vectors = np.linalg.eigh(covariance)
-    kept = values > DEFINITENESS_TOLERANCE * max(values.max(initial=0.0), 1e-300)
-    return vectors[:, kept] * np.sqrt(values[kept])
-
-
 def _extreme_eigenvalues(matrix: Array) -> tuple[float, float]:
     if matrix.size == 0:
         return np.inf, 0.0

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, factor
+from taciturn._arrays import Array
+from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.cost import Cost

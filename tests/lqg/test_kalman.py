@@ -8,9 +8,9 @@ import scipy.linalg
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.kalman import predict_covariances, riccati_step, steady_filter
-from taciturn.lqg.modes import radius
 from taciturn.lqg.riccati import regulate
 
 seeds = st.integers(0, 2**32 - 1)

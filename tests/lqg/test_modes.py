@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from taciturn._modes import accumulate, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.modes import accumulate, uncontrollable_modes
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -9,9 +9,9 @@ import scipy.linalg
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.modes import radius
 from taciturn.lqg.periodic import lift, periodic_cost
 from taciturn.lqg.riccati import regulate
 from taciturn.lqg.sampling import sample

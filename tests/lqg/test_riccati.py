@@ -8,8 +8,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from taciturn._modes import accumulate, radius
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg.modes import accumulate, radius
 from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_discounted, regulate_finite
 
 seeds = st.integers(0, 2**32 - 1)

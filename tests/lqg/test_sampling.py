@@ -10,9 +10,9 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taciturn._modes import accumulate
 from taciturn.errors import ProblemError
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.modes import accumulate
 from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate, regulate_continuous
 from taciturn.lqg.sampling import sample, sample_prediction

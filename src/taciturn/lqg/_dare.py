@@ -5,16 +5,13 @@ gain then obeys H L = −(B'KA + N') and keeps, in the directions where H vanish
 stable.
 """
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 import numpy as np
 
 from taciturn._arrays import DEFINITENESS_TOLERANCE, Array
+from taciturn._modes import TINY, radius, summed
 from taciturn.lqg import _scipy
-from taciturn.lqg.modes import TINY, radius, summed
 
 Solution = tuple[Array, Array, Array]
 

@@ -5,9 +5,6 @@ intensity G with cost ∫ z'Mz dt, where z holds the state and whatever the actu
 decisions.
 """
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 from dataclasses import dataclass

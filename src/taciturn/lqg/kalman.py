@@ -1,8 +1,5 @@
 """Kalman filters: steady and time-varying, in filtered form, noise-free measurements included."""
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -11,9 +8,9 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
+from taciturn._modes import TINY, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg.modes import TINY, mode_text, radius, root, uncontrollable_modes
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,5 @@
 """The optimal controller that may change its input only every so many steps, and its exact average cost."""
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 from dataclasses import dataclass

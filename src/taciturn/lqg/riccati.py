@@ -1,8 +1,5 @@
 """Optimal gains: infinite and finite horizon, discounted, and in continuous time. The input is u = L x."""
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 from dataclasses import dataclass
@@ -12,9 +9,9 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
+from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare, _scipy
-from taciturn.lqg.modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
 
 __all__ = [
     "FiniteRegulator",

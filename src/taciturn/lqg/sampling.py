@@ -1,8 +1,5 @@
 """Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise in between."""
 
-# pyright: reportConstantRedefinition=false
-# (matrices carry their paper symbols, which pyright takes for constants)
-
 from __future__ import annotations
 
 import numpy as np

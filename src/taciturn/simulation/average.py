@@ -170,8 +170,8 @@ class _Sampling:
             wanted = target(cost) if steps is None else None
             self._report(cost, wanted, self.steps / budget)
             measured = sum(length for length, _ in kept)
-            needed = left if wanted is None else int(measured * ((cost.standard_error / wanted) ** 2 * 1.05 - 1)) + 1
-            window = max(1, min(left, measured, max(needed, BURN_IN // 4)))
+            missing = left if wanted is None else _missing(measured, cost.standard_error, wanted)
+            window = max(1, min(left, measured, max(missing, BURN_IN // 4)))
 
     def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
@@ -239,6 +239,13 @@ class _Sampling:
 
 def _rates(loop: Loop) -> list[str]:
     return [f"{SENT} {link}" for link in loop.policy.scheduled]
+
+
+def _missing(measured: int, error: float, wanted: float) -> int:
+    """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
+    if error <= wanted:
+        return 0
+    return measured * 1000 if wanted == 0 else int(measured * min((error / wanted) ** 2 * 1.05 - 1, 1e6)) + 1
 
 
 def _mean(values: Array) -> Estimate:

@@ -1,0 +1,105 @@
+"""A standard error means what it says, and an estimate depends on its seed alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn import Cost, Network, Plant, close, design
+from taciturn.simulation import average as module
+from taciturn.simulation.average import average, completed_squares, plain_average
+
+PLANT = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]], [[0.1]])
+COST = Cost([[1.0, 0.0], [0.0, 0.5]], [[0.3]])
+
+
+def coverage(estimates: list[tuple[float, float]], truth: float) -> float:
+    """Return the share of 95 % intervals that hold the truth."""
+    return float(np.mean([abs(value - truth) <= 1.959964 * error for value, error in estimates]))
+
+
+def test_95_percent_intervals_of_the_plain_average_cover_the_exact_cost() -> None:
+    """Over 400 seeds the exact cost of a periodic policy lies inside as often as it should."""
+    policy = design.periodic(PLANT, COST, every=2)
+    loop = close(PLANT, policy, cost=COST)
+    found = [average(loop, plain_average(loop), seed=seed, steps=60_000).cost for seed in range(400)]
+    assert policy.closed_form is not None
+    share = coverage([(e.value, e.standard_error) for e in found], policy.closed_form.cost)
+    assert 0.92 <= share <= 0.98  # ±2.75 binomial standard deviations
+
+
+def test_95_percent_intervals_of_completed_squares_cover_a_long_run() -> None:
+    """Over 400 seeds the value of a run 2,000 times as long lies inside as often as it should."""
+    policy = design.lqg(PLANT, COST, theta=0.5)
+    loop = close(PLANT, policy, cost=COST)
+    estimator = completed_squares(loop)
+    truth = average(loop, estimator, seed=1000, steps=120_000_000).cost.value
+    found = [average(loop, estimator, seed=seed, steps=60_000).cost for seed in range(400)]
+    assert 0.92 <= coverage([(e.value, e.standard_error) for e in found], truth) <= 0.98
+
+
+def test_completed_squares_have_far_less_variance_than_the_plain_average() -> None:
+    """On the two masses the ratio of variances at equal steps is above a thousand."""
+    problem = taciturn.load("two-mass")
+    loop = problem.close(problem.design())
+    squares = average(loop, completed_squares(loop), steps=20_000_000).cost.standard_error
+    plain = average(loop, plain_average(loop), steps=20_000_000).cost.standard_error
+    assert (plain / squares) ** 2 > 1000
+
+
+def test_threads_change_nothing() -> None:
+    """The same bits on one thread and on three."""
+    loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)
+    assert average(loop, steps=200_000, threads=1) == average(loop, steps=200_000, threads=3)
+
+
+def test_a_burn_in_that_is_too_short_is_prolonged() -> None:
+    """A plant that needs thousands of ticks to settle is not averaged while it rises."""
+    slow = Plant([[0.9995]], [[1e-3]], [[1.0]])
+    cost = Cost([[1.0]], [[1e6]])
+    policy = design.periodic(slow, cost, every=1)
+    loop = close(slow, policy, cost=cost)
+    found = average(loop, plain_average(loop), seed=3, steps=60_000_000)
+    assert found.burn_in > module.BURN_IN
+    assert policy.closed_form is not None
+    assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+
+
+def test_an_unreachable_precision_reports_what_was_reached(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The budget ends the run, and the result says so."""
+    monkeypatch.setattr(module, "BUDGET", 3_000_000)
+    loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)
+    found = average(loop, standard_error=1e-9)
+    assert not found.reached
+    assert found.steps <= 3_000_000
+    assert 1e-9 < found.cost.standard_error < 1e-2
+
+
+def test_an_unstable_loop_is_an_error() -> None:
+    """A policy on a plant it cannot hold says that the loop diverges."""
+    policy = design.lqg(PLANT, COST, theta=0.5)
+    wrong = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [-1.0]], PLANT.W, PLANT.C, PLANT.V)
+    with pytest.raises(taciturn.UnstableError, match="diverges"):
+        average(close(wrong, policy, cost=COST), steps=40_000_000)
+
+
+def test_another_plant_or_a_limit_or_losses_end_the_theory() -> None:
+    """Then the loop is not nominal, and completion of squares is refused."""
+    policy = design.lqg(PLANT, COST, theta=0.5)
+    limited = Plant(PLANT.A, PLANT.B, PLANT.W, PLANT.C, PLANT.V, input_limit=[0.5])
+    other = Plant(PLANT.A * 1.01, PLANT.B, PLANT.W, PLANT.C, PLANT.V)
+    lossy = close(PLANT, policy, Network("tcp", actuator_loss=0.1), COST)
+    for loop in (close(limited, policy, cost=COST), close(other, policy, cost=COST), lossy):
+        assert not loop.nominal
+        with pytest.raises(taciturn.ProblemError, match="completion of squares"):
+            completed_squares(loop)
+
+
+def test_a_limit_clips_what_the_plant_receives() -> None:
+    """No input beyond ±0.5 reaches the plant, and clipping costs."""
+    policy = design.lqg(PLANT, COST, theta=0.5)
+    limited = Plant([[0.9, 0.3], [0.0, 0.8]], PLANT.B, PLANT.W, PLANT.C, PLANT.V, input_limit=[0.5])
+    path = taciturn.simulate(close(limited, policy, cost=COST), 2000, seed=1)
+    assert np.abs(path.input).max() == 0.5
+    assert (np.abs(path.input) == 0.5).mean() > 0.01

@@ -1,0 +1,118 @@
+"""Evaluate, trade off, reproduce and simulate, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn.study.reproduce import reproduce
+
+
+def test_evaluate_takes_the_closed_form_where_there_is_one() -> None:
+    """A periodic policy is exact, and its simulation agrees."""
+    problem = taciturn.load("two-mass")
+    periodic = taciturn.Problem(problem.plant, problem.cost, problem.network, "periodic", {"every": 3})
+    exact = taciturn.evaluate(periodic)
+    simulated = taciturn.evaluate(periodic, method="simulation", steps=20_000_000)
+    assert (exact.cost.method, exact.cost.standard_error, exact.steps) == ("exact", 0.0, 0)
+    assert simulated.cost.method == "simulation"
+    assert abs(exact.cost.value - simulated.cost.value) <= 4 * simulated.cost.standard_error
+    assert exact.rates["actuator"].value == pytest.approx(1 / 3)
+
+
+def test_evaluate_reaches_the_default_precision() -> None:
+    """The standard error is at most 1e-4 of the cost, and the document is valid JSON."""
+    found = taciturn.evaluate(taciturn.load("two-mass"))
+    assert found.reached
+    assert found.cost.standard_error <= 1e-4 * found.cost.value
+    document = json.loads(json.dumps(found.document(), allow_nan=False))
+    assert document["cost"]["method"] == "simulation"
+    assert document["cost_bound"] == pytest.approx(1.1 * document["cost_all_time"], rel=1e-12)
+
+
+def test_a_policy_without_noise_costs_nothing() -> None:
+    """W = 0: the deterministic loop decays, and its average cost is 0."""
+    plant = taciturn.Plant([[1.3, 0.2], [0.0, 0.7]], [[0.0], [1.0]], np.zeros((2, 2)), mean=[1.0, -1.0])
+    problem = taciturn.Problem(plant, taciturn.Cost(np.eye(2), [[1.0]]), taciturn.Network(), "lqg", {"theta": 0.5})
+    found = taciturn.evaluate(problem)
+    assert found.cost.value == pytest.approx(0.0, abs=1e-12)
+    assert found.cost_all_time == 0.0
+
+
+def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
+    """A grid of two keys: six points, two periodic curves, a picture, a document."""
+    problem = taciturn.load("two-mass")
+    found = taciturn.tradeoff(problem, {"theta": [0.01, 0.1, 1], "actuation": ["hold", "model"]}, standard_error=5e-4)
+    assert [dict(point.values) for point in found.points[:2]] == [
+        {"theta": 0.01, "actuation": "hold"},
+        {"theta": 0.01, "actuation": "model"},
+    ]
+    assert set(found.periodic) == {"hold", "model"}
+    assert found.guarantee is not None
+    for point in found.points:
+        assert point.evaluation.cost_bound is not None
+        assert point.evaluation.cost.value < point.evaluation.cost_bound
+    json.dumps(found.document(), allow_nan=False)
+    labels = [text.get_text() for text in found.plot().axes[0].get_legend().get_texts()]
+    assert {"lqg, hold", "lqg, model", "periodic, hold", "periodic, model"} <= set(labels)
+
+
+def test_a_continuous_tradeoff_counts_per_second() -> None:
+    """Rates and costs per second; the periodic curve starts at the base rate, where it is all-time control."""
+    found = taciturn.tradeoff(taciturn.load("two-mass-continuous"), {"theta": [0.1, 0.5]}, standard_error=5e-4)
+    assert (found.unit, found.base_rate) == ("second", 10.0)
+    first = found.periodic["hold"][0]
+    assert first.rate == pytest.approx(10.0)
+    assert first.cost == pytest.approx(found.points[0].evaluation.cost_all_time)
+
+
+def test_a_mistake_in_the_last_cell_is_told_before_the_first_runs() -> None:
+    """Nothing is simulated for a grid with a wrong value."""
+    with pytest.raises(taciturn.ProblemError, match="theta is -1"):
+        taciturn.tradeoff(taciturn.load("two-mass"), {"theta": [10.0, -1.0]}, progress=pytest.fail)
+
+
+def test_a_trajectory_keeps_everything() -> None:
+    """Sends happen exactly when the trigger exceeds its threshold; input changes only then; the estimate is close."""
+    problem = taciturn.load("two-mass")
+    loop = problem.close(problem.design())
+    path = taciturn.simulate(loop, 400, seed=2)
+    sent = path.sends["actuator"]
+    assert path.time[-1] == pytest.approx(39.9)
+    assert (sent == (path.trigger_value > path.threshold)).all()
+    changes = np.any(np.diff(path.input, axis=0) != 0, axis=1)
+    assert (changes <= sent[1:]).all()
+    assert 0.4 < sent.mean() < 0.8
+    assert np.abs(path.state - path.estimate).mean() < 0.2
+    assert (taciturn.simulate(loop, 400, seed=2).state == path.state).all()
+
+
+def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
+    """Four panels; one row per tick."""
+    problem = taciturn.load("two-mass").changed({"actuation": "model"})
+    path = taciturn.simulate(problem.close(problem.design()), 50)
+    assert [axis.get_ylabel() for axis in path.plot().axes] == ["state", "input", "trigger", "sends"]
+    table = path.to_pandas()
+    assert table.shape == (50, 4 + 4 + 1 + 2 + 1)
+    assert table.index.name == "time"
+
+
+@pytest.mark.evidence
+def test_chapter_2_is_reproduced() -> None:
+    """Tables 2.1 and 2.2 and Figure 2.2, printed beside computed."""
+    found = reproduce("chapter2")
+    first, second, figure = found.tables
+    assert (len(first.rows), len(second.rows), len(figure.rows)) == (6, 2, 8)
+    for row in (*first.rows, *second.rows):
+        for column, printed in row.printed.items():
+            computed = row.computed[column]
+            if column.startswith("cost"):
+                assert 0.005 < printed - computed.value < 0.01, "the offset that the printed costs share"
+            elif column.startswith("rate"):
+                assert abs(printed - computed.value) <= 1.0
+            else:
+                assert computed.value == pytest.approx(printed, abs=5e-5)
+    assert found.picture is not None
