@@ -1,0 +1,160 @@
+"""The house stands as docs/architecture.md draws it."""
+
+from __future__ import annotations
+
+import ast
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import taciturn
+
+ROOT = Path(__file__).parent.parent
+SOURCE = ROOT / "src" / "taciturn"
+FLOORS = {
+    "errors": 0, "_arrays": 0, "_modes": 0, "_figure": 0,
+    "model": 1,
+    "lqg": 2,
+    "program": 3, "renewal": 3,
+    "loop": 4,
+    "design": 5,
+    "simulation": 6, "analyse": 6, "export": 6, "runtime": 6,
+    "problem": 7, "study": 7,
+    "twin": 8, "cli": 8,
+    "": 9,  # the package itself: its names are imported when they are asked for
+}  # fmt: skip
+TOGETHER = ({"errors", "_arrays", "_modes", "_figure"}, {"problem", "study"})  # floors whose members may meet
+
+
+def part(module: str) -> str:
+    """Return the folder or file of the package that a module belongs to."""
+    names = module.split(".")
+    return names[1] if len(names) > 1 else ""
+
+
+def imports(path: Path) -> list[str]:
+    """Return the modules of this package that a file imports, wherever in the file."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            whole = node.module == "taciturn"
+            found += [f"taciturn.{alias.name}" if whole else node.module for alias in node.names]
+    return [name for name in found if name.split(".")[0] == "taciturn"]
+
+
+def violations(source: Path) -> list[str]:
+    """Return every import that does not go down, as sentences."""
+    wrong: list[str] = []
+    for path in sorted(source.rglob("*.py")):
+        names = path.relative_to(source).with_suffix("").parts
+        here = "" if names == ("__init__",) else names[0]
+        assert here in FLOORS, f"{here} stands on no floor"
+        for module in imports(path):
+            there = part(module)
+            if there not in FLOORS:
+                there = ""  # a public name, imported from the package itself
+            together = any({here, there} <= group for group in TOGETHER)
+            if here != there and not together and FLOORS[there] >= FLOORS[here]:
+                wrong.append(f"{'/'.join(names)} (floor {FLOORS[here]}) imports {module} (floor {FLOORS[there]})")
+    return wrong
+
+
+def functions(path: Path) -> list[ast.FunctionDef | ast.ClassDef]:
+    """Return the public functions and classes of a file, methods included."""
+    found: list[ast.FunctionDef | ast.ClassDef] = []
+
+    def walk(body: list[ast.stmt]) -> None:
+        for node in body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+                found.append(node)
+                if isinstance(node, ast.ClassDef):
+                    walk(node.body)
+
+    walk(ast.parse(path.read_text(encoding="utf-8")).body)
+    return found
+
+
+# the command line talks to whole studies, and imports the package as its users do
+ALLOWED = {"cli"}
+
+
+def test_imports_only_go_down() -> None:
+    """No floor knows those above it, and siblings never meet."""
+    assert [line for line in violations(SOURCE) if line.split()[0] not in ALLOWED] == []
+
+
+def test_an_upward_and_a_sideways_import_are_found(tmp_path: Path) -> None:
+    """The walk itself can fail."""
+    (tmp_path / "model").mkdir()
+    (tmp_path / "program").mkdir()
+    (tmp_path / "model" / "plant.py").write_text("def f():\n    from taciturn.loop import close\n")
+    (tmp_path / "program" / "ir.py").write_text("import taciturn.renewal.events\n")
+    (tmp_path / "loop.py").write_text("from taciturn.model.plant import Plant\n")
+    assert len(violations(tmp_path)) == 2
+
+
+@pytest.mark.parametrize("path", sorted((*SOURCE.rglob("*.py"), *ROOT.glob("tests/**/*.py"))), ids=lambda path: path.name)
+def test_no_file_is_longer_than_400_lines(path: Path) -> None:
+    """A file that does one thing is shorter."""
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def test_no_function_takes_anything() -> None:
+    """No ``**kwargs``, and no module that is named after nothing."""
+    for path in SOURCE.rglob("*.py"):
+        assert path.stem not in {"utils", "helpers", "manager", "config", "common", "misc"}, path
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.Lambda):
+                assert node.args.kwarg is None, f"{path.name}:{node.lineno}"
+
+
+def test_every_public_name_resolves_and_says_what_it_is() -> None:
+    """What ``dir(taciturn)`` lists is there, documented, and the list is the promised one."""
+    promised = {"Plant", "ContinuousPlant", "Cost", "Network", "Policy", "Trigger", "Guarantee", "Estimate", "close", "load",
+                "evaluate", "tradeoff", "reproduce", "simulate", "average", "plant_from", "design"}  # fmt: skip
+    assert promised <= set(taciturn.__all__)
+    for name in set(taciturn.__all__) - {"__version__"}:
+        assert getattr(taciturn, name).__doc__, name
+    with pytest.raises(AttributeError):
+        _ = taciturn.nonsense
+
+
+def test_public_functions_are_documented_with_known_sources() -> None:
+    """Every ``Source:`` names keys of docs/sources.bib; every policy has one, with arguments and errors."""
+    keys = set(re.findall(r"^@\w+\{(\w+),", (ROOT / "docs" / "sources.bib").read_text(encoding="utf-8"), re.MULTILINE))
+    for path in SOURCE.rglob("*.py"):
+        for node in functions(path):
+            text = ast.get_docstring(node) or ""
+            assert text, f"{path.name}: {node.name} has no docstring"
+            named = re.search(r"Source:\s*(.+)", text)
+            if named:
+                assert set(re.split(r"[,;]\s*", named[1].strip())) <= keys, f"{path.name}: {node.name}"
+    for name in taciturn.design.__all__:
+        text = getattr(taciturn.design, name).__doc__
+        assert all(section in text for section in ("Args:", "Returns:", "Raises:", "Source:", "Example:")), name
+
+
+def test_the_catalogue_and_the_documentation_name_the_same_policies() -> None:
+    """Every policy kind that can be asked for stands in the tables of the documentation."""
+    from taciturn.design.catalogue import CATALOGUE
+
+    for page in ("problem-file.md", "architecture.md"):
+        text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+        for kind in CATALOGUE:
+            assert f"`{kind}`" in text, f"{kind} is missing in {page}"
+
+
+def test_the_repository_speaks_of_the_project_alone() -> None:
+    """No path of a machine and no host of a package registry."""
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode != 0:
+        pytest.skip("not a git checkout")
+    words = ["/wo" + "rk/", "pypi" + ".org", "npmjs" + ".com", "files.python" + "hosted", "deb.debian" + ".org"]
+    for name in listed.stdout.split():
+        if name.endswith((".py", ".md", ".toml", ".yaml", ".bib", "run")):
+            text = (ROOT / name).read_text(encoding="utf-8")
+            assert [word for word in words if word in text] == [], name
