@@ -1,15 +1,41 @@
-"""Sphinx configuration: every code cell is executed, and an error fails the build."""
+"""The manual: every code cell is executed at build time, an error stops the build, nothing is fetched."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
 
 project = "Taciturn"
 author = "The Taciturn authors"
 extensions = ["myst_nb"]
-myst_enable_extensions = ["dollarmath", "amsmath"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = "Taciturn"
+html_math_renderer = "mathml"  # the browser's own; the usual one loads a script from elsewhere
+myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_timeout = 300
 nb_execution_in_temp = True
-html_theme = "furo"
-html_title = "Taciturn"
-exclude_patterns = ["_build"]
-mathjax_path = ""  # pages must build and open without a network
+nb_execution_timeout = 300
+nb_merge_streams = True
+
+
+def setup(app: Sphinx) -> None:
+    """Render formulas as MathML; one that docutils cannot read stops the build."""
+    app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
+
+
+def _inline(translator: Any, node: nodes.math) -> None:
+    translator.body.append(tex2mathml(node.astext()))
+    raise nodes.SkipNode
+
+
+def _block(translator: Any, node: nodes.math_block) -> None:
+    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    raise nodes.SkipNode
