@@ -22,6 +22,8 @@ from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.lower import Tick
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
+WEIGHT = "weight"  # of a tick in a discounted sum
+NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +43,17 @@ class Loop:
     nominal: bool
 
     @property
+    def horizon(self) -> int | None:
+        """Ticks of a mission: the cost's horizon, or where a discount has made what follows negligible."""
+        cost = self.problem.cost
+        if cost.discount < 1:
+            return int(np.ceil(np.log(NEGLIGIBLE) / np.log(cost.discount)))
+        return cost.horizon
+
+    @property
     def reducible(self) -> bool:
         """Whether the loop has the law of one driven by the filter's innovations."""
-        return self.nominal and self.policy.innovations is not None and self.problem.cost.horizon is None
+        return self.nominal and self.policy.innovations is not None and self.horizon is None
 
     def program(self) -> Program:
         """Return one tick of the loop with the plant in it.
@@ -52,7 +62,7 @@ class Loop:
         ``sent LINK`` (packets). Outputs: what ``taciturn.simulation`` records.
         """
         plant = self.problem.plant
-        tick = self._tick({"x": plant.states, "noise on y": plant.outputs})
+        tick = self._tick({"x": plant.states})
         tick.signals["y"] = tick.combine({"x": plant.C}, plant.outputs)
         if plant.V.any():
             noise = _noise(tick, factor(plant.V), 0)
@@ -96,13 +106,13 @@ class Loop:
         stage = tick.form(self._stage(innovations.estimate, error))
         return with_draws(tick.finish(self._sums(tick, stage), self._outputs(tick, ())))
 
-    def start(self, program: Program, paths: int, seed: int) -> Array:
-        """Return the first value of each state of a program, (states, paths)."""
+    def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
+        """Return the first value of each state of a program for the paths from ``first`` on, (states, paths)."""
         plant = self.problem.plant
-        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
         x = plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T
-        drawn = {"x": x, GENERATOR: seed_generators(seed, paths)}
+        drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
         rows: list[Array] = []
         for state in program.states:
             if isinstance(state.start, tuple):
@@ -115,8 +125,8 @@ class Loop:
 
     def _tick(self, extra: Mapping[str, int]) -> Tick:
         policy, plant = self.policy, self.problem.plant
-        sizes = {**policy.sizes, **extra, "applied": plant.inputs}
-        return Tick(Builder(), sizes, {**policy.initial, "x": "x"}, policy.locations)
+        sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1}
+        return Tick(Builder(), sizes, {**policy.initial, "x": "x", WEIGHT: np.ones(1)}, policy.locations)
 
     def _losses(self) -> dict[str, Coefficient]:
         return {link: self.network.loss(link) for link in ENDS}
@@ -138,6 +148,11 @@ class Loop:
         return Form((state, "applied"), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
 
     def _sums(self, tick: Tick, stage: int) -> dict[str, int]:
+        discount = self.problem.cost.discount
+        if discount < 1:
+            (weight,) = tick.read(WEIGHT)
+            tick.signals[WEIGHT] = [tick.builder.scale(discount, weight)]
+            stage = tick.builder.emit("mul", weight, stage)
         sums = {COST: stage}
         identity = self.policy.identity
         if identity is not None and self.nominal:

@@ -48,6 +48,23 @@ def test_completed_squares_have_far_less_variance_than_the_plain_average() -> No
     assert (plain / squares) ** 2 > 1000
 
 
+def test_a_discounted_cost_is_a_discounted_sum() -> None:
+    """Linear feedback of the full state: Σ α^k E[stage] = tr(X Θ) + α/(1−α) tr(X W), X of the discounted closed loop."""
+    discount = 0.9
+    plant = Plant(PLANT.A, PLANT.B, PLANT.W, mean=[1.0, -2.0], covariance=[[0.2, 0.0], [0.0, 0.1]])
+    policy = design.all_time(plant, COST)
+    (L,) = (step.branches[0]["estimate"] for step in policy.steps if getattr(step, "signal", "") == "command")
+    closed = np.sqrt(discount) * (plant.A + plant.B @ L)
+    stage = COST.Q + L.T @ COST.R @ L
+    X = np.linalg.solve(np.eye(4) - np.kron(closed.T, closed.T), stage.ravel()).reshape(2, 2)
+    exact = np.trace(X @ (plant.covariance + np.outer(plant.mean, plant.mean)))
+    exact += discount / (1 - discount) * np.trace(X @ plant.W)
+    loop = close(plant, policy, cost=Cost(COST.Q, COST.R, discount=discount))
+    found = average(loop, seed=8, standard_error=2e-3 * exact)
+    assert found.reached
+    assert abs(found.cost.value - exact) <= 4 * found.cost.standard_error
+
+
 def test_threads_change_nothing() -> None:
     """The same bits on one thread and on three."""
     loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)

@@ -8,6 +8,7 @@ import pytest
 from taciturn import Cost, Form, InformationError, Network, Plant, Policy, Scheduled, Trigger, close
 from taciturn.model.policy import Acknowledged, Assign, Decide, Identity, Location, Received, Send
 from taciturn.program.numpy import run
+from taciturn.simulation.average import average, plain_average
 
 A, B, W = np.array([[1, 0.1], [0, 1]]), np.array([[0.005], [0.1]]), 0.01 * np.eye(2)
 Q, R, N, ALPHA, BETA = np.eye(2), np.eye(1), 100, 0.3, 0.6
@@ -60,6 +61,19 @@ def test_the_udp_loop_of_figure_7_2(price: float, cost: float, spread: float, ra
         assert abs(total.mean() - cost) <= 4 * np.hypot(total.std(ddof=1) / np.sqrt(paths), spread)
     sent = result.sums["sent actuator"] / N
     assert abs(sent.mean() - rate) <= 4 * sent.std(ddof=1) / np.sqrt(paths) + 5e-4
+
+
+def test_missions_are_averaged_with_their_terminal_weight() -> None:
+    """The estimator of finite horizons: the identity and the plain total reach the asked precision and agree."""
+    policy = udp_policy(0.1)
+    loop = close(policy.model, policy, NETWORK, Cost(Q, R, horizon=N))
+    identity = average(loop, seed=1, standard_error=0.005)
+    plain = average(loop, plain_average(loop), seed=2, standard_error=0.05)
+    assert identity.reached
+    assert plain.reached
+    assert abs(identity.cost.value - 65.520) <= 4 * np.hypot(identity.cost.standard_error, 0.004)
+    assert abs(plain.cost.value - 65.520) <= 4 * np.hypot(plain.cost.standard_error, 0.004)
+    assert abs(identity.rates["actuator"].value - 0.502) <= 4 * identity.rates["actuator"].standard_error + 5e-4
 
 
 def test_an_acknowledgement_is_refused_under_udp_and_heard_under_tcp() -> None:

@@ -29,7 +29,7 @@ class Averages:
 
     Args:
         cost: per unit of time, or the total of a finite horizon.
-        rates: sends per tick (finite horizon: mean fraction of the steps), by link.
+        rates: sends per tick (finite horizon or discount: mean fraction of the steps), by link.
         steps: simulated steps of all paths together, burn-in included.
         burn_in: ticks dropped at the start of each path.
         reached: whether the asked standard error was met.
@@ -79,8 +79,11 @@ def completed_squares(loop: Loop) -> Estimator:
 
 def plain_average(loop: Loop) -> Estimator:
     """Return the estimator that averages the stage cost of the loop with its plant."""
-    tick = loop.problem.tick
-    return Estimator(loop.program().keep({COST, *_rates(loop)}), COST, loop.problem.noise_cost / tick, 1.0 / tick)
+    problem, program = loop.problem, loop.program().keep({COST, *_rates(loop)})
+    if loop.horizon is None:
+        return Estimator(program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
+    ticks = sum(problem.cost.discount**k for k in range(loop.horizon))
+    return Estimator(program, COST, problem.noise_cost * ticks, 1.0)
 
 
 def choose_estimator(loop: Loop) -> Estimator:
@@ -125,14 +128,13 @@ def average(
     if steps is not None:
         count("steps", steps, 1024)
     sampling = _Sampling(loop, estimator, seed, progress, threads)
-    horizon = loop.problem.cost.horizon
 
 
     def target(cost: Estimate) -> float:
         return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
-    if horizon is not None:
-        return sampling.missions(horizon, target, steps)
+    if loop.horizon is not None:
+        return sampling.missions(loop.horizon, target, steps)
     return sampling.stationary(target, steps)
 
 
@@ -176,19 +178,20 @@ class _Sampling:
     def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
         paths = min(PATHS, max(8, budget // horizon))
-        totals: list[Array] = []
+        moments = [_Moments() for _ in self.names]
         terminal = self.loop.problem.cost.terminal
+        program = self.estimator.program
         while True:
-            program = self.estimator.program
-            state = self.loop.start(program, paths, self.seed + len(totals) * 1_000_003)
+            state = self.loop.start(program, paths, self.seed, first=self.steps // horizon)
             sums, state = self._advance(state, horizon)
             if self.estimator.sum == COST and terminal is not None:
                 x = np.array([row for row, s in zip(state, program.states, strict=True) if s.name == "x"])
                 sums[0] += np.einsum("ip,ij,jp->p", x, terminal, x)
-            totals.append(sums)
-            every = np.concatenate(totals, axis=1)
-            cost = _mean(every[0]).scaled(self.estimator.scale, self.estimator.offset)
-            rates = {name.split()[1]: _mean(row / horizon) for name, row in zip(self.names[1:], every[1:], strict=True)}
+            for moment, row in zip(moments, sums, strict=True):
+                moment.add(row)
+            cost, *sent = [moment.mean() for moment in moments]
+            cost = cost.scaled(self.estimator.scale, self.estimator.offset)
+            rates = {name.split()[1]: rate.scaled(1 / horizon) for name, rate in zip(self.names[1:], sent, strict=True)}
             reached = steps is None and cost.standard_error <= target(cost)
             if reached or self.steps + paths * horizon > budget:
                 return Averages(cost, rates, self.steps, 0, reached or steps is not None)
@@ -241,6 +244,25 @@ def _rates(loop: Loop) -> list[str]:
     return [f"{SENT} {link}" for link in loop.policy.scheduled]
 
 
+class _Moments:
+    """Mean and spread of values that come in batches, in constant memory."""
+
+    def __init__(self) -> None:
+        self.count, self.center, self.squares = 0, 0.0, 0.0
+
+    def add(self, values: Array) -> None:
+        """Merge a batch (Chan's formula)."""
+        count, center = len(values), float(values.mean())
+        total, shift = self.count + count, center - self.center
+        self.squares += float(((values - center) ** 2).sum()) + shift**2 * self.count * count / total
+        self.center += shift * count / total
+        self.count = total
+
+    def mean(self) -> Estimate:
+        """Return the mean of all values with its standard error."""
+        return Estimate(self.center, float(np.sqrt(self.squares / (self.count - 1) / self.count)), "simulation")
+
+
 def _missing(measured: int, error: float, wanted: float) -> int:
     """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
     if error <= wanted:
@@ -249,4 +271,6 @@ def _missing(measured: int, error: float, wanted: float) -> int:
 
 
 def _mean(values: Array) -> Estimate:
-    return Estimate(float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values))), "simulation")
+    moments = _Moments()
+    moments.add(values)
+    return moments.mean()

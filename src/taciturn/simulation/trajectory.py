@@ -42,9 +42,10 @@ class Trajectory:
     sends: dict[str, npt.NDArray[np.bool_]]
 
     def plot(self) -> Figure:
-        """Return a figure: states, input, trigger against threshold with a mark for every send."""
+        """Return a figure: states (estimates dotted), input, trigger against threshold, and every send."""
         time = self.time.tolist()
-        states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$") for i, x in enumerate(self.state.T)]
+        states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$", color=i) for i, x in enumerate(self.state.T)]
+        states += [Series(time, x.tolist(), style="dotted", color=i) for i, x in enumerate(self.estimate.T)]
         inputs = [Series(time, u.tolist(), f"$u_{{{i + 1}}}$", "steps") for i, u in enumerate(self.input.T)]
         panels = [Panel(states, ylabel="state"), Panel(inputs, ylabel="input")]
         if self.trigger_value.size:
