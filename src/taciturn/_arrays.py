@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from numbers import Integral, Real
 from typing import TypeAlias
 
 import numpy as np
@@ -23,14 +24,10 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
     Raises:
         ProblemError: not numeric, not finite, or of another shape.
     """
-    try:
-        result = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ProblemError(f"{name} is not an array of numbers ({error}); expected {_shape_text(shape, meaning)}") from None
+    result = _numbers(name, value, _shape_text(shape, meaning))
     if result.ndim != len(shape) or any(want not in (None, got) for got, want in zip(result.shape, shape, strict=True)):
-        transposed = result.ndim == 2 and all(
-            want in (None, got) for got, want in zip(result.T.shape, shape, strict=False)
-        ) and len(shape) == 2
+        turned = zip(result.T.shape, shape, strict=False)
+        transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
         hint = ". Did you pass its transpose?" if transposed else ""
         raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
     if not np.isfinite(result).all():
@@ -65,7 +62,9 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
     result = symmetric(name, value, size, meaning)
     smallest, largest = _extreme_eigenvalues(result)
     if smallest < -DEFINITENESS_TOLERANCE * max(largest, 1e-300):
-        raise ProblemError(f"{name} has the eigenvalue {smallest:g}; expected a positive semidefinite matrix (all eigenvalues ≥ 0)")
+        raise ProblemError(
+            f"{name} has the eigenvalue {smallest:g}; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"
+        )
     return result
 
 
@@ -78,7 +77,9 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
     result = symmetric(name, value, size, meaning)
     smallest, largest = _extreme_eigenvalues(result)
     if smallest <= DEFINITENESS_TOLERANCE * max(largest, 1e-300):
-        raise ProblemError(f"{name} has the eigenvalue {smallest:g}; expected a positive definite matrix (all eigenvalues > 0)")
+        raise ProblemError(
+            f"{name} has the eigenvalue {smallest:g}; expected a positive definite matrix (all eigenvalues > 0)"
+        )
     return result
 
 
@@ -88,14 +89,18 @@ def number(name: str, value: object, low: float = -np.inf, high: float = np.inf,
     Raises:
         ProblemError: not a number, not finite, or outside.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)) or not np.isfinite(value):
-        raise ProblemError(f"{name} is {value!r}; expected a finite number")
-    inside = low <= value <= high if closed else low < value < high
+    try:
+        found = np.nan if isinstance(value, bool) or not isinstance(value, Real) else float(value)
+    except OverflowError:  # a whole number of more than 308 digits
+        found = np.inf
+    if not np.isfinite(found):
+        raise ProblemError(f"{name} is {quoted(value)}; expected a finite number")
+    inside = low <= found <= high if closed else low < found < high
     if not inside:
         less = "≤" if closed else "<"
         bounds = (f"{low:g} {less} " if low > -np.inf else "") + name + (f" {less} {high:g}" if high < np.inf else "")
-        raise ProblemError(f"{name} is {float(value):g}; expected {bounds}")
-    return float(value)
+        raise ProblemError(f"{name} is {found:g}; expected {bounds}")
+    return found
 
 
 def count(name: str, value: object, least: int = 1) -> int:
@@ -104,8 +109,8 @@ def count(name: str, value: object, least: int = 1) -> int:
     Raises:
         ProblemError: not a whole number, or too small.
     """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ProblemError(f"{name} is {value!r}; expected a whole number, at least {least}")
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise ProblemError(f"{name} is {quoted(value)}; expected a whole number, at least {least}")
     return int(value)
 
 
@@ -114,6 +119,27 @@ def frozen(value: Array) -> Array:
     result = np.array(value, dtype=np.float64)
     result.setflags(write=False)
     return result
+
+
+def quoted(value: object) -> str:
+    """Return a value as a sentence shows what it got: as it would be typed, and no longer than a line."""
+    try:
+        text = repr(value)
+    except ValueError:  # a whole number of more than 4300 digits
+        return "a number too long to be shown"
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _numbers(name: str, value: ArrayLike, expected: str) -> Array:
+    try:
+        given = np.asarray(value)
+        if given.dtype.kind not in "biufO":  # text would be parsed, and an imaginary part dropped
+            raise TypeError(f"it holds {given.dtype.type.__name__.strip('_')} values")
+        return np.array(given, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        if "inhomogeneous" in str(error):
+            raise ProblemError(f"{name} is ragged: its rows differ in length; expected the shape {expected}") from None
+        raise ProblemError(f"{name} is not an array of numbers ({error}); expected the shape {expected}") from None
 
 
 def _extreme_eigenvalues(matrix: Array) -> tuple[float, float]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
+import warnings
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,7 +27,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-File = Annotated[str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem (two-mass).")]
+File = Annotated[
+    str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem (two-mass).")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
 StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
@@ -58,25 +62,37 @@ def evaluate(
 
     import taciturn
 
+    _check_effort(standard_error, steps)
     problem = taciturn.load(file)
     with _progress("simulating") as progress:
         found = taciturn.evaluate(
-            problem, seed=seed, standard_error=standard_error, steps=steps, method=cast("Any", method), progress=progress
+            problem,
+            seed=seed,
+            standard_error=standard_error,
+            steps=steps,
+            method=cast("Any", method),
+            progress=progress,
         )
     if as_json:
-        typer.echo(json.dumps(found.document(), indent=1))
+        _print_json(found.document())
     else:
         _print_evaluation(found)
+    if not found.reached and steps is not None:
+        _refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"
-        _refuse(f"the standard error {wanted} was not reached within {found.steps} steps; reached {found.cost.standard_error:.3g}: "
-                "ask for a larger --standard-error")  # fmt: skip
+        _refuse(
+            f"the standard error {wanted} was not reached within {found.steps} steps; "
+            f"reached {found.cost.standard_error:.3g}: ask for a larger --standard-error"
+        )
 
 
 @app.command()
 def tradeoff(
     file: File,
-    over: Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help="A key of [policy], or dotted; repeat for a grid.")],
+    over: Annotated[
+        list[str], typer.Option(metavar="NAME=v1,v2,…", help="A key of [policy], or dotted; repeat for a grid.")
+    ],
     as_json: Json = False,
     plot: Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")] = None,
     seed: Seed = 0,
@@ -86,7 +102,8 @@ def tradeoff(
     import taciturn
     from taciturn._figure import check_format, save
 
-    values = dict(_parse_over(item) for item in over)
+    _check_effort(standard_error)
+    values = _parse_grid(over)
     if plot is not None:
         check_format(plot)
     problem = taciturn.load(file)
@@ -95,7 +112,7 @@ def tradeoff(
     if plot is not None:
         save(found.plot(), plot)
     if as_json:
-        typer.echo(json.dumps(found.document(), indent=1))
+        _print_json(found.document())
     else:
         _print_tradeoff(found)
         if plot is not None:
@@ -103,12 +120,17 @@ def tradeoff(
     missed = [point for point in found.points if not point.evaluation.reached]
     if missed:
         values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
-        _refuse(f"the standard error was not reached at {len(missed)} points, first at {values_text}: ask for a larger --standard-error")
+        _refuse(
+            f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
+            f"first at {values_text}: ask for a larger --standard-error"
+        )
 
 
 @app.command()
 def reproduce(
-    names: Annotated[list[str] | None, typer.Argument(metavar="[NAME…]", help="chapter2, or all (the default).")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(metavar="[NAME…]", help="chapter2, or all (the default).")
+    ] = None,
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
     seed: Seed = 0,
@@ -122,12 +144,16 @@ def reproduce(
     chosen = list(CHAPTERS) if not names or "all" in names else names
     unknown = [name for name in chosen if name not in CHAPTERS]
     if unknown:
-        raise ProblemError(f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(CHAPTERS)}, or all")
+        raise ProblemError(
+            f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(CHAPTERS)}, or all"
+        )
     folder = out or Path()
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise ProblemError(f"the folder {str(folder)!r} cannot be made ({error}); expected one that can be written to") from None
+        raise ProblemError(
+            f"the folder {str(folder)!r} cannot be made ({error.strerror}); expected one that can be written to"
+        ) from None
     documents: list[dict[str, Any]] = []
     for name in chosen:
         with _progress(name) as progress:
@@ -141,15 +167,21 @@ def reproduce(
             if found.picture is not None:
                 typer.echo(f"picture: {picture}")
     if as_json:
-        typer.echo(json.dumps(documents, indent=1))
+        _print_json(documents)
 
 
 def main() -> None:
     """Run the command line: exit code 0, or 2 with one sentence on standard error."""
     from taciturn.errors import TaciturnError
 
+    reconfigure = getattr(sys.stdout, "reconfigure", None)
+    if reconfigure is not None:  # a terminal that has no ≤ gets \u2264, not an error
+        reconfigure(errors="backslashreplace")
     try:
-        code: object = app(standalone_mode=False)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
+            code: object = app(standalone_mode=False)
+        print(end="", flush=True)
     except TaciturnError as error:
         _refuse(str(error))
     except typer.TyperException as error:
@@ -157,20 +189,50 @@ def main() -> None:
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(130)
     except BrokenPipeError:
-        sys.stderr.close()
+        _drop_output()
         sys.exit(1)
+    except OSError as error:
+        _drop_output()
+        _refuse(f"reading or writing failed ({error}); expected files that can be opened and a disk with room")
+    except (ArithmeticError, MemoryError) as error:
+        _refuse(
+            f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
+            "expected sizes nearer to 1: scale the problem"
+        )
     else:
         sys.exit(code if isinstance(code, int) else 0)
 
 
 def _refuse(sentence: str) -> None:
-    sys.stdout.flush()
-    print(f"taciturn: {' '.join(sentence.split())}", file=sys.stderr)
+    print(end="", flush=True)  # what was found stands before what is wrong with it
+    shown = "".join(letter if letter.isprintable() else " " for letter in sentence)
+    print(f"taciturn: {' '.join(shown.split())}", file=sys.stderr)
     sys.exit(2)
 
 
+def _drop_output() -> None:
+    """Let what is still buffered go nowhere, so that Python does not complain of it when it ends."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _print_json(document: object) -> None:
+    typer.echo(json.dumps(document, indent=1, allow_nan=False))
+
+
+def _check_effort(standard_error: float | None, steps: int | None = None) -> None:
+    """Refuse what no simulation can do, whether or not this problem is simulated."""
+    from taciturn._arrays import count, number
+
+    if standard_error is not None:
+        number("--standard-error", standard_error, 0.0)
+    if steps is not None:
+        count("--steps", steps)
+        number("--steps", steps, high=1e13)  # hours
+
+
 @contextmanager
-def _progress(what: str) -> Iterator[Progress]:
+def _progress(what: str) -> Generator[Progress]:
     """A bar on standard error with the time left, on a terminal only, once a run takes long enough to be seen."""
     if not sys.stderr.isatty():
         yield lambda fraction: None
@@ -183,14 +245,19 @@ def _progress(what: str) -> Iterator[Progress]:
         yield lambda fraction: bar.update(task, completed=fraction)
 
 
-def _parse_over(item: str) -> tuple[str, list[object]]:
+def _parse_grid(items: list[str]) -> dict[str, list[object]]:
     from taciturn.errors import ProblemError
 
-    name, separator, listed = item.partition("=")
-    parts = [part.strip() for part in listed.split(",")]
-    if not separator or not name.strip() or not all(parts):
-        raise ProblemError(f"--over {item!r} is not understood; expected NAME=v1,v2,…, as theta=0.1,1")
-    return name.strip(), [_parse_value(part) for part in parts]
+    grid: dict[str, list[object]] = {}
+    for item in items:
+        name, _, listed = item.partition("=")
+        name, parts = name.strip(), [part.strip() for part in listed.split(",")]
+        if not all(name.split(".")) or not all(parts):
+            raise ProblemError(f"--over {item!r} is not understood; expected NAME=v1,v2,…, as theta=0.1,1")
+        if name.removeprefix("policy.") in {known.removeprefix("policy.") for known in grid}:
+            raise ProblemError(f"--over {name} is given twice; expected all its values in one list: {name}=v1,v2,…")
+        grid[name] = [_parse_value(part) for part in parts]
+    return grid
 
 
 def _parse_value(text: str) -> object:
@@ -206,8 +273,8 @@ def _print_evaluation(found: Evaluation) -> None:
     lines = [("policy", found.policy), ("cost", f"{found.cost}   ({found.cost.method})")]
     lines += [(f"rate, {link}", str(rate)) for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
-        above = 100 * (found.cost.value / found.cost_all_time - 1) if found.cost_all_time else 0.0
-        lines.append(("all-time cost", f"{found.cost_all_time:.6g}   (this policy: {above:+.2f} %)"))
+        above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""
+        lines.append(("all-time cost", f"{found.cost_all_time:.6g}{above}"))
     if found.cost_bound is not None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
     lines += [("note", note) for note in found.notes]
@@ -217,27 +284,37 @@ def _print_evaluation(found: Evaluation) -> None:
 
 def _print_tradeoff(found: Tradeoff) -> None:
     names = list(found.points[0].values)
-    header = [*names, f"rate per {found.unit}", "saved %", f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "periodic, same rate"]
+    header = [*names, f"rate per {found.unit}", "saved %", f"cost per {found.unit}", "above all-time %"]
+    header += ["guaranteed ≤", "periodic, same rate"]
     rows: list[list[str]] = []
     for point in found.points:
         e = point.evaluation
         rate = next(iter(e.rates.values()))
-        above = "" if not e.cost_all_time else f"{100 * (e.cost.value / e.cost_all_time - 1):.2f}"
-        rows.append([
-            *(str(value) for value in point.values.values()),
-            f"{rate.value:.4f} ± {rate.standard_error:.4f}",
-            f"{100 * (1 - rate.value / found.base_rate):.1f}",
-            str(e.cost),
-            above,
-            "" if e.cost_bound is None else f"{e.cost_bound:.4f}",
-            "unstable" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.5f}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                *(str(value) for value in point.values.values()),
+                f"{rate.value:.4f} ± {rate.standard_error:.4f}",
+                f"{100 * (1 - rate.value / found.base_rate):.1f}",
+                str(e.cost),
+                _above(e) if e.cost_all_time else "",
+                "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
+                "unstable" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
+            ]
+        )
     _print_table(header, rows)
     first = found.points[0].evaluation
     if first.cost_all_time is not None:
-        typer.echo(f"all-time cost {first.cost_all_time:.6g}" + (f"; guarantee: {found.guarantee}" if found.guarantee else ""))
+        guarantee = f"; guarantee: {found.guarantee}" if found.guarantee else ""
+        typer.echo(f"all-time cost {first.cost_all_time:.6g}{guarantee}")
     for note in first.notes:
         typer.echo(note)
+
+
+def _above(found: Evaluation) -> str:
+    """By how many percent the cost exceeds that of sending at every tick."""
+    assert found.cost_all_time
+    percent = 100 * (found.cost.value / found.cost_all_time - 1)
+    return f"{percent:+.2f}" if abs(percent) < 1e6 else f"{percent:+.3g}"
 
 
 def _print_reproduction(found: Reproduction) -> None:

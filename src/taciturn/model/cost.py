@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, count, array, definite, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, count, definite, frozen, number, semidefinite
 from taciturn.errors import ProblemError
 
 
@@ -46,8 +46,9 @@ class Cost:
         terminal: ArrayLike | None = None,
         discount: float = 1.0,
     ) -> None:
-        n = np.atleast_2d(array("Q", Q, (None, None))).shape[0]
-        m = array("R", R, (None, None)).shape[0]
+        """Check and freeze."""
+        n = array("Q", Q, (None, None), "(states, states)").shape[0]
+        m = array("R", R, (None, None), "(inputs, inputs)").shape[0]
         Q = semidefinite("Q", Q, n, "(states, states)")
         R = definite("R", R, m, "(inputs, inputs)")
         N = frozen(np.zeros((n, m))) if N is None else array("N", N, (n, m), "(states, inputs)")

@@ -31,6 +31,8 @@ class Estimate:
         if self.standard_error == 0:
             return f"{self.value:.6g}"
         digits = max(0, 1 - _exponent(self.standard_error))
+        if digits > 12 or abs(self.value) >= 1e15:
+            return f"{self.value:.6g} ± {self.standard_error:.2g}"
         return f"{self.value:.{digits}f} ± {self.standard_error:.{digits}f}"
 
 

@@ -102,14 +102,15 @@ class _Knowledge:
         packet = self.packets[arrived][1] if arrived in self.packets else ()
         if self.home.get(name) != self.policy.site(at) and name not in packet:
             raise InformationError(
-                f"{at} reads {name!r}, which it does not hold; "
-                "expected its own signals or a received packet's payload"
+                f"{at} reads {name!r}, which it does not hold; expected its own signals or a received packet's payload"
             )
 
     def _check_schedule(self, weight: object, at: NodeName) -> None:
         if not isinstance(weight, Scheduled):
             return
-        owner = next((location.at for location in self.policy.locations if location.name == weight.by), None)
+        owner: NodeName | None = next(
+            (location.at for location in self.policy.locations if location.name == weight.by), None
+        )
         if owner is not None and self.policy.site(owner) != self.policy.site(at):
             raise InformationError(
                 f"{at} reads the location {weight.by!r} of {owner}; expected its own location or a shared clock"

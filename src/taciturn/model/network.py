@@ -31,6 +31,7 @@ class Burst:
     loss_bad: float
 
     def __post_init__(self) -> None:
+        """Check the ranges."""
         for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
             number(name, getattr(self, name), 0.0, 1.0, closed=True)
 
@@ -59,6 +60,7 @@ class Network:
     sensor_burst: Burst | None = None
 
     def __post_init__(self) -> None:
+        """Check the ranges."""
         if self.protocol not in ("udp", "tcp", "ideal"):
             raise ProblemError(f"network.protocol is {self.protocol!r}; expected 'udp', 'tcp' or 'ideal'")
         count("network.delay", self.delay, 0)
@@ -69,7 +71,8 @@ class Network:
                 raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
             if self.protocol == "ideal" and (loss > 0 or burst is not None):
                 raise ProblemError(
-                    f"network.{link}_loss is given for an ideal network; expected protocol = 'udp' or 'tcp' where packets are lost"
+                    f"network.{link}_{'loss' if burst is None else 'burst'} is given for an ideal network; "
+                    "expected protocol = 'udp' or 'tcp' where packets are lost"
                 )
 
     def loss(self, link: str) -> float:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol, runtime_checkable
+from typing import Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -62,6 +62,7 @@ class Plant:
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
     ) -> None:
+        """Check and freeze."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
@@ -93,7 +94,7 @@ class Plant:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Jumps:
     """Poisson jumps of the state: at each event of rate λ the state moves by a zero-mean draw.
 
@@ -111,8 +112,9 @@ class Jumps:
     distribution: JumpDistribution = "normal"
 
     def __post_init__(self) -> None:
+        """Check and freeze."""
         number("jumps.rate", self.rate, 0.0)
-        size = np.atleast_2d(np.asarray(self.covariance, dtype=np.float64)).shape[0]
+        size = array("jumps.covariance", self.covariance, (None, None), "(states, states)").shape[0]
         object.__setattr__(self, "covariance", semidefinite("jumps.covariance", self.covariance, size))
         if self.distribution not in ("normal", "uniform", "two-point"):
             raise ProblemError(
@@ -166,14 +168,16 @@ class ContinuousPlant:
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
     ) -> None:
+        """Check and freeze."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit)
-        if (W is None) == (jumps is None):
-            got = "neither" if W is None else "both"
-            raise ProblemError(f"W and jumps: got {got}; expected exactly one kind of noise (W = 0 for none)")
+        if W is None and jumps is None:
+            raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
         if jumps is not None:
-            semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
-            W = jumps.rate * jumps.covariance
-        object.__setattr__(self, "W", semidefinite("W", np.asarray(W), self.states, "(states, states)"))
+            if W is not None:
+                raise ProblemError("W and jumps are both given; expected one kind of noise: remove one")
+            covariance = semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
+            W = jumps.rate * covariance
+        object.__setattr__(self, "W", semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)"))
         object.__setattr__(self, "jumps", jumps)
         _refuse_lost_modes(self, lambda values: values.real >= -1e-12)
 
@@ -199,7 +203,7 @@ class StateSpaceLike(Protocol):
 
 
 def plant_from(
-    system: StateSpaceLike,
+    system: object,
     W: ArrayLike,
     V: ArrayLike | None = None,
     mean: ArrayLike | None = None,
@@ -212,7 +216,7 @@ def plant_from(
     scipy's ``dt=None`` means continuous; python-control's ``dt=None`` (unspecified) is refused.
 
     Args:
-        system: an object with A, B, C, D and dt.
+        system: an object with A, B, C, D and dt, or one that ``to_ss`` converts.
         W: process noise, (n, n).
         V: measurement-noise covariance, (p, p); omitted: exact measurement.
         mean: initial mean, (n,).
@@ -231,16 +235,26 @@ def plant_from(
         0.1
     """
     if not isinstance(system, StateSpaceLike):
-        to_state_space = getattr(system, "to_ss", None)  # scipy's transfer functions and zero-pole-gain systems
+        to_state_space = getattr(system, "to_ss", None)  # transfer functions and zero-pole-gain systems
         if to_state_space is None:
-            raise ProblemError(f"system is a {type(system).__name__}; expected a state-space object with A, B, C, D")
-        system = to_state_space()
+            raise ProblemError(
+                f"system is a {type(system).__name__}; expected a state-space object with A, B, C, D: "
+                "convert it first, as with control.ss"
+            )
+        try:
+            system = cast("StateSpaceLike", to_state_space())
+        except (TypeError, ValueError) as error:  # improper, or a table of frequencies
+            raise ProblemError(
+                f"system is a {type(system).__name__} without a state space ({error}); "
+                "expected an object with A, B, C, D, or a proper transfer function"
+            ) from None
     if np.any(np.asarray(system.D) != 0):
         raise ProblemError("D is not zero; expected no direct feedthrough from input to measurement")
     dt: float | bool | None = getattr(system, "dt", None)
-    if dt is None and not type(system).__module__.startswith("scipy"):
+    if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
-            "dt of the system is unspecified; expected 0 (continuous) or the seconds per step; make it anew with dt=0 or dt=…"
+            "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
+            "make it anew with dt=0 or dt=…"
         )
     C = np.asarray(system.C, dtype=np.float64)
     if dt is None or (dt is not True and dt == 0):
@@ -262,7 +276,7 @@ def _set_linear(
     input_limit: ArrayLike | None,
 ) -> None:
     """Check and set what both kinds of plant share."""
-    A = array("A", A, (None, None))
+    A = array("A", A, (None, None), "(states, states)")
     n = A.shape[0]
     if n == 0 or A.shape[1] != n:
         raise ProblemError(f"A has shape {A.shape}; expected a square matrix with at least one state")
@@ -274,21 +288,21 @@ def _set_linear(
     p = C.shape[0]
     if p == 0:
         raise ProblemError("C has no rows; expected at least one measured output (omit C to measure the full state)")
+    limit = None if input_limit is None else array("input_limit", input_limit, (B.shape[1],), "(inputs,)")
+    if limit is not None and (limit <= 0).any():
+        raise ProblemError(f"input_limit is {limit.min():g}; expected positive limits (omit it for no limit)")
     values: dict[str, object] = {
         "A": A,
         "B": B,
         "C": C,
         "V": frozen(np.zeros((p, p))) if V is None else semidefinite("V", V, p, "(outputs, outputs)"),
-        "mean": frozen(np.zeros(n)) if mean is None else array("initial.mean", mean, (n,), "(states,)"),
+        "mean": array("initial.mean", np.zeros(n) if mean is None else mean, (n,), "(states,)"),
         "covariance": frozen(np.zeros((n, n)))
         if covariance is None
         else semidefinite("initial.covariance", covariance, n, "(states, states)"),
-        "input_limit": None if input_limit is None else array("input_limit", input_limit, (B.shape[1],), "(inputs,)"),
+        "input_limit": limit,
         "full_state": full_state,
     }
-    limit = values["input_limit"]
-    if isinstance(limit, np.ndarray) and (limit <= 0).any():
-        raise ProblemError(f"input_limit is {limit.min():g}; expected positive limits (omit it for no limit)")
     for key, value in values.items():
         object.__setattr__(plant, key, value)
 

@@ -17,6 +17,7 @@ from taciturn._arrays import Array, ArrayLike, array, number
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
+from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
 NodeName = Literal["sensor", "controller", "actuator"]
@@ -66,12 +67,16 @@ class Assign:
         branches: Mapping[str, ArrayLike | Scheduled] | tuple[Mapping[str, ArrayLike | Scheduled], ...],
         on: Condition | None = None,
     ) -> None:
+        """Check and freeze."""
         listed = (branches,) if isinstance(branches, Mapping) else branches
         checked = tuple(
-            {name: matrix(f"the weight of {name} in {signal}", value) for name, value in terms.items()} for terms in listed
+            {name: matrix(f"the weight of {name} in {signal}", value) for name, value in terms.items()}
+            for terms in listed
         )
         if (on is None) != (len(checked) == 1):
-            raise ProblemError(f"{signal} has {len(checked)} branches on {on}; expected one without a condition, several with one")
+            raise ProblemError(
+                f"{signal} has {len(checked)} branches on {on}; expected one without a condition, several with one"
+            )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:
             raise ProblemError(f"the terms of {signal} have {sorted(rows)} rows; expected one number of rows")
@@ -96,8 +101,12 @@ class Evaluate:
     on: Condition | None = None
 
     def __post_init__(self) -> None:
+        """Check the number of forms."""
         if (self.on is None) != (len(self.forms) == 1):
-            raise ProblemError(f"{self.signal} has {len(self.forms)} forms on {self.on}; expected one without a condition")
+            raise ProblemError(
+                f"{self.signal} has {len(self.forms)} forms on {self.on}; "
+                "expected one without a condition, several with one"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,80 +159,22 @@ class Location:
     initial: int = 0
 
     def __post_init__(self) -> None:
-        table = np.array(self.table, dtype=np.int64)
+        """Check and freeze."""
+        shape, meaning = ((None,), "(locations,)") if self.on is None else ((None, None), "(locations, outcomes)")
+        table = array(f"the table of location {self.name}", self.table, shape, meaning)
         size = table.shape[0]
-        if table.ndim != (1 if self.on is None else 2) or table.min() < 0 or table.max() >= size:
-            raise ProblemError(f"location {self.name} has a table of shape {table.shape} with entries up to {table.max()}; "
-                               f"expected indices below {size}, one column per outcome")  # fmt: skip
+        if not table.size or table.min() < 0 or table.max() >= size or (table != np.floor(table)).any():
+            extremes = f"entries from {table.min():g} to {table.max():g}" if table.size else "no entries"
+            raise ProblemError(f"location {self.name} has {extremes}; expected whole indices from 0, below {size}")
         if not 0 <= self.initial < size:
-            raise ProblemError(f"location {self.name} starts at {self.initial}; expected an index below {size}")
+            raise ProblemError(f"location {self.name} starts at {self.initial}; expected an index from 0, below {size}")
         if self.on is not None and self.at is None:
-            raise ProblemError(f"location {self.name} depends on {self.on} but has no node; expected the node that owns it")
-        table.setflags(write=False)
-        object.__setattr__(self, "table", table)
-
-
-@dataclass(frozen=True)
-class Guarantee:
-    """A proved bound on the cost.
-
-    Args:
-        cost: number that the cost cannot exceed, in the units of the cost.
-        statement: the theorem in one line.
-        source: key in ``docs/sources.bib``.
-        base: cost at which a bound that depends on the rate starts; omitted: no such bound.
-        per_silence: what a tick without a send adds to ``base`` at most.
-    """
-
-    cost: float
-    statement: str
-    source: str
-    base: float | None = None
-    per_silence: float = 0.0
-
-    def at_rate(self, rate: float) -> float | None:
-        """Return the bound at a rate of sends per tick, or None where none is proved."""
-        return None if self.base is None else self.base + self.per_silence * (1 - rate)
-
-
-@dataclass(frozen=True, eq=False)
-class Identity:
-    """The exact identity cost = constant + E[form]: completion of squares, used as the estimator.
-
-    Args:
-        constant: what no decision changes, in the units of the cost.
-        forms: one form, or one for each outcome of ``on``, evaluated at the end of a tick.
-        on: the decision that picks the form.
-    """
-
-    constant: float
-    forms: tuple[Form, ...]
-    on: str | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Innovations:
-    """Where the policy's filter whitens the measurement: then the loop can be run without the plant.
-
-    Args:
-        signal: the signal that is white with this covariance.
-        covariance: S, (p, p).
-        estimate: the signal whose error is independent of everything the policy knows.
-        error_covariance: Σ, (n, n).
-    """
-
-    signal: str
-    covariance: Array
-    estimate: str
-    error_covariance: Array
-
-
-@dataclass(frozen=True)
-class ClosedForm:
-    """Cost and rates of a policy whose actions ignore the state, in the units of the cost and per tick."""
-
-    cost: float
-    rates: Mapping[str, float]
+            raise ProblemError(
+                f"location {self.name} depends on {self.on} but has no node; expected the node that owns it"
+            )
+        indices = table.astype(np.int64)
+        indices.setflags(write=False)
+        object.__setattr__(self, "table", indices)
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +197,8 @@ class Policy:
         guarantee, identity, innovations, closed_form: where the theory gives them.
 
     Raises:
-        ProblemError: a signal without origin, or a matrix that does not fit.
+        ProblemError: a signal, decision or location without origin, a matrix that does not fit, or a cost that is
+            not finite.
     """
 
     kind: str
@@ -259,7 +211,7 @@ class Policy:
     initial: Mapping[str, Array] = field(default_factory=lambda: {})
     tick: float = 1.0
     noise_cost: float = 0.0
-    network: Network = Network()
+    network: Network = field(default_factory=Network)
     prediction_gain: Array | None = None
     guarantee: Guarantee | None = None
     identity: Identity | None = None
@@ -268,22 +220,40 @@ class Policy:
     sizes: Mapping[str, int] = field(init=False)
 
     def __post_init__(self) -> None:
+        """Check that everything fits together."""
         number("tick", self.tick, 0.0)
+        self._check_costs()
         sizes: dict[str, int] = {"y": self.model.outputs}
         for step in self.steps:
             if isinstance(step, Assign):
                 if sizes.setdefault(step.signal, step.size) != step.size:
-                    raise ProblemError(f"{step.signal} has {sizes[step.signal]} entries in one step and {step.size} in another")
+                    raise ProblemError(
+                        f"{step.signal} has {sizes[step.signal]} entries in one step and {step.size} in another; "
+                        "expected one size"
+                    )
             elif isinstance(step, Evaluate | Draw):
                 sizes[step.signal] = 1
         object.__setattr__(self, "sizes", sizes)
-        object.__setattr__(
-            self, "initial", {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
-        )
+        initial = {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
+        object.__setattr__(self, "initial", initial)
+        decided: list[str] = []
         for step in self.steps:
+            if isinstance(step, Decide):
+                decided.append(step.decision)
+            elif not isinstance(step, Draw) and isinstance(step.on, str) and step.on not in decided:
+                raise ProblemError(
+                    f"the condition {step.on!r} is not decided before its use; expected one of {decided}"
+                )
             self._check(step)
+        for location in self.locations:
+            if location.on is not None and location.table.shape[1] != self.outcomes(location.on):
+                raise ProblemError(
+                    f"location {location.name} has {location.table.shape[1]} columns; "
+                    f"expected {self.outcomes(location.on)}, one per outcome of {location.on}"
+                )
         if sizes.get("input") != self.model.inputs:
-            raise ProblemError(f"input has {sizes.get('input')} entries; expected {self.model.inputs}, assigned at the actuator")
+            got = f"has {sizes['input']} entries" if "input" in sizes else "is never assigned"
+            raise ProblemError(f"input {got}; expected {self.model.inputs} entries, assigned at the actuator")
 
     @property
     def decisions(self) -> Mapping[str, Trigger]:
@@ -311,14 +281,21 @@ class Policy:
         if isinstance(step, Assign | Evaluate) and step.on is not None:
             found = len(step.branches if isinstance(step, Assign) else step.forms)
             if found != self.outcomes(step.on):
-                raise ProblemError(f"{step.signal} has {found} branches; expected {self.outcomes(step.on)}, one per outcome of {step.on}")
+                raise ProblemError(
+                    f"{step.signal} has {found} branches; "
+                    f"expected {self.outcomes(step.on)}, one per outcome of {step.on}"
+                )
         if isinstance(step, Assign):
             for terms in step.branches:
                 for name, value in terms.items():
+                    self._check_schedule(value)
                     rows, columns = shape_of(value)
                     if columns != self._size(name):
-                        raise ProblemError(f"the weight of {name} in {step.signal} has shape {(rows, columns)}; "
-                                           f"expected {(rows, self._size(name))}. Did you pass its transpose?")  # fmt: skip
+                        hint = ". Did you pass its transpose?" if rows == self._size(name) else ""
+                        raise ProblemError(
+                            f"the weight of {name} in {step.signal} has shape {(rows, columns)}; "
+                            f"expected {self._size(name)} columns, the entries of {name}{hint}"
+                        )
         elif isinstance(step, Evaluate):
             for form in step.forms:
                 self._check_form(form)
@@ -328,13 +305,44 @@ class Policy:
         elif isinstance(step, Send):
             for name in step.payload:
                 self._size(name)
-            if step.on is not None:
-                self.outcomes(step.on)
+            unknown = [label for label in step.labels if step.on is None or label not in self.decisions[step.on].labels]
+            if unknown:
+                raise ProblemError(
+                    f"the packet of the {step.link} link is sent on the label {unknown[0]!r}; "
+                    f"expected a label of its decision ({step.on})"
+                )
 
     def _check_form(self, form: Form) -> None:
+        self._check_schedule(form.Psi)
+        self._check_schedule(form.constant)
         size = sum(self._size(name) for name in form.signals)
         if form.Psi is not None and shape_of(form.Psi) != (size, size):
             raise ProblemError(f"Psi over {form.signals} has shape {shape_of(form.Psi)}; expected {(size, size)}")
         for name in form.plus:
             if self._size(name) != 1:
                 raise ProblemError(f"{name} has {self._size(name)} entries; expected a scalar signal")
+
+    def _check_schedule(self, value: object) -> None:
+        if not isinstance(value, Scheduled):
+            return
+        sizes = {location.name: len(location.table) for location in self.locations}
+        if sizes.get(value.by) != len(value.values):
+            got = f"{sizes[value.by]} locations" if value.by in sizes else f"no such location among {list(sizes)}"
+            raise ProblemError(
+                f"a table by {value.by!r} has {len(value.values)} entries, and there are {got}; "
+                "expected one per location"
+            )
+
+    def _check_costs(self) -> None:
+        costs = {
+            "all-time cost": self.cost_all_time,
+            "inter-sample noise cost": self.noise_cost,
+            "guaranteed cost": 0.0 if self.guarantee is None else self.guarantee.cost,
+            "cost": 0.0 if self.closed_form is None else self.closed_form.cost,
+        }
+        for name, value in costs.items():
+            if not np.isfinite(value):
+                raise ProblemError(
+                    f"the {name} of {self.kind} is {value:g}; expected a finite number: "
+                    "scale the problem, or send more often"
+                )

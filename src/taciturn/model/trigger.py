@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, frozen
+from taciturn._arrays import Array, ArrayLike, array, frozen, number
 from taciturn.errors import ProblemError
 
 
@@ -28,9 +28,17 @@ class Scheduled:
     values: Array
 
     def __init__(self, by: str, values: ArrayLike) -> None:
-        table = np.asarray(values, dtype=np.float64)
+        """Check and freeze."""
+        try:
+            table = np.asarray(values, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ProblemError(
+                f"the table by {by!r} is not an array of numbers ({error}); expected entries of one shape"
+            ) from None
         if table.ndim not in (1, 3) or not len(table):
-            raise ProblemError(f"the table by {by!r} has shape {table.shape}; expected (locations,) or (locations, rows, columns)")
+            raise ProblemError(
+                f"the table by {by!r} has shape {table.shape}; expected (locations,) or (locations, rows, columns)"
+            )
         object.__setattr__(self, "by", by)
         object.__setattr__(self, "values", array(f"the table by {by!r}", table, (None,) * table.ndim))
 
@@ -50,7 +58,7 @@ def matrix(name: str, value: ArrayLike | Scheduled) -> Matrix:
         if value.values.ndim != 3:
             raise ProblemError(f"{name} is a table of numbers; expected a table of matrices")
         return value
-    return array(name, value, (None, None))
+    return array(name, value, (None, None), "(rows, columns)")
 
 
 def shape_of(value: Matrix) -> tuple[int, ...]:
@@ -84,20 +92,25 @@ class Form:
         constant: float | Scheduled = 0.0,
         plus: Mapping[str, float] | None = None,
     ) -> None:
+        """Check and freeze."""
         if (Psi is None) != (not signals):
-            raise ProblemError(f"a form over {signals} has Psi = {Psi!r}; expected both signals and Psi, or neither")
+            got = f"signals {signals} without Psi" if Psi is None else "Psi without signals"
+            raise ProblemError(f"a form has {got}; expected both, or neither")
         checked = None if Psi is None else matrix("Psi", Psi)
         if checked is not None:
             values = checked.values if isinstance(checked, Scheduled) else checked
             swapped = np.swapaxes(values, -1, -2)
-            if values.shape != swapped.shape or not np.allclose(values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max()):
-                raise ProblemError("Psi is not symmetric; expected a symmetric matrix")
+            if values.shape != swapped.shape or not np.allclose(
+                values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max(initial=0.0)
+            ):
+                raise ProblemError(f"Psi over {signals} is not symmetric; expected a symmetric matrix")
             halves = (values + swapped) / 2
             checked = Scheduled(checked.by, halves) if isinstance(checked, Scheduled) else frozen(halves)
         object.__setattr__(self, "signals", signals)
         object.__setattr__(self, "Psi", checked)
-        object.__setattr__(self, "constant", constant if isinstance(constant, Scheduled) else float(constant))
-        object.__setattr__(self, "plus", dict(plus or {}))
+        object.__setattr__(self, "constant", _constant(constant))
+        weights = {name: number(f"the weight of {name}", value) for name, value in (plus or {}).items()}
+        object.__setattr__(self, "plus", weights)
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -124,6 +137,7 @@ class Trigger:
     options: Mapping[str, Form]
 
     def __post_init__(self) -> None:
+        """Check and freeze."""
         if len(self.options) < 2:
             raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two")
         object.__setattr__(self, "options", dict(self.options))
@@ -137,3 +151,11 @@ class Trigger:
     def reads(self) -> tuple[str, ...]:
         """Names of all signals read."""
         return tuple(dict.fromkeys(name for form in self.options.values() for name in form.reads))
+
+
+def _constant(value: float | Scheduled) -> float | Scheduled:
+    if not isinstance(value, Scheduled):
+        return number("the constant of a form", value)
+    if value.values.ndim != 1:
+        raise ProblemError(f"the constant by {value.by!r} is a table of matrices; expected a table of numbers")
+    return value

@@ -1,0 +1,64 @@
+"""The command line, run in this process."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from taciturn import cli
+
+PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
+COST = "[cost]\nQ = [[1.0]]\nR = [[2.0]]\n"
+POLICY = '[policy]\nkind = "lqg"\ntheta = 0.5\n'
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a command left: its exit code and both its streams."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def sentence(self) -> str:
+        """The one sentence of a refusal: exit code 2, nothing on standard output, no traceback."""
+        assert (self.code, self.out) == (2, "")
+        assert self.err.count("\n") == 1
+        assert self.err.startswith("taciturn: ")
+        return self.err.removeprefix("taciturn: ").strip()
+
+
+Run = Callable[..., Answer]
+Write = Callable[..., str]
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    """Return the function that runs ``taciturn`` with arguments."""
+
+    def run(*arguments: str) -> Answer:
+        monkeypatch.setattr(sys, "argv", ["taciturn", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        code = ended.value.code
+        assert isinstance(code, int)
+        return Answer(code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def write(tmp_path: Path) -> Write:
+    """Return the function that writes a problem file, tables replaced by name or added, and returns its path."""
+
+    def write(plant: str = PLANT, cost: str = COST, policy: str = POLICY, more: str = "") -> str:
+        path = tmp_path / "problem.toml"
+        path.write_text("\n".join((plant, cost, more, policy)), encoding="utf-8")
+        return str(path)
+
+    return write

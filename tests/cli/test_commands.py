@@ -1,0 +1,371 @@
+"""The commands: what they print, what they refuse, and how they end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+import taciturn
+from taciturn.simulation import average
+from taciturn.study.evaluate import evaluate
+
+if TYPE_CHECKING:
+    from conftest import Run, Write
+
+ALL_TIME = '[policy]\nkind = "all-time"\n'
+PERIODIC = '[policy]\nkind = "periodic"\nevery = 2\n'
+PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
+
+
+def execute(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
+    """Run the command line, or a line of Python, as a process of its own."""
+    started = ["-c", code] if code else ["-m", "taciturn.cli"]
+    return subprocess.run([sys.executable, *started, *arguments], capture_output=True, text=True, check=False)
+
+
+def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
+    """As a process, to a pipe: no progress."""
+    done = execute("evaluate", "two-mass", "--steps", "100000")
+    assert (done.returncode, done.stderr) == (0, "")
+    names = [line[:14].strip() for line in done.stdout.splitlines()]
+    assert names == ["policy", "cost", "rate, actuator", "all-time cost", "guaranteed"]
+
+
+def test_evaluate_json_is_one_document_with_the_promised_keys() -> None:
+    """As a process: standard output is JSON from its first to its last character."""
+    done = execute("evaluate", "two-mass", "--json", "--steps", "100000", "--seed", "3")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads(done.stdout)
+    promised = {
+        "policy",
+        "cost",
+        "cost_all_time",
+        "cost_bound",
+        "cost_bound_at_rate",
+        "rates",
+        "seed",
+        "seconds",
+        "reached",
+    }
+    assert promised <= set(document)
+    assert set(document["cost"]) == {"value", "standard_error", "method"}
+    assert set(document["rates"]) == {"actuator"}
+    assert set(document["rates"]["actuator"]) == {"value", "standard_error"}
+    assert (document["policy"], document["seed"], document["reached"]) == ("lqg", 3, True)
+    assert (document["cost_bound"], document["cost_bound_at_rate"]) == (
+        pytest.approx(1.1 * document["cost_all_time"]),
+        None,
+    )
+    assert document["cost"]["method"] == "simulation"
+
+
+def test_a_refusal_is_one_line_and_exit_code_2() -> None:
+    """As a process: nothing on standard output, no traceback."""
+    done = execute("evaluate", "nowhere")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert done.stderr.startswith("taciturn: there is no file 'nowhere'")
+
+
+def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
+    """So that it comes at once."""
+    code = (
+        "import sys\nfrom taciturn.cli import main\nsys.argv = ['taciturn', '--help']\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        "heavy = {'numpy', 'scipy', 'pydantic', 'matplotlib', 'llvmlite', 'xarray'} & set(sys.modules)\n"
+        "print('heavy:', sorted(heavy))"
+    )
+    done = execute(code=code)
+    assert "heavy: []" in done.stdout
+    for command in ("evaluate", "tradeoff", "reproduce"):
+        assert f"\n  {command}" in done.stdout
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    """``taciturn … | head -1`` prints no traceback."""
+    shell = f"{sys.executable} -m taciturn.cli evaluate two-mass --json --steps 20000 | true"
+    done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_told_in_one_sentence() -> None:
+    """And once."""
+    shell = f"{sys.executable} -m taciturn.cli evaluate two-mass --steps 20000 > /dev/full"
+    done = subprocess.run(shell, shell=True, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "No space left on device" in done.stderr
+
+
+def test_a_terminal_without_mathematics_still_gets_its_table(write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Letters that its encoding lacks are escaped."""
+    monkeypatch.setenv("PYTHONIOENCODING", "latin-1")
+    command = [sys.executable, "-m", "taciturn.cli", "tradeoff", write(policy=PERIODIC), "--over", "every=1,2"]
+    done = subprocess.run(command, capture_output=True, encoding="latin-1", check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "guaranteed \\u2264" in done.stdout
+    assert "0.5000 ± 0.0000" in done.stdout
+
+
+def test_without_a_command_the_help_is_shown(run: Run) -> None:
+    """And ``--version`` shows the version."""
+    assert "Commands:" in run().out
+    assert run("--version").out.strip().count(".") == 2
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (("nonsense",), "No such command 'nonsense'"),
+        (("--nonsense",), "No such option: --nonsense"),
+        (("evaluate",), "Missing argument 'FILE'"),
+        (("evaluate", "two-mass", "two-mass"), "Got unexpected extra argument"),
+        (("evaluate", "two-mass", "--nonsense"), "No such option: --nonsense"),
+        (("evaluate", "two-mass", "--stepz", "9"), "No such option: --stepz (Possible options: "),
+        (("evaluate", "two-mass", "--seed"), "Option '--seed' requires an argument"),
+        (("evaluate", "two-mass", "--seed", "x"), "Invalid value for '--seed'"),
+        (("evaluate", "two-mass", "--seed", "1.5"), "Invalid value for '--seed'"),
+        (("evaluate", "two-mass", "--seed", "9" * 5000), "Invalid value for '--seed'"),
+        (("evaluate", "two-mass", "--seed", "-1"), "seed is -1; expected a whole number, at least 0"),
+        (("evaluate", "two-mass", "--steps", "0"), "--steps is 0; expected a whole number, at least 1"),
+        (("evaluate", "two-mass", "--steps", "-5"), "--steps is -5; expected a whole number, at least 1"),
+        (("evaluate", "two-mass", "--steps", "5"), "steps is 5; expected a whole number, at least 1024"),
+        (("evaluate", "two-mass", "--steps", "1.5"), "Invalid value for '--steps'"),
+        (("evaluate", "two-mass", "--steps", "9" * 30), "--steps is 1e+30; expected --steps < 1e+13"),
+        (("evaluate", "two-mass", "--standard-error", "0"), "--standard-error is 0; expected 0 < --standard-error"),
+        (("evaluate", "two-mass", "--standard-error", "-1"), "--standard-error is -1; expected 0 < --standard-error"),
+        (("evaluate", "two-mass", "--standard-error", "nan"), "--standard-error is nan; expected a finite number"),
+        (("evaluate", "two-mass", "--standard-error", "inf"), "--standard-error is inf; expected a finite number"),
+        (("evaluate", "two-mass", "--standard-error", "x"), "Invalid value for '--standard-error'"),
+        (
+            ("evaluate", "two-mass", "--standard-error", "1", "--steps", "2000"),
+            "standard_error and steps are both given; expected one of them",
+        ),
+        (
+            ("evaluate", "two-mass", "--method", "nonsense"),
+            "method is 'nonsense'; expected 'auto', 'simulation' or 'exact'",
+        ),
+        (
+            ("evaluate", "two-mass", "--method", "exact"),
+            "method is 'exact', and lqg has no closed form here; expected 'auto' or 'simulation'",
+        ),
+        (("tradeoff", "two-mass"), "Missing option '--over'"),
+        (("tradeoff", "two-mass", "--over"), "Option '--over' requires an argument"),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x.bmp"),
+            "the picture 'x.bmp' ends in '.bmp'; expected",
+        ),
+        (("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x"), "the picture 'x' ends in ''; expected one of"),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "no/such/x.svg"),
+            "the folder 'no/such' does not exist; expected a folder to write the picture to",
+        ),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--seed", "-1"),
+            "seed is -1; expected a whole number, at least 0",
+        ),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--standard-error", "-1"),
+            "--standard-error is -1; expected 0 < --standard-error",
+        ),
+        (("reproduce", "chapter99"), "there is nothing to reproduce by the name 'chapter99'; expected one of chapter"),
+        (
+            ("reproduce", "chapter2", "--out", "/dev/null"),
+            "the folder '/dev/null' cannot be made (File exists); expected",
+        ),
+    ],
+    ids=lambda value: " ".join(value)[-50:] if isinstance(value, tuple) else "",
+)
+def test_a_wrong_command_line_is_refused(run: Run, arguments: tuple[str, ...], sentence: str) -> None:
+    """Commands, options and their values."""
+    assert run(*arguments).sentence.startswith(sentence)
+
+
+@pytest.mark.parametrize("policy", [ALL_TIME, PERIODIC], ids=["all-time", "periodic"])
+def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, policy: str) -> None:
+    """Standard error 0, whether asked for or not; what no simulation could do is refused all the same."""
+    path = write(policy=policy)
+    for method in ("exact", "auto"):
+        document = json.loads(run("evaluate", path, "--json", "--method", method).out)
+        assert (document["cost"]["method"], document["cost"]["standard_error"], document["steps"]) == ("exact", 0.0, 0)
+    assert run("evaluate", path, "--steps", "0").sentence == "--steps is 0; expected a whole number, at least 1"
+    assert run("evaluate", path, "--standard-error", "nan").sentence.startswith("--standard-error is nan; expected")
+
+
+@pytest.mark.parametrize(
+    ("over", "sentence"),
+    [
+        ("theta", "--over 'theta' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        ("theta=", "--over 'theta=' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        ("=1", "--over '=1' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        ("theta=1,,2", "--over 'theta=1,,2' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        (".=1", "--over '.=1' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        ("plant..dt=1", "--over 'plant..dt=1' is not understood; expected NAME=v1,v2,…, as theta=0.1,1"),
+        ("thet=1", "the changed problem: policy.thet is not a parameter of lqg; expected one of theta, period,"),
+        ("theta=0.1,-1", "theta is -1; expected 0 ≤ theta"),
+        ("theta=nan", "theta is nan; expected a finite number"),
+        ("theta=true", "the changed problem: policy.theta is 'true'; expected a number"),
+        ("theta=0.1,a", "the changed problem: policy.theta is 'a'; expected a number"),
+        ("trigger=joint,sep", "the changed problem: policy.trigger is 'sep'; expected 'joint' or 'separate'"),
+        ("kind=nonsense", "the changed problem: policy.kind is 'nonsense'; expected one of all-time, periodic, lqg"),
+        ("plant.dt=x", "the changed problem: plant.dt is 'x'; expected a number"),
+        ("plant.dt=0", "the changed problem: dt is 0; expected 0 < dt"),
+        ("plant.foo=1", "the changed problem: plant.foo is not a known key; expected one of A, B, C, W, V, dt,"),
+        ("foo.bar=1", "the changed problem: foo is not a known key; expected one of plant, cost, network,"),
+        ("plant.dt.x=1", "plant.dt.x is no key: dt is 1.0; expected a key, as plant.dt"),
+        ("plant.A.0=1", "plant.A.0 is no key: A is [[1.2]]; expected a key, as plant.dt"),
+        ("cost.R=1,2", "the changed problem: cost.R is 1; expected a list"),
+        ("cost.discount=0.9", "cost.discount is 0.9, which lqg does not use; expected an average cost: remove it"),
+        ("network.actuator_loss=0.1", "the changed problem: network.actuator_loss is given for an ideal network;"),
+        ("network.delay=1", "network.delay is given, which lqg does not use; expected ideal links: remove it"),
+    ],
+)
+def test_a_wrong_value_to_trade_off_over_is_refused_before_anything_runs(
+    run: Run, write: Write, over: str, sentence: str
+) -> None:
+    """Malformed, unknown, of the wrong type, out of range, or of no use to the policy."""
+    assert run("tradeoff", write(), "--over", over).sentence.startswith(sentence)
+
+
+def test_a_name_given_twice_is_refused(run: Run, write: Write) -> None:
+    """Under either of its names, so that no list is lost in silence."""
+    told = run("tradeoff", write(), "--over", "theta=1", "--over", "policy.theta=2").sentence
+    assert told.startswith("--over policy.theta is given twice; expected all its values in one list")
+
+
+def test_dotted_names_change_the_tables_of_the_file(run: Run, write: Write) -> None:
+    """``policy.theta`` is ``theta``, and two names make a grid."""
+    path = write()
+    answer = run(
+        "tradeoff", path, "--json", "--over", "policy.theta=0.1,1", "--over", "plant.dt=0.5", "--standard-error", "0.01"
+    )
+    assert (answer.code, answer.err) == (0, "")
+    values = [point["values"] for point in json.loads(answer.out)["points"]]
+    assert values == [{"policy.theta": 0.1, "plant.dt": 0.5}, {"policy.theta": 1, "plant.dt": 0.5}]
+
+
+def test_tradeoff_draws_a_picture(run: Run, write: Write, tmp_path: Path) -> None:
+    """Beside the table; a folder in its place is refused in a sentence."""
+    picture = tmp_path / "ünï.svg"
+    answer = run("tradeoff", write(), "--over", "theta=0.1,1", "--standard-error", "0.01", "--plot", str(picture))
+    assert answer.code == 0
+    assert answer.out.splitlines()[-1] == f"picture: {picture}"
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+    (tmp_path / "folder.svg").mkdir()
+    answer = run("tradeoff", write(policy=PERIODIC), "--over", "every=2", "--plot", str(tmp_path / "folder.svg"))
+    assert "cannot be written" in answer.sentence
+
+
+def test_a_precision_out_of_reach_is_told_after_the_result(
+    run: Run, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 2, and the JSON still printed, with ``"reached": false``."""
+    monkeypatch.setattr(average, "BUDGET", 20_000)
+    answer = run("evaluate", write(), "--json", "--standard-error", "1e-9")
+    assert (answer.code, json.loads(answer.out)["reached"]) == (2, False)
+    assert answer.err.count("\n") == 1
+    assert answer.err.startswith("taciturn: the standard error 1e-09 was not reached within ")
+    assert answer.err.endswith(": ask for a larger --standard-error\n")
+    answer = run("tradeoff", write(), "--json", "--standard-error", "1e-9", "--over", "theta=0.1,1")
+    assert (answer.code, [p["reached"] for p in json.loads(answer.out)["points"]]) == (2, [False, False])
+    assert answer.err.startswith("taciturn: the standard error was not reached at 2 of 2 points, first at theta=0.1:")
+
+
+def test_steps_that_do_not_outlast_the_start_are_told(run: Run, write: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where a run of so many steps has not settled, more steps are the remedy, not another standard error."""
+    monkeypatch.setattr(taciturn, "evaluate", lambda *a, **k: replace(evaluate(*a, **k), reached=False), raising=False)
+    answer = run("evaluate", write(), "--steps", "2000", "--json")
+    assert (answer.code, json.loads(answer.out)["reached"]) == (2, False)
+    assert answer.err.startswith("taciturn: the loop has not settled within ")
+    assert answer.err.endswith(" steps: ask for more --steps\n")
+
+
+@pytest.mark.parametrize("effort", [(), ("--steps", "20000")], ids=["precision", "steps"])
+@pytest.mark.parametrize("A", [2.5, 1.9, 300.0])
+def test_a_loop_that_diverges_says_so(run: Run, write: Write, A: float, effort: tuple[str, ...]) -> None:
+    """An actual plant that the policy cannot hold."""
+    actual = f"[plant.actual]\nA = [[{A}]]\nB = [[0.1]]\nW = [[0.01]]\ndt = 1.0\n"
+    told = run("evaluate", write(plant=PLANT + actual), *effort).sentence
+    assert told.startswith("the loop of lqg diverges: its cost ")
+    assert "expected a stable loop; send more often, or check [plant.actual] and input_limit" in told
+
+
+def test_an_actual_plant_takes_the_guarantee_away(run: Run, write: Write) -> None:
+    """And a note says why."""
+    actual = "[plant.actual]\nA = [[1.21]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
+    document = json.loads(run("evaluate", write(plant=PLANT + actual), "--json", "--steps", "20000").out)
+    assert document["cost_bound"] is None
+    assert document["cost_all_time"] is None
+    assert "no guarantee holds" in document["notes"][0]
+
+
+@pytest.mark.parametrize(
+    "plant",
+    [
+        PLANT.replace("0.01", "0.0"),
+        PLANT.replace("1.2", "0.0"),
+        PLANT.replace("1.2", "0.5").replace("B = [[1.0]]", "B = [[0.0]]"),
+        PLANT.replace("dt = 1.0", "dt = 1e-300"),
+        PLANT.replace("0.01", "1e100"),
+        PLANT.replace("0.01", "1e-100"),
+    ],
+    ids=["W = 0", "A = 0", "B = 0", "dt tiny", "W huge", "W tiny"],
+)
+@pytest.mark.parametrize(
+    "policy", ['[policy]\nkind = "lqg"\ntheta = 0.5', ALL_TIME, PERIODIC], ids=["lqg", "all", "two"]
+)
+def test_the_edges_of_what_is_legal_give_numbers(run: Run, write: Write, plant: str, policy: str) -> None:
+    """Finite costs within the guarantee, and lines that fit a screen."""
+    path = write(plant=plant, policy=policy)
+    document = json.loads(run("evaluate", path, "--json", "--steps", "20000").out, parse_constant=pytest.fail)
+    if document["cost_bound"] is not None:
+        assert document["cost"]["value"] <= document["cost_bound"]
+    shown = run("evaluate", path, "--steps", "20000")
+    assert (shown.code, shown.err) == (0, "")
+    assert max(map(len, shown.out.splitlines())) < 100
+
+
+@pytest.mark.parametrize("value", ["1e300", "1e160", "-1e300", "99999999999999999999999999", "1e-300", "5e-324"])
+@pytest.mark.parametrize("key", ["A", "B", "W", "V", "Q", "R", "mean", "dt"])
+def test_numbers_at_the_ends_of_the_range_are_answered_or_refused(run: Run, write: Write, key: str, value: str) -> None:
+    """Never a traceback, a NaN or a warning: a number, or one sentence."""
+    data = {
+        "A": "1.2",
+        "B": "1.0",
+        "W": "0.01",
+        "V": "0.1",
+        "Q": "1.0",
+        "R": "2.0",
+        "mean": "0.0",
+        "dt": "1.0",
+        key: value,
+    }
+    plant = "[plant]\n" + "\n".join(f"{name} = [[{data[name]}]]" for name in "ABWV") + f"\ndt = {data['dt']}\n"
+    plant += f"C = [[1.0]]\n[plant.initial]\nmean = [{data['mean']}]\n"
+    cost = f"[cost]\nQ = [[{data['Q']}]]\nR = [[{data['R']}]]\n"
+    answer = run("evaluate", write(plant=plant, cost=cost), "--json", "--steps", "2000")
+    assert answer.err.count("\n") == (answer.code == 2)
+    if answer.out:
+        json.loads(answer.out, parse_constant=pytest.fail)
+
+
+@pytest.mark.parametrize("period", ["1e-12", "1e-300", "1e3", "1e300"])
+@pytest.mark.parametrize(
+    "policy", ['"lqg"\ntheta = 0.1', '"periodic"', '"periodic"\nactuation = "model"', '"all-time"']
+)
+def test_periods_at_the_ends_of_the_range_are_answered_or_refused(
+    run: Run, write: Write, policy: str, period: str
+) -> None:
+    """Sampling a billionth of a second or an age apart."""
+    plant = "[plant]\nA = [[0, 1], [0, 0]]\nB = [[0], [1]]\nW = [[0, 0], [0, 2.5]]\n"
+    cost = "[cost]\nQ = [[1, 0], [0, 1]]\nR = [[1]]\n"
+    path = write(plant=plant, cost=cost, policy=f"[policy]\nkind = {policy}\nperiod = {period}\n")
+    answer = run("evaluate", path, "--json", "--steps", "2000")
+    assert answer.err.count("\n") == (answer.code == 2)
+    if answer.out:
+        json.loads(answer.out, parse_constant=pytest.fail)

@@ -1,0 +1,322 @@
+"""Policies are data, and data that do not fit together are refused when the policy is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taciturn import Estimate, Form, Guarantee, Plant, Policy, ProblemError, Scheduled, Trigger
+from taciturn.model.policy import (
+    Acknowledged,
+    Assign,
+    ClosedForm,
+    Decide,
+    Draw,
+    Evaluate,
+    Location,
+    Received,
+    Send,
+    Step,
+)
+
+PLANT = Plant([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], 0.01 * np.eye(2))
+L = np.array([[-1.0, -1.5]])
+ONE = np.eye(1)
+COMMAND = Assign("controller", "command", {"y": L})
+TRIGGER = Trigger({"silent": Form(("command",), ONE), "send": Form(constant=1.0)})
+DECIDE = Decide("controller", "send", TRIGGER)
+SEND = Send("controller", "actuator", ("command",), "send")
+INPUT = Assign("actuator", "input", ({"input": ONE}, {"command": ONE}), Received("actuator"))
+STEPS: tuple[Step, ...] = (COMMAND, DECIDE, SEND, INPUT)
+
+
+def make(steps: tuple[Step, ...] = STEPS, **more: Any) -> Policy:
+    """Return a policy that sends the command when it is large."""
+    return Policy("large", steps, PLANT, **{"cost_all_time": 1.0} | more)
+
+
+def refusal(action: Callable[[], object]) -> str:
+    """Return the sentence with which an action is refused."""
+    with pytest.raises(ProblemError) as found:
+        action()
+    return str(found.value)
+
+
+def test_a_policy_knows_its_signals_and_decisions() -> None:
+    """Sizes follow from the matrices, outcomes from the triggers."""
+    policy = make()
+    assert policy.sizes == {"y": 2, "command": 1, "input": 1}
+    assert policy.decisions == {"send": TRIGGER}
+    assert (policy.outcomes("send"), policy.outcomes(Received("actuator")), TRIGGER.reads) == (2, 2, ("command",))
+
+
+TRANSPOSED = Assign("controller", "command", {"y": L.T})
+AT_TWO = Assign("controller", "command", {"y": Scheduled("clock", [L, L])})
+CLOCK = Location("clock", np.array([1, 0]))
+WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
+    (
+        (TRANSPOSED, *STEPS[1:]),
+        {},
+        "the weight of y in command has shape (2, 1); expected 2 columns, the entries of y. Did you",
+    ),
+    (
+        (Assign("controller", "command", {"y": ONE}), *STEPS[1:]),
+        {},
+        "the weight of y in command has shape (1, 1); expected 2",
+    ),
+    ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'y']"),
+    ((COMMAND, SEND, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
+    ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
+    ((COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE), {}, "the condition 'send' is not"),
+    (
+        (COMMAND, DECIDE, Assign("controller", "held", ({"held": ONE},) * 3, "send")),
+        {},
+        "held has 3 branches; expected 2, one per outcome of send",
+    ),
+    (
+        (*STEPS, Evaluate("controller", "memory", (Form(constant=1.0),) * 3, Received("actuator"))),
+        {},
+        "memory has 3 branches; expected 2, one per outcome of Received(link='actuator')",
+    ),
+    (STEPS[:3], {}, "input is never assigned; expected 1 entries, assigned at the actuator"),
+    ((Assign("actuator", "input", {"y": np.eye(2)}),), {}, "input has 2 entries; expected 1 entries, assigned at the"),
+    (
+        (COMMAND, Assign("controller", "command", {"y": np.eye(2)}), *STEPS[1:]),
+        {},
+        "command has 1 entries in one step and 2 in another; expected one size",
+    ),
+    (
+        (COMMAND, Decide("controller", "send", Trigger({"a": Form(("y",), ONE), "b": Form()})), SEND, INPUT),
+        {},
+        "Psi over ('y',) has shape (1, 1); expected (2, 2)",
+    ),
+    (
+        (*STEPS, Evaluate("controller", "sum", (Form(plus={"y": 1.0}),))),
+        {},
+        "y has 2 entries; expected a scalar signal",
+    ),
+    (
+        (COMMAND, DECIDE, Send("controller", "actuator", ("comand",), "send"), INPUT),
+        {},
+        "the signal 'comand' is never assigned; expected one of ['command', 'input', 'y']",
+    ),
+    (
+        (COMMAND, DECIDE, Send("controller", "actuator", ("command",), "send", ("sent",)), INPUT),
+        {},
+        "the packet of the actuator link is sent on the label 'sent'; expected a label of its decision (send)",
+    ),
+    (
+        (COMMAND, Send("controller", "actuator", ("command",), None, ("send",)), INPUT),
+        {},
+        "the packet of the actuator link is sent on the label 'send'; expected a label of its decision (None)",
+    ),
+    (
+        (AT_TWO, *STEPS[1:]),
+        {},
+        "a table by 'clock' has 2 entries, and there are no such location among []; expected one per location",
+    ),
+    (
+        (AT_TWO, *STEPS[1:]),
+        {"locations": (Location("clock", np.array([1, 2, 0])),)},
+        "a table by 'clock' has 2 entries, and there are 3 locations; expected one per location",
+    ),
+    (
+        STEPS,
+        {"locations": (Location("mode", np.zeros((2, 3)), "controller", "send"),)},
+        "location mode has 3 columns; expected 2, one per outcome of send",
+    ),
+    (
+        STEPS,
+        {"locations": (Location("mode", np.zeros((2, 2)), "controller", "query"),)},
+        "the condition 'query' is no decision; expected one of ['send']",
+    ),
+    (STEPS, {"initial": {"nothing": [1.0]}}, "the signal 'nothing' is never assigned; expected one of"),
+    (STEPS, {"initial": {"input": [1.0, 2.0]}}, "initial input has shape (2,); expected (1,)"),
+    (STEPS, {"tick": 0.0}, "tick is 0; expected 0 < tick"),
+    (STEPS, {"tick": np.nan}, "tick is nan; expected a finite number"),
+    (
+        STEPS,
+        {"cost_all_time": np.nan},
+        "the all-time cost of large is nan; expected a finite number: scale the problem",
+    ),
+    (STEPS, {"noise_cost": np.inf}, "the inter-sample noise cost of large is inf; expected a finite number"),
+    (
+        STEPS,
+        {"guarantee": Guarantee(np.inf, "J ≤ ∞", "none")},
+        "the guaranteed cost of large is inf; expected a finite",
+    ),
+    (STEPS, {"closed_form": ClosedForm(np.inf, {})}, "the cost of large is inf; expected a finite number"),
+]
+
+
+@pytest.mark.parametrize(("steps", "more", "sentence"), WRONG, ids=lambda value: str(value)[:30])
+def test_a_policy_that_does_not_fit_together_is_refused(
+    steps: tuple[Step, ...], more: dict[str, Any], sentence: str
+) -> None:
+    """Signals, conditions, labels, tables and costs are checked against one another."""
+    told = refusal(lambda: make(steps, **more))
+    assert told.startswith(sentence)
+    assert ("transpose" in told) == ("Did you" in sentence)
+
+
+def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
+    """The legal counterpart of the refusals above."""
+    assert make((AT_TWO, *STEPS[1:]), locations=(CLOCK,)).locations == (CLOCK,)
+
+
+@pytest.mark.parametrize(
+    ("action", "sentence"),
+    [
+        (lambda: Assign("controller", "u", ()), "u has 0 branches on None; expected one without a condition"),
+        (
+            lambda: Assign("controller", "u", ({"y": L}, {"y": L})),
+            "u has 2 branches on None; expected one without a condition, several with one",
+        ),
+        (
+            lambda: Assign("controller", "u", {"y": L}, Received("sensor")),
+            "u has 1 branches on Received(link='sensor'); expected one without a condition, several with one",
+        ),
+        (lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}), "the terms of u have [1, 2] rows; expected one"),
+        (lambda: Assign("controller", "u", {"y": [1.0]}), "the weight of y in u has shape (1,); expected (any, any)"),
+        (lambda: Assign("controller", "u", {"y": [[np.inf]]}), "the weight of y in u holds inf at index (0, 0)"),
+        (
+            lambda: Assign("controller", "u", {"y": Scheduled("clock", [1.0, 2.0])}),
+            "the weight of y in u is a table of numbers; expected a table of matrices",
+        ),
+        (
+            lambda: Evaluate("controller", "s", (Form(), Form())),
+            "s has 2 forms on None; expected one without a condition, several with one",
+        ),
+        (
+            lambda: Evaluate("controller", "s", (Form(),), "send"),
+            "s has 1 forms on send; expected one without a condition, several with one",
+        ),
+        (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
+        (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
+        (lambda: Form(("y",)), "a form has signals ('y',) without Psi; expected both, or neither"),
+        (lambda: Form(Psi=ONE), "a form has Psi without signals; expected both, or neither"),
+        (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
+        (lambda: Form(("y",), [[1, 2]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
+        (lambda: Form(("y",), [[np.nan]]), "Psi holds nan at index (0, 0); expected finite numbers"),
+        (
+            lambda: Form(("y",), Scheduled("clock", [[[1, 2], [3, 4]]])),
+            "Psi over ('y',) is not symmetric; expected a symmetric matrix",
+        ),
+        (lambda: Form(("y",), Scheduled("clock", [1.0])), "Psi is a table of numbers; expected a table of matrices"),
+        (lambda: Form(constant=np.nan), "the constant of a form is nan; expected a finite number"),
+        (
+            lambda: Form(constant=Scheduled("clock", [ONE])),
+            "the constant by 'clock' is a table of matrices; expected a",
+        ),
+        (lambda: Form(plus={"s": np.inf}), "the weight of s is inf; expected a finite number"),
+        (
+            lambda: Scheduled("clock", []),
+            "the table by 'clock' has shape (0,); expected (locations,) or (locations, rows",
+        ),
+        (lambda: Scheduled("clock", [[1.0]]), "the table by 'clock' has shape (1, 1); expected (locations,) or"),
+        (lambda: Scheduled("clock", [1.0, np.nan]), "the table by 'clock' holds nan at index (1,); expected finite"),
+        (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table by 'clock' is not an array of numbers ("),
+        (
+            lambda: Location("clock", np.array([1, 2])),
+            "location clock has entries from 1 to 2; expected whole indices from",
+        ),
+        (
+            lambda: Location("clock", np.array([-1, 0])),
+            "location clock has entries from -1 to 0; expected whole indices",
+        ),
+        (
+            lambda: Location("clock", np.array([0.5, 0])),
+            "location clock has entries from 0 to 0.5; expected whole indices",
+        ),
+        (
+            lambda: Location("clock", np.array([])),
+            "location clock has no entries; expected whole indices from 0, below 0",
+        ),
+        (
+            lambda: Location("clock", np.array(0)),
+            "the table of location clock has shape (); expected (any,) = (locations,)",
+        ),
+        (lambda: Location("clock", np.zeros((2, 2))), "the table of location clock has shape (2, 2); expected (any,)"),
+        (
+            lambda: Location("mode", np.zeros(2), "controller", "send"),
+            "the table of location mode has shape (2,); expected (any, any) = (locations, outcomes)",
+        ),
+        (
+            lambda: Location("clock", np.array([0]), initial=1),
+            "location clock starts at 1; expected an index from 0, below 1",
+        ),
+        (
+            lambda: Location("mode", np.zeros((2, 2)), on="send"),
+            "location mode depends on send but has no node; expected the node that owns it",
+        ),
+    ],
+    ids=lambda value: value[:50] if isinstance(value, str) else "",
+)
+def test_a_part_of_a_policy_that_does_not_fit_is_refused(action: Callable[[], object], sentence: str) -> None:
+    """Steps, triggers, forms, tables and locations are checked when they are made."""
+    assert refusal(action).startswith(sentence)
+
+
+def test_what_a_policy_holds_is_frozen_and_its_own() -> None:
+    """Matrices, tables and first values can be neither written to nor changed from outside."""
+    gain, Psi, table, start = np.array(L), np.eye(1), np.array([1, 0]), np.ones(1)
+    step = Assign("controller", "command", {"y": gain})
+    policy = make((step, *STEPS[1:]), initial={"input": start})
+    kept = (
+        (step.branches[0]["y"], gain),
+        (Form(("u",), Psi).Psi, Psi),
+        (Location("clock", table).table, table),
+        (Scheduled("clock", start).values, start),
+        (policy.initial["input"], start),
+    )
+    for held, given in kept:
+        assert isinstance(held, np.ndarray)
+        assert not np.shares_memory(held, given)
+        with pytest.raises(ValueError, match="read-only"):
+            held[...] = 7
+
+
+def test_a_form_is_symmetrised_and_says_what_it_reads() -> None:
+    """Rounding in Psi is taken out; scalar signals that are added count as read."""
+    form = Form(("y",), [[1.0, 0.5], [0.5 + 1e-12, 1.0]], plus={"memory": -1.0})
+    assert isinstance(form.Psi, np.ndarray)
+    np.testing.assert_array_equal(form.Psi, form.Psi.T)
+    assert form.reads == ("y", "memory")
+
+
+def test_sites_gather_nodes() -> None:
+    """A node without neighbours is alone at its site."""
+    policy = make(sites=(frozenset({"sensor", "controller"}),))
+    assert policy.site("sensor") == policy.site("controller") == {"sensor", "controller"}
+    assert policy.site("actuator") == {"actuator"}
+
+
+def test_a_guarantee_depends_on_the_rate_where_it_says_so() -> None:
+    """J ≤ base + per_silence·(1 − rate), or nothing."""
+    assert Guarantee(2.0, "J", "x").at_rate(0.5) is None
+    assert Guarantee(2.0, "J", "x", base=1.0, per_silence=0.8).at_rate(0.25) == pytest.approx(1.6)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (0.7441234, 0.0, "0.744123"),
+        (0.7441234, 0.00034, "0.74412 ± 0.00034"),
+        (12345.6, 7.0, "12345.6 ± 7.0"),
+        (12345.6, 120.0, "12346 ± 120"),
+        (7.3e99, 1.4e96, "7.3e+99 ± 1.4e+96"),
+        (7.3e-101, 1.4e-104, "7.3e-101 ± 1.4e-104"),
+    ],
+)
+def test_an_estimate_is_shown_with_the_digits_its_error_supports(value: float, error: float, text: str) -> None:
+    """Never a hundred digits."""
+    assert str(Estimate(value, error, "simulation")) == text
+
+
+def test_the_conditions_are_values() -> None:
+    """Two conditions on one link are the same condition; a draw is a scalar signal."""
+    assert Received("sensor") == Received("sensor") != Acknowledged("sensor")
+    assert make((*STEPS, Draw("controller", "draw"))).sizes["draw"] == 1
