@@ -1,4 +1,4 @@
-"""What does an inverted pendulum save if its controller speaks only when it must? The plant comes from python-control."""
+"""What does an inverted pendulum save if its controller speaks only when it must? Its model is from python-control."""
 
 import control
 import numpy as np

@@ -6,9 +6,9 @@ problem = taciturn.load("two-mass")
 grid = taciturn.tradeoff(problem, {"theta": [0.05, 0.2, 1.0], "trigger": ["joint", "separate"]}, standard_error=2e-4)
 for point in grid.points:
     found = point.evaluation
-    print(
-        f"{point.values}: sends {found.rates['actuator'].value:.1%}, costs {found.cost.value / found.cost_all_time - 1:.2%} "
-        f"above all-time, periodic control at this rate {point.cost_periodic_same_rate / found.cost_all_time - 1:.2%}"
-    )
+    above = found.cost.value / found.cost_all_time - 1
+    periodic = point.cost_periodic_same_rate / found.cost_all_time - 1
+    print(f"{point.values}: sends {found.rates['actuator'].value:.1%}, costs {above:.2%} above all-time,")
+    print(f"  where periodic control at this rate costs {periodic:.2%} above it")
 grid.plot().savefig("two_masses_over_a_network.svg")
 assert all(point.evaluation.cost.value < point.cost_periodic_same_rate for point in grid.points)

@@ -51,7 +51,9 @@ def test_every_example_runs(path: Path, tmp_path: Path) -> None:
     assert len(text.splitlines()) <= 60
     assert text.rstrip().splitlines()[-1].startswith("assert ")
     environment = {**os.environ, "MPLBACKEND": "Agg"}
-    done = subprocess.run([sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stderr
 
 

@@ -68,6 +68,8 @@ def check_format(path: str | Path) -> Path:
     path = Path(path)
     if path.suffix.lower() not in FORMATS:
         raise ProblemError(f"the picture {str(path)!r} ends in {path.suffix!r}; expected one of {', '.join(FORMATS)}")
+    if path.is_dir():
+        raise ProblemError(f"the picture {str(path)!r} is a folder; expected the name of a file")
     if not path.parent.is_dir():
         raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the picture to")
     return path
@@ -80,8 +82,9 @@ def save(figure: Figure, path: str | Path) -> None:
         ProblemError: another ending, or the file cannot be written.
     """
     target = check_format(path)
+    drawn: Any = figure
     try:
-        figure.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
+        drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
     except OSError as error:
         raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
 

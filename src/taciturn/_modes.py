@@ -91,7 +91,9 @@ def root(matrix: Array) -> Array:
 def factor(covariance: Array) -> Array:
     """Return G with G G' = covariance: the Cholesky factor, which is cheaper to apply, where there is one."""
     found = root(covariance)
-    return np.linalg.cholesky(covariance) if found.shape[1] == len(covariance) else found
+    if found.shape[1] == len(covariance):
+        found[:] = np.linalg.cholesky(covariance)
+    return found
 
 
 def accumulate(F: ArrayLike, W: ArrayLike) -> Array:

@@ -298,7 +298,7 @@ def _print_tradeoff(found: Tradeoff) -> None:
                 str(e.cost),
                 _above(e) if e.cost_all_time else "",
                 "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
-                "unstable" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
+                "none" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
             ]
         )
     _print_table(header, rows)

@@ -116,10 +116,9 @@ class Loop:
         rows: list[Array] = []
         for state in program.states:
             if isinstance(state.start, tuple):
-                name, index = state.start  # pyright: ignore[reportUnknownVariableType]  # (name, entry)
+                name, index = state.start
                 rows.append(drawn[name][index])
             else:
-                assert isinstance(state.start, float)
                 rows.append(np.full(paths, state.start))
         return np.array(rows).reshape(len(rows), paths)
 

@@ -258,7 +258,7 @@ def test_tradeoff_draws_a_picture(run: Run, write: Write, tmp_path: Path) -> Non
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
     (tmp_path / "folder.svg").mkdir()
     answer = run("tradeoff", write(policy=PERIODIC), "--over", "every=2", "--plot", str(tmp_path / "folder.svg"))
-    assert "cannot be written" in answer.sentence
+    assert "is a folder" in answer.sentence
 
 
 def test_a_precision_out_of_reach_is_told_after_the_result(

@@ -30,7 +30,7 @@ def test_95_percent_intervals_of_the_plain_average_cover_the_exact_cost() -> Non
 
 
 def test_95_percent_intervals_of_completed_squares_cover_a_long_run() -> None:
-    """Over 400 seeds the value of a run 2,000 times as long lies inside as often as it should."""
+    """Over 400 seeds the value of a run 2,000 times as long lies inside as it should."""
     policy = design.lqg(PLANT, COST, theta=0.5)
     loop = close(PLANT, policy, cost=COST)
     estimator = completed_squares(loop)
@@ -49,7 +49,7 @@ def test_completed_squares_have_far_less_variance_than_the_plain_average() -> No
 
 
 def test_a_discounted_cost_is_a_discounted_sum() -> None:
-    """Linear feedback of the full state: Σ α^k E[stage] = tr(X Θ) + α/(1−α) tr(X W), X of the discounted closed loop."""
+    """Linear feedback of the full state: tr(X Θ) + α/(1−α) tr(X W), X of the discounted closed loop."""
     discount = 0.9
     plant = Plant(PLANT.A, PLANT.B, PLANT.W, mean=[1.0, -2.0], covariance=[[0.2, 0.0], [0.0, 0.1]])
     policy = design.all_time(plant, COST)

@@ -29,7 +29,9 @@ def test_the_curve_rises_with_the_period(plant: ContinuousPlant) -> None:
     if plant is STABLE:
         open_loop = design.periodic(plant, COST, period=60.0).closed_form
         A, W = plant.A, plant.W
-        free = np.trace(COST.Q @ np.linalg.solve(np.kron(A, np.eye(2)) + np.kron(np.eye(2), A), -W.ravel()).reshape(2, 2))
+        free = np.trace(
+            COST.Q @ np.linalg.solve(np.kron(A, np.eye(2)) + np.kron(np.eye(2), A), -W.ravel()).reshape(2, 2)
+        )
         assert open_loop is not None
         assert open_loop.cost == pytest.approx(free, rel=0.02)  # without control, nearly
     else:
@@ -54,7 +56,9 @@ def test_a_continuous_prediction_costs_what_the_formula_says() -> None:
     for rate in (0.5, 1.0, 4.0):
         policy = design.periodic(plant, cost, period=1 / rate, actuation="model")
         assert policy.closed_form is not None
-        assert policy.closed_form.cost == pytest.approx(21.395904 + 9.155694 / rate + 2.255326 / rate**2 + 0.208333 / rate**3, abs=2e-5)
+        assert policy.closed_form.cost == pytest.approx(
+            21.395904 + 9.155694 / rate + 2.255326 / rate**2 + 0.208333 / rate**3, abs=2e-5
+        )
         loop = close(plant, policy, cost=cost)
         found = average(loop, plain_average(loop), seed=5, steps=10_000_000)
         assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error

@@ -17,7 +17,7 @@ from taciturn.design.certainty import (
 )
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.periodic import periodic_cost
+from taciturn.lqg.periodic import lift, periodic_cost
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -94,10 +94,10 @@ def periodic(
         certainty = design_certainty("periodic", discretise(plant, cost, period))
         steps, initial = control_steps(certainty, certainty.regulator.L, "hold", None)
         return _blind("periodic", certainty, steps, initial, certainty.cost_all_time, 1)
+    certainty = design_certainty("periodic", discretise(plant, cost, period))
     if every is None:
         raise ProblemError("every is missing; expected the steps between sends, at least 1")
     every = count("every", every)
-    certainty = design_certainty("periodic", discretise(plant, cost, period))
     if actuation == "model":
         L, average = certainty.regulator.L, _predicted_cost(certainty, every)
     else:
@@ -131,13 +131,11 @@ def _blind(
 
 def _predicted_cost(certainty: Certainty, every: int) -> float:
     """J_all + (1/k) Σ_{j<k} tr(L'HL V_j): the error before a send is what the innovations of j steps have left."""
-    A, regulator = certainty.problem.plant.A, certainty.regulator
+    plant, regulator = certainty.problem.plant, certainty.regulator
     weight = regulator.L.T @ regulator.H @ regulator.L
     fresh = certainty.estimation.filter.prior - certainty.estimation.filter.posterior
-    spread, excess = np.zeros_like(fresh), 0.0
-    for _ in range(every - 1):
-        spread = A @ spread @ A.T + fresh
-        excess += float(np.trace(weight @ spread))
+    free = np.zeros((plant.inputs, plant.inputs))
+    excess = lift(plant.A, plant.B, weight, free, np.zeros_like(plant.B), fresh, every).noise_cost
     return certainty.cost_all_time + excess / every
 
 

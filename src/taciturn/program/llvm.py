@@ -2,7 +2,8 @@
 
 The printed function runs blocks of ``lanes`` paths through any number of ticks:
 
-    void run(i64 first, i64 end, i64 ticks, double* state, double* sums, double* constants, double* inputs, double* outputs)
+    void run(i64 first, i64 end, i64 ticks,
+             double* state, double* sums, double* constants, double* inputs, double* outputs)
 
 with state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, ticks, inputs, lanes) and outputs alike.
 Constants and tables are read from memory, so programs of equal structure share one machine code.
@@ -45,6 +46,7 @@ class _Printer:
     def __init__(self, program: Program, lanes: int, build: Build) -> None:
         self.program, self.lanes, self.flags = program, lanes, _FLAGS[build]
         self.doubles, self.words, self.truths = f"<{lanes} x double>", f"<{lanes} x i64>", f"<{lanes} x i1>"
+        self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
         self.lines: list[str] = []
         self.counter = 0
 
@@ -54,19 +56,19 @@ class _Printer:
         outer = self._section(self._load_states)
         body = self._section(self._tick)
         phis = [
-            f"  %state{i} = phi {U if state.word else V} [ %start{i}, %outer ], [ {self.names[program.following[i]]}, %tick ]"
-            for i, state in enumerate(program.states)
+            f"  %state{i} = phi {U if state.word else V} [ %start{i}, %outer ], [ {self.names[index]}, %tick ]"
+            for i, (state, index) in enumerate(zip(program.states, program.following, strict=True))
         ]
         phis += [
-            f"  %sum{i} = phi {V} [ zeroinitializer, %outer ], [ %next_sum{i}, %tick ]" for i in range(len(program.sums))
+            f"  %sum{i} = phi {V} [ zeroinitializer, %outer ], [ %next_sum{i}, %tick ]"
+            for i in range(len(program.sums))
         ]
         stores = self._section(self._store_results)
-        masked = f"llvm.masked.gather.v{self.lanes}f64.v{self.lanes}p0"
         return "\n".join(
             [
                 f"declare {V} @llvm.sqrt.v{self.lanes}f64({V})",
                 f"declare {U} @llvm.fshl.v{self.lanes}i64({U}, {U}, {U})",
-                f"declare {V} @{masked}(<{self.lanes} x ptr>, i32, {self.truths}, {V})",
+                f"declare {V} @{self.gather}(<{self.lanes} x ptr>, i32, {self.truths}, {V})",
                 "",
                 "define void @run(i64 %first, i64 %end, i64 %ticks, ptr noalias %state, ptr noalias %sums, "
                 "ptr noalias readonly %constants, ptr noalias readonly %inputs, ptr noalias %outputs) "
@@ -111,10 +113,9 @@ class _Printer:
 
     def _splat(self, scalar: str, kind: str) -> str:
         """Return a vector with the scalar in every lane."""
-        one = self._new(f"insertelement <{self.lanes} x {kind}> poison, {kind} {scalar}, i32 0")
-        return self._new(
-            f"shufflevector <{self.lanes} x {kind}> {one}, <{self.lanes} x {kind}> poison, <{self.lanes} x i32> zeroinitializer"
-        )
+        vector = f"<{self.lanes} x {kind}>"
+        one = self._new(f"insertelement {vector} poison, {kind} {scalar}, i32 0")
+        return self._new(f"shufflevector {vector} {one}, {vector} poison, <{self.lanes} x i32> zeroinitializer")
 
     def _row(self, base: str, first: str, index: int) -> str:
         """Return the address of row ``index`` behind row ``first`` of an array of vectors of doubles."""
@@ -131,8 +132,8 @@ class _Printer:
     def _load_states(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
         for i, state in enumerate(self.program.states):
-            address = self._row("%state", first, i)
-            self.lines.append(f"  %start{i} = load {self.words if state.word else self.doubles}, ptr {address}, align 8")
+            address, kind = self._row("%state", first, i), self.words if state.word else self.doubles
+            self.lines.append(f"  %start{i} = load {kind}, ptr {address}, align 8")
 
     def _store_results(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
@@ -149,11 +150,12 @@ class _Printer:
         at = self._new(f"add i64 {at}, %k")
         self.first_input = self._new(f"mul i64 {at}, {len(program.inputs)}")
         self.names: list[str] = []
-        for name, *rest in program.ops:
-            self.names.append(self._operation(name, rest))
+        for op in program.ops:
+            self.names.append(self._operation(op.name, op.arguments))
         first = self._new(f"mul i64 {at}, {len(program.outputs)}")
         for i, index in enumerate(program.outputs.values()):
-            self.lines.append(f"  store {self.doubles} {self.names[index]}, ptr {self._row('%outputs', first, i)}, align 8")
+            address = self._row("%outputs", first, i)
+            self.lines.append(f"  store {self.doubles} {self.names[index]}, ptr {address}, align 8")
         for i, index in enumerate(program.sums.values()):
             self.lines.append(f"  %next_sum{i} = fadd {self.flags}{self.doubles} %sum{i}, {self.names[index]}")
 
@@ -201,9 +203,10 @@ class _Printer:
     def _lookup(self, table: int, index: int) -> str:
         before = len(self.program.constants) + sum(len(values) for values in self.program.tables[:table])
         base = self._new(f"getelementptr double, ptr %constants, i64 {before}")
-        offsets = self._new(f"fptoui {self.doubles} {self.names[index]} to {self.words}")
-        addresses = self._new(f"getelementptr double, ptr {base}, {self.words} {offsets}")
+        integers = f"<{self.lanes} x i32>"  # every vector unit converts to these; few to 64 bits
+        offsets = self._new(f"fptosi {self.doubles} {self.names[index]} to {integers}")
+        addresses = self._new(f"getelementptr double, ptr {base}, {integers} {offsets}")
         return self._new(
-            f"call {self.doubles} @llvm.masked.gather.v{self.lanes}f64.v{self.lanes}p0(<{self.lanes} x ptr> {addresses}, "
-            f"i32 8, {self.truths} {self._every('i1', 'true')}, {self.doubles} zeroinitializer)"
+            f"call {self.doubles} @{self.gather}(<{self.lanes} x ptr> {addresses}, i32 8, "
+            f"{self.truths} {self._every('i1', 'true')}, {self.doubles} zeroinitializer)"
         )

@@ -42,8 +42,13 @@ class Tick:
     """
 
     def __init__(
-        self, builder: Builder, sizes: Mapping[str, int], initial: Mapping[str, Array | str], locations: Sequence[Location]
+        self,
+        builder: Builder,
+        sizes: Mapping[str, int],
+        initial: Mapping[str, Array | str],
+        locations: Sequence[Location],
     ) -> None:
+        """Start before the first step."""
         self.builder, self.sizes, self.initial = builder, sizes, initial
         self.signals: dict[str, Vector] = {}
         self.memories: dict[str, Vector] = {}
@@ -119,7 +124,8 @@ class Tick:
         """Return the entries of a matrix, read at the location now where it is scheduled."""
         if isinstance(matrix, Scheduled):
             at = self._location(matrix.by)
-            return [[self.builder.lookup(list(column), at) for column in row.T] for row in np.moveaxis(matrix.values, 1, 0)]
+            entries = np.moveaxis(matrix.values, 0, -1)
+            return [[self.builder.lookup(list(entry), at) for entry in row] for row in entries]
         return [[float(value) for value in row] for row in matrix]
 
     def number(self, value: float | Scheduled) -> Coefficient:
@@ -221,7 +227,7 @@ class Tick:
         if isinstance(truth, bool):
             return not truth
         op = self.builder.ops[truth]
-        return op[1] if op[0] == "not" else self.builder.emit("not", truth)
+        return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
 
 
 def _arrival(link: str) -> str:

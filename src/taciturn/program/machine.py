@@ -6,13 +6,16 @@ the version of llvmlite. This is the one typed door to llvmlite.
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import hashlib
+import importlib
 import os
 import tempfile
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +38,9 @@ class Kernel:
     """
 
     def __init__(self, program: Program, build: Build = "fast") -> None:
+        """Compile, or fetch what was compiled before."""
         self.lanes = vector_lanes()
+        self._sizes = _sizes(program)
         self._code = _load(print_llvm(program, self.lanes, build))
 
     def run(
@@ -47,9 +52,14 @@ class Kernel:
         """
         paths, lanes = states.shape[1], self.lanes
         blocks = -(-paths // lanes)
+        assert _sizes(program) == self._sizes, "the program has another structure than the kernel's"
+        assert len(states) == len(program.states), "the states are not those of the program"
+        if program.inputs:
+            assert inputs is not None, "the program has inputs, and none are supplied"
+            assert inputs.shape == (ticks, len(program.inputs), paths), "the inputs do not fit the program"
         state = _into_blocks(states, lanes)
         sums = np.zeros((blocks, len(program.sums), lanes))
-        supplied = np.zeros((1,)) if inputs is None else _ticks_into_blocks(inputs, lanes)
+        supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
         constants = np.array(constants_of(program))
         arrays = (state, sums, constants, supplied, outputs)
@@ -58,9 +68,9 @@ class Kernel:
             if part[0] < part[1] and ticks > 0:
                 self._code.function(part[0], part[1], ticks, *(a.ctypes.data for a in arrays))
 
-        workers = min(threads or available_processors(), blocks)
+        workers = max(1, min(threads or available_processors(), blocks))
         cuts = [blocks * i // workers for i in range(workers + 1)]
-        parts = list(zip(cuts[:-1], cuts[1:], strict=True))
+        parts = list(pairwise(cuts))
         if workers == 1:
             work(parts[0])
         else:
@@ -81,9 +91,9 @@ class Kernel:
 def available() -> bool:
     """Tell whether llvmlite can be imported; say so once where it cannot."""
     try:
-        import llvmlite.binding  # noqa: F401  # asked for its presence only
+        _llvm()
     except ImportError as error:
-        warnings.warn(f"llvmlite is missing ({error}): loops run in NumPy, ten times slower", stacklevel=2)
+        warnings.warn(f"llvmlite is missing ({error}): loops run in NumPy, forty times slower", stacklevel=2)
         return False
     return True
 
@@ -100,6 +110,12 @@ def vector_lanes() -> int:
     return 8 if "+avx512f" in features else 4 if "+avx2" in features else 2
 
 
+def _sizes(program: Program) -> tuple[int, ...]:
+    """What a kernel must find in memory: a program of other sizes would make it read what is not there."""
+    parts = (program.ops, program.states, constants_of(program), program.inputs, program.sums, program.outputs)
+    return tuple(len(part) for part in parts)
+
+
 class _Code:
     """A compiled module; it must outlive its function."""
 
@@ -108,11 +124,15 @@ class _Code:
         self.function = _SIGNATURE(engine.get_function_address("run"))
 
 
+def _llvm() -> Any:
+    """Return llvmlite's binding, imported when it is first needed: that takes 20 ms; it has no types."""
+    return importlib.import_module("llvmlite.binding")
+
+
 @cache
 def _host() -> tuple[str, str]:
     """Return name and features of this processor."""
-    import llvmlite.binding as llvm  # pyright: ignore[reportMissingTypeStubs]
-
+    llvm = _llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
     return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
@@ -121,31 +141,40 @@ def _host() -> tuple[str, str]:
 @cache
 def _load(text: str) -> _Code:
     """Return the machine code of a module, from the disk where it is there."""
-    import llvmlite
-    import llvmlite.binding as llvm
-
-    cpu, features = _host()
-    key = hashlib.sha256("\n".join([text, cpu, features, llvmlite.__version__]).encode()).hexdigest()
-    kept = _cache_folder() / f"{key}.o"
-    stored = _read_object(kept)
+    llvm, (cpu, features) = _llvm(), _host()
+    release: str = importlib.import_module("llvmlite").__version__
+    key = hashlib.sha256("\n".join([text, cpu, features, release]).encode()).hexdigest()
+    folder = _cache_folder()
+    kept = None if folder is None else folder / f"{key}.o"
+    stored = None if kept is None else _read_object(kept)
     target = llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
     if stored is None:
-        module = llvm.parse_assembly(f'target triple = "{llvm.get_process_triple()}"\n{text}')
-        module.data_layout = str(target.target_data)  # without it, vectors are spilled unaligned
-        module.verify()
-        passes = llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options(speed_level=3))
-        passes.getModulePassManager().run(module, passes)
-        stored = target.emit_object(module)
-        _write_object(kept, stored)
+        stored = compile_object(text, target)
+        if kept is not None:
+            _write_object(kept, stored)
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
     engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
     engine.finalize_object()
     return _Code(engine)
 
 
-def _cache_folder() -> Path:
+def compile_object(text: str, target: Any) -> bytes:
+    """Return the object code of a printed program for a target machine, this one or another."""
+    llvm = _llvm()
+    module = llvm.parse_assembly(f'target triple = "{target.triple}"\n{text}')
+    module.data_layout = str(target.target_data)  # without it, vectors are spilled unaligned
+    module.verify()
+    passes = llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options(speed_level=3))
+    passes.getModulePassManager().run(module, passes)
+    return target.emit_object(module)
+
+
+def _cache_folder() -> Path | None:
     root = os.environ.get("XDG_CACHE_HOME")
-    return (Path(root) if root else Path.home() / ".cache") / "taciturn"
+    try:
+        return (Path(root) if root else Path.home() / ".cache") / "taciturn"
+    except RuntimeError:
+        return None  # no home: compile each time rather than trust a folder that others can write
 
 
 def _read_object(path: Path) -> bytes | None:
@@ -162,23 +191,26 @@ def _read_object(path: Path) -> bytes | None:
 
 def _write_object(path: Path, code: bytes) -> None:
     """Keep the code if the disk lets us; a name is only ever given to a whole file."""
-    try:
+    with contextlib.suppress(OSError):  # a read-only home costs time, nothing else
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as part:
-            part.write(hashlib.sha256(code).digest() + code)
-        os.replace(part.name, path)
-    except OSError:
-        return  # a read-only home costs time, nothing else
+        descriptor, part = tempfile.mkstemp(dir=path.parent)
+        try:
+            with os.fdopen(descriptor, "wb") as file:
+                file.write(hashlib.sha256(code).digest() + code)
+            os.replace(part, path)
+        except OSError:
+            os.unlink(part)
 
 
 def _into_blocks(rows: Array, lanes: int) -> Array:
     """(rows, paths) → (blocks, rows, lanes), the last block filled with copies of the first path."""
-    missing = -rows.shape[1] % lanes
+    count, paths = rows.shape
+    missing = -paths % lanes
     padded = np.concatenate([rows, np.repeat(rows[:, :1], missing, axis=1)], axis=1)
-    return np.ascontiguousarray(padded.reshape(rows.shape[0], -1, lanes).transpose(1, 0, 2))
+    return np.ascontiguousarray(padded.reshape(count, (paths + missing) // lanes, lanes).transpose(1, 0, 2))
 
 
 def _ticks_into_blocks(inputs: Array, lanes: int) -> Array:
     """(ticks, inputs, paths) → (blocks, ticks, inputs, lanes)."""
-    ticks, count, _ = inputs.shape
-    return _into_blocks(inputs.reshape(ticks * count, -1), lanes).reshape(-1, ticks, count, lanes)
+    ticks, count, paths = inputs.shape
+    return _into_blocks(inputs.reshape(ticks * count, paths), lanes)

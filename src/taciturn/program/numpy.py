@@ -17,6 +17,32 @@ from taciturn.program.ir import Op, Program
 
 Value = npt.NDArray[Any]  # doubles, truth values or words, one per path
 
+
+
+def _shift_left(x: Value, k: int) -> Value:
+    return x << np.uint64(k)
+
+
+def _shift_right(x: Value, k: int) -> Value:
+    return x >> np.uint64(k)
+
+
+def _rotate_left(x: Value, k: int) -> Value:
+    return _shift_left(x, k) | _shift_right(x, 64 - k)
+
+
+def _bits(x: Value) -> Value:
+    return np.ascontiguousarray(x).view(np.uint64)
+
+
+def _double(x: Value) -> Value:
+    return np.ascontiguousarray(x).view(np.float64)
+
+
+def _any_bit(x: Value) -> Value:
+    return x != np.uint64(0)
+
+
 _RULES: Mapping[str, Callable[..., Value]] = {
     "add": np.add,
     "sub": np.subtract,
@@ -31,12 +57,12 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "word_and": np.bitwise_and,
     "word_or": np.bitwise_or,
     "word_xor": np.bitwise_xor,
-    "shift_left": lambda x, k: x << np.uint64(k),
-    "shift_right": lambda x, k: x >> np.uint64(k),
-    "rotate_left": lambda x, k: (x << np.uint64(k)) | (x >> np.uint64(64 - k)),
-    "bits": lambda x: np.ascontiguousarray(x).view(np.uint64),
-    "double": lambda x: np.ascontiguousarray(x).view(np.float64),
-    "any_bit": lambda x: x != 0,
+    "shift_left": _shift_left,
+    "shift_right": _shift_right,
+    "rotate_left": _rotate_left,
+    "bits": _bits,
+    "double": _double,
+    "any_bit": _any_bit,
 }
 
 
@@ -94,15 +120,15 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
 def _fixed(program: Program, paths: int) -> dict[int, Value]:
     fixed: dict[int, Value] = {}
     for index, op in enumerate(program.ops):
-        if op[0] == "const":
-            fixed[index] = np.full(paths, program.constants[op[1]])
-        elif op[0] == "word":
-            fixed[index] = np.full(paths, op[1], dtype=np.uint64)
+        if op.name == "const":
+            fixed[index] = np.full(paths, program.constants[op.arguments[0]])
+        elif op.name == "word":
+            fixed[index] = np.full(paths, op.arguments[0], dtype=np.uint64)
     return fixed
 
 
 def _apply(op: Op, values: list[Value], memory: list[Value], supplied: Array | None, tables: list[Array]) -> Value:
-    name, *rest = op
+    name, rest = op
     if name == "state":
         return memory[rest[0]]
     if name == "input":

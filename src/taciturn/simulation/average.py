@@ -18,6 +18,8 @@ PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
 BURN_IN = 512  # ticks; more where the first half of what is kept still differs from the second
 BUDGET = 4_000_000_000  # steps of all paths together
+LEAST_STEPS = 1024
+HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
 DRIFT = 3.5  # standard errors by which two halves may differ
 Progress = Callable[[float], None]
@@ -126,9 +128,8 @@ def average(
     if standard_error is not None:
         number("standard_error", standard_error, 0.0)
     if steps is not None:
-        count("steps", steps, 1024)
+        count("steps", steps, LEAST_STEPS)
     sampling = _Sampling(loop, estimator, seed, progress, threads)
-
 
     def target(cost: Estimate) -> float:
         return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
@@ -208,8 +209,8 @@ class _Sampling:
             sums += np.array([result.sums[name] for name in self.names])
             self.steps += now * state.shape[1]
             ticks -= now
-            if not np.isfinite(sums).all() or np.abs(sums).max() > 1e150:
-                raise self._diverges(f"its cost passed 1e150 after {self.steps} steps")
+            if not np.abs(sums).max() < HUGE:  # or not a number
+                raise self._diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
         return sums, state
 
     def _settled(self, kept: list[tuple[int, Array]]) -> bool:
@@ -235,7 +236,7 @@ class _Sampling:
         return cost, {name.split()[1]: _mean(row) for name, row in zip(self.names[1:], means[1:], strict=True)}
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
-        precise = 0.0 if wanted is None or cost.standard_error == 0 else (wanted / cost.standard_error) ** 2
+        precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
         if self.progress is not None:
             self.progress(min(1.0, max(spent, precise)))
 
@@ -267,7 +268,7 @@ def _missing(measured: int, error: float, wanted: float) -> int:
     """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
     if error <= wanted:
         return 0
-    return measured * 1000 if wanted == 0 else int(measured * min((error / wanted) ** 2 * 1.05 - 1, 1e6)) + 1
+    return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
 
 
 def _mean(values: Array) -> Estimate:

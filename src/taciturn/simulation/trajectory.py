@@ -121,7 +121,7 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
     options = [values for name, values in records.items() if name.startswith("option ")]
     silent, others = (options[0], np.min(options[1:], axis=0)) if options else (np.empty(0), np.empty(0))
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
-    time = np.arange(ticks) * (loop.problem.plant.dt or 1.0)
+    time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)
     return Trajectory(time, stacked("x"), stacked("estimate"), stacked("applied"), silent, others, sends)
 
 

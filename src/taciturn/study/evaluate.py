@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from taciturn._arrays import count, number
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
-from taciturn.simulation.average import Averages, Progress, average
+from taciturn.simulation.average import LEAST_STEPS, Averages, Progress, average
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,11 @@ def evaluate(
     """
     if standard_error is not None and steps is not None:
         raise ProblemError("standard_error and steps are both given; expected one of them")
-    if isinstance(seed, bool) or seed < 0:
-        raise ProblemError(f"seed is {seed}; expected a whole number, at least 0")
+    count("seed", seed, 0)
+    if steps is not None:
+        count("steps", steps, LEAST_STEPS)
+    if standard_error is not None:
+        number("standard_error", standard_error, 0.0)
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")
     began = time.perf_counter()

@@ -21,7 +21,7 @@ from taciturn.study.evaluate import Evaluation, evaluate
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-CURVE_POINTS = 40  # of the periodic curve of a continuous plant
+CURVE_POINTS = 40  # of a periodic curve, at most where the plant is discrete
 
 
 @dataclass(frozen=True)
@@ -156,10 +156,10 @@ def tradeoff(
         actuation: Actuation = "model" if changed.parameters.get("actuation") == "model" else "hold"
         same = periodic_cost_at(changed, next(iter(evaluation.rates.values())).value, actuation)
         points.append(Point(cell, evaluation, actuation, same))
-    slowest = min(_rate(point) for point in points)
-    curves = {
-        actuation: periodic_curve(problems[0], slowest, actuation)
-        for actuation in sorted({p.actuation for p in points})
+    slowest = min((_rate(point) for point in points if _rate(point) > 0), default=1 / problems[0].design().tick)
+    used: set[Actuation] = {point.actuation for point in points}
+    curves: dict[Actuation, tuple[PeriodicPoint, ...]] = {
+        actuation: periodic_curve(problems[0], slowest, actuation) for actuation in sorted(used)
     }
     policy = problems[0].design()
     statement = (
@@ -176,7 +176,7 @@ def tradeoff(
 
 
 def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> float | None:
-    """Return the exact cost of optimal periodic control at a rate, or None where none is stable.
+    """Return the exact cost of optimal periodic control at a rate, or None where there is none (rate 0, or unstable).
 
     A discrete plant has the rates 1/k only; between them two controllers share the time over long phases, which
     interpolates rate and cost linearly; an interval at which sampling loses a mode is
@@ -187,6 +187,8 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
         rate: sends per step or per second.
         actuation: of the periodic controller.
     """
+    if rate <= 0:
+        return None
     if isinstance(problem.plant, ContinuousPlant):
         return _cost(problem, 1 / rate, actuation)
     every = int(np.floor(1 / rate * (1 + 1e-12)))
@@ -206,7 +208,11 @@ def periodic_curve(problem: Problem, slowest: float, actuation: Actuation) -> tu
         base = problem.design().tick
         intervals: Sequence[float] = np.geomspace(base, max(1.05 / slowest, 1.05 * base), CURVE_POINTS).tolist()
     else:
-        intervals = range(1, int(np.ceil(1 / slowest)) + 1)
+        longest = int(np.ceil(1 / slowest))
+        listed = (
+            range(1, longest + 1) if longest <= CURVE_POINTS else np.geomspace(1, longest, CURVE_POINTS).astype(int)
+        )
+        intervals = sorted({int(every) for every in listed})
     found = [(1 / interval, _cost(problem, interval, actuation)) for interval in intervals]
     return tuple(PeriodicPoint(rate, cost) for rate, cost in found if cost is not None)
 
@@ -221,7 +227,7 @@ def _first_stable(problem: Problem, steps: Sequence[int], actuation: Actuation) 
 
 
 def _cost(problem: Problem, interval: float, actuation: Actuation) -> float | None:
-    """The closed form of a periodic policy; sampling that loses a mode, and predictions without the state, have none."""
+    """The closed form of a periodic policy; sampling that loses a mode and predictions without the state have none."""
     try:
         if isinstance(problem.plant, ContinuousPlant):
             policy = periodic(problem.plant, problem.cost, period=interval, actuation=actuation)

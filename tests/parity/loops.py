@@ -1,0 +1,87 @@
+"""What the parity tests share: loops to run, and what it means that two runs are the same."""
+
+from __future__ import annotations
+
+import numpy as np
+from systems import System
+
+from taciturn import Form, Network, Policy, Scheduled, Trigger, close
+from taciturn.loop import Loop
+from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send
+from taciturn.program import numpy as interpreter
+from taciturn.program.ir import Program
+from taciturn.program.machine import Kernel
+from taciturn.program.numpy import Run
+
+
+def same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Tell whether two arrays of doubles hold the same bits."""
+    return np.ascontiguousarray(one).tobytes() == np.ascontiguousarray(other).tobytes()
+
+
+def differences(one: Run, other: Run) -> list[str]:
+    """Return the names of what differs in a single bit."""
+    kinds = ((one.sums, other.sums), (one.outputs, other.outputs))
+    named = [name for left, right in kinds for name in left if not same(left[name], right[name])]
+    return named if same(one.states, other.states) else ["states", *named]
+
+
+def assert_parity(loop: Loop, program: Program, seed: int, paths: int = 11, ticks: int = 40) -> None:
+    """Check that NumPy and the parity build agree bit for bit."""
+    states = loop.start(program, paths, seed)
+    meaning = interpreter.run(program, states, ticks)
+    assert all(np.isfinite(row).all() for row in meaning.outputs.values())
+    assert differences(meaning, Kernel(program, "parity").run(program, states, ticks)) == []
+
+
+def programs(loop: Loop) -> list[Program]:
+    """Return the loop with its plant, and without where that holds."""
+    return [loop.program(), loop.reduced_program()] if loop.reducible else [loop.program()]
+
+
+def every_feature(system: System, seed: int) -> Loop:
+    """Return a loop with losses on both links, a clock, a location that decisions move, a memory, a draw, three labels.
+
+    The numbers are random: nothing is claimed of this policy but that it is one.
+    """
+    plant, draws = system.plant, np.random.default_rng(seed)
+    n, m, p = plant.states, plant.inputs, plant.outputs
+    told = bool(draws.integers(2))
+    network = Network("tcp" if told else "udp", float(draws.uniform(0, 0.6)), float(draws.uniform(0, 0.6)))
+
+    def square(size: int, scale: float) -> np.ndarray:
+        G = scale * draws.normal(size=(size, size)) * (draws.random((size, size)) < 0.6)
+        return G + G.T
+
+    gain, unit = 0.3 * draws.normal(size=(n, p)), np.eye(n)
+    L = 0.2 * draws.normal(size=(3, m, n)) * draws.integers(0, 2, (m, n))  # zeros shared by all phases, and others
+    L[1] = np.where(draws.random((m, n)) < 0.5, L[0], L[1])
+    Psi = np.array([square(n + m, 0.3) for _ in range(2)])
+    clock = Location("clock", np.array([1, 2, 0]), initial=int(draws.integers(3)))
+    mood = Location("mood", draws.integers(0, 2, (2, 3)), at="controller", on="send")
+    heard = Location("heard", np.array([[0, 1], [0, 1]]), at="actuator", on=Received("actuator"))
+    trigger = Trigger({
+        "silent": Form(("estimate", "error"), Scheduled("mood", Psi), plus={"spent": 0.1}),
+        "short": Form(("error",), square(m, 0.2), Scheduled("clock", draws.uniform(0, 1, 3))),
+        "full": Form(plus={"luck": 2.0, "spent": -0.05}, constant=0.3),
+    })  # fmt: skip
+    spent = (Form(("error",), square(m, 0.1), plus={"spent": 0.5}), Form(plus={"spent": 0.25}), Form(constant=1.0))
+    kept, command = {"held": 0.9 * np.eye(m)}, {"command": np.eye(m)}
+    noted = ((kept, command), Acknowledged("actuator")) if told else ((kept, kept, command), "send")
+    corrected = {"prior": unit - gain @ plant.C, "y": gain}
+    faded = {"input": Scheduled("heard", np.array([0.5, 0.9])[:, None, None] * np.eye(m))}
+    steps = (
+        Send("sensor", "sensor", ("y",)),
+        Assign("controller", "estimate", ({"prior": unit}, corrected), Received("sensor")),
+        Assign("controller", "command", {"estimate": Scheduled("clock", L)}),
+        Assign("controller", "error", {"command": np.eye(m), "held": -np.eye(m)}),
+        Draw("controller", "luck"),
+        Decide("controller", "send", trigger),
+        Send("controller", "actuator", ("command",), "send", ("full",) if draws.integers(2) else ()),
+        Evaluate("controller", "spent", spent, "send"),
+        Assign("actuator", "input", (faded, command), Received("actuator")),
+        Assign("controller", "held", *noted),
+        Assign("controller", "prior", {"estimate": plant.A, "held": plant.B}),
+    )
+    policy = Policy("every feature", steps, plant, 1.0, locations=(clock, mood, heard), network=network)
+    return close(plant, policy, network, system.cost)

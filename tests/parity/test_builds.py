@@ -1,0 +1,137 @@
+"""The parity build has the bits of NumPy; the fast build decides as the parity build does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from catalogue import GUARANTEED, POLICIES
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parity.loops import assert_parity, every_feature, programs, same
+from systems import System, make_system, systems, well_posed
+
+import taciturn
+from taciturn import Network, design
+from taciturn.errors import TaciturnError
+from taciturn.loop import Loop
+from taciturn.program.ir import Program
+from taciturn.program.machine import Kernel
+
+SEEDS = st.integers(0, 2**32 - 1)
+MASSES = {
+    "hold": {},
+    "model": {"actuation": "model"},
+    "separate": {"trigger": "separate"},
+    "separate model": {"trigger": "separate", "actuation": "model"},
+    "always": {"theta": 0.0},
+}
+
+
+def masses(name: str) -> Loop:
+    """Return a loop of the two masses."""
+    problem = taciturn.load("two-mass")
+    if name == "periodic":
+        policy = design.periodic(problem.plant, problem.cost, every=3, actuation="model")
+    elif name == "lossy":
+        return taciturn.close(problem.plant, problem.design(), Network("udp", 0.2), problem.cost)
+    elif name == "limited":
+        plant = problem.plant
+        small = taciturn.Plant(plant.A, plant.B, plant.W, plant.C, plant.V, plant.dt, input_limit=[0.3])
+        return taciturn.close(small, problem.design(), problem.network, problem.cost)
+    else:
+        policy = problem.changed(MASSES[name]).design()
+    return problem.close(policy)
+
+
+@pytest.mark.parametrize("name", [*MASSES, "periodic", "lossy", "limited"])
+def test_the_loops_of_the_two_masses_agree_bit_for_bit(name: str) -> None:
+    """Hold and model, joint and separate, by the clock, over a lossy link, saturating; with the plant and without."""
+    loop = masses(name)
+    for program in programs(loop):
+        assert_parity(loop, program, seed=5, paths=37, ticks=200)
+
+
+def close_random(system: System, name: str) -> Loop | None:
+    """Return the loop of a policy of the catalogue, or None where the system has none."""
+    try:
+        return taciturn.close(system.plant, POLICIES[name](system), cost=system.cost)
+    except TaciturnError:
+        return None
+
+
+@settings(max_examples=70)
+@given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
+def test_loops_of_random_systems_agree_bit_for_bit(system: System, name: str, seed: int) -> None:
+    """Unstable plants, cross terms, several inputs, every policy of the catalogue."""
+    loop = close_random(system, name)
+    if loop is not None:
+        for program in programs(loop):
+            assert_parity(loop, program, seed)
+
+
+@settings(max_examples=40)
+@given(system=systems(), seed=SEEDS)
+def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(system: System, seed: int) -> None:
+    """Everything a policy may be made of, at once."""
+    loop = every_feature(system, seed)
+    assert_parity(loop, loop.program(), seed)
+
+
+@pytest.mark.evidence
+def test_loops_of_three_hundred_random_systems_agree_bit_for_bit() -> None:
+    """In turn every policy of the catalogue, and on each the policy with every feature."""
+    found, draws = 0, np.random.default_rng(2024)
+    while found < 300:
+        n = int(draws.integers(1, 7))
+        m, p = int(draws.integers(1, min(n, 3) + 1)), int(draws.integers(1, n + 1))
+        system = make_system(int(draws.integers(2**32)), n, m, p, bool(draws.integers(2)))
+        if not (well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T)):
+            continue
+        loops = [close_random(system, sorted(POLICIES)[found % len(POLICIES)]), every_feature(system, found)]
+        for loop in loops:
+            for program in [] if loop is None else programs(loop):
+                assert_parity(loop, program, found, paths=19, ticks=60)
+        found += loops[0] is not None
+
+
+def undrawn(monkeypatch: pytest.MonkeyPatch, loop: Loop) -> Program:
+    """Return the program of a loop whose draws are inputs."""
+    monkeypatch.setattr("taciturn.loop.with_draws", lambda program: program)
+    return loop.program()
+
+
+def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 12_500) -> float:
+    """Check the decisions of both builds on eight paths and the same draws, up to ties; return the rate of sending.
+
+    After a tie that fell differently a path is another one, and no more is asked of it.
+    """
+    inputs = np.random.default_rng(seed).normal(size=(ticks, len(program.inputs), 8))
+    states = loop.start(program, 8, seed)
+    parity, fast = (Kernel(program, build).run(program, states, ticks, inputs).outputs for build in ("parity", "fast"))
+    sent = "sent actuator"
+    differ = parity[sent] != fast[sent]
+    for path in np.flatnonzero(differ.any(axis=0)):
+        tick = int(np.argmax(differ[:, path]))
+        options = [outputs[tick, path] for name, outputs in parity.items() if name.startswith("option send")]
+        assert abs(options[0] - options[1]) < 1e-10 * max(map(abs, options))
+    assert not same(parity["x 0"], fast["x 0"]), "the builds are one: nothing was tested"
+    return float(parity[sent].mean())
+
+
+@pytest.mark.parametrize("name", ["hold", "model", "separate"])
+def test_the_fast_build_decides_as_the_parity_build(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Over 1e5 steps on the same draws, except where trigger and threshold agree to 1e-10."""
+    loop = masses(name)
+    assert 0.1 < assert_same_decisions(undrawn(monkeypatch, loop), loop, seed=8) < 0.9
+
+
+@settings(max_examples=8)
+@given(system=systems(), name=st.sampled_from(sorted(GUARANTEED)), seed=SEEDS)
+def test_the_fast_build_decides_as_the_parity_build_on_random_systems(system: System, name: str, seed: int) -> None:
+    """Over 1e5 steps of each."""
+    loop = close_random(system, name)
+    if loop is not None:
+        with pytest.MonkeyPatch.context() as patch:
+            program = undrawn(patch, loop)
+        if program.inputs:
+            assert_same_decisions(program, loop, seed)

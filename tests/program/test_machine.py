@@ -1,0 +1,266 @@
+"""Machine code: kept on disk, shared by structure, printed for other processors, and replaced by NumPy where absent."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import llvmlite.binding as llvm
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn.loop import Loop
+from taciturn.program import machine
+from taciturn.program.ir import Builder, Program
+from taciturn.program.llvm import print_llvm
+from taciturn.program.machine import Kernel
+
+Compiled = list[str]
+
+
+@pytest.fixture(scope="module")
+def loop() -> Loop:
+    """Return the loop of the two masses."""
+    problem = taciturn.load("two-mass")
+    return problem.close(problem.design())
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Compiled:
+    """Start from an empty cache; return the list of what is compiled from now on."""
+    texts: Compiled = []
+    compile_object = machine.compile_object
+
+    def note(text: str, target: object) -> bytes:
+        texts.append(text)
+        return compile_object(text, target)
+
+    monkeypatch.setattr(machine, "compile_object", note)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    machine._load.cache_clear()
+    return texts
+
+
+@pytest.fixture
+def play(loop: Loop) -> Callable[[], bytes]:
+    """Return what runs the loop in this process as if it had just begun, and returns the bits of the cost."""
+    program = loop.program().keep({"cost"})
+
+    def run() -> bytes:
+        machine._load.cache_clear()
+        return Kernel(program, "parity").run(program, loop.start(program, 11, 1), 30).sums["cost"].tobytes()
+
+    return run
+
+
+def test_machine_code_is_kept_on_disk(compiled: Compiled, play: Callable[[], bytes], tmp_path: Path) -> None:
+    """A second process compiles nothing and finds the same numbers."""
+    first = play()
+    assert [path.suffix for path in (tmp_path / "taciturn").iterdir()] == [".o"]
+    assert play() == first
+    assert len(compiled) == 1
+
+
+@pytest.mark.parametrize("damage", [b"", b"short", b"\0" * 20_000])
+def test_damaged_machine_code_is_compiled_again(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, damage: bytes
+) -> None:
+    """With a warning, once: the file is mended."""
+    first = play()
+    (kept,) = (tmp_path / "taciturn").iterdir()
+    whole = kept.read_bytes()
+    kept.write_bytes(damage or whole[:-1])
+    with pytest.warns(UserWarning, match="damaged; it is compiled again"):
+        assert play() == first
+    assert kept.read_bytes() == whole
+    assert play() == first
+    assert len(compiled) == 2
+
+
+def test_a_cache_that_cannot_be_written_costs_time_alone(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file stands where the folder should be."""
+    first = play()
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert [play(), play()] == [first, first]
+    assert len(compiled) == 3
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_a_read_only_cache_is_read(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, loop: Loop
+) -> None:
+    """What is in it is used; what is not is compiled."""
+    first = play()
+    folder = tmp_path / "taciturn"
+    folder.chmod(0o500)
+    try:
+        assert play() == first
+        Kernel(loop.reduced_program())
+    finally:
+        folder.chmod(0o700)
+    assert len(compiled) == 2
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_a_disk_that_fails_leaves_no_part_of_a_file(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name is given to a whole file or to none."""
+
+    def fail(*_: object) -> None:
+        raise OSError("no space left")
+
+    monkeypatch.setattr(machine.os, "replace", fail)
+    play()
+    assert list((tmp_path / "taciturn").iterdir()) == []
+    assert len(compiled) == 1
+
+
+def test_a_process_without_a_home_compiles_each_time(
+    compiled: Compiled, play: Callable[[], bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No folder that others can write is trusted instead."""
+    first = play()
+
+    def fail() -> Path:
+        raise RuntimeError("could not determine home directory")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(machine.Path, "home", fail)
+    assert [play(), play()] == [first, first]
+    assert len(compiled) == 3
+
+
+def test_a_sweep_over_theta_compiles_once(compiled: Compiled) -> None:
+    """Programs that differ only in constants share machine code, and are still different programs."""
+    problem = taciturn.load("two-mass")
+    costs = []
+    for theta in np.linspace(0.05, 1.0, 7):
+        loop = problem.close(problem.changed({"theta": float(theta)}).design())
+        program = loop.reduced_program().keep({"excess"})
+        costs.append(Kernel(program).run(program, loop.start(program, 64, 1), 200).sums["excess"].mean())
+    assert len(compiled) == 1
+    assert (np.diff(costs) > 0).all()
+
+
+def test_a_kernel_refuses_a_program_of_another_structure(loop: Loop) -> None:
+    """Its memory would not be where the code expects it."""
+    program, other = loop.program(), loop.reduced_program()
+    with pytest.raises(AssertionError, match="another structure"):
+        Kernel(program).run(other, loop.start(other, 3, 0), 1)
+
+
+def test_inputs_must_be_supplied_for_every_tick_and_path() -> None:
+    """Code that reads beyond an array does not say so."""
+    b = Builder()
+    program = b.finish([], {}, {"x": b.input("in 0")})
+    kernel, states = Kernel(program), np.zeros((0, 3))
+    with pytest.raises(AssertionError, match="none are supplied"):
+        kernel.run(program, states, 2)
+    with pytest.raises(AssertionError, match="do not fit"):
+        kernel.run(program, states, 2, np.zeros((1, 1, 3)))
+    assert kernel.run(program, states, 2, np.ones((2, 1, 3))).outputs["x"].sum() == 6
+
+
+def test_a_program_without_states_runs() -> None:
+    """A constant is summed over the ticks; no ticks or no paths sum to nothing."""
+    b = Builder()
+    program = b.finish([], {"x": b.constant(2.0)})
+    kernel = Kernel(program)
+    assert list(kernel.run(program, np.zeros((0, 3)), 5).sums["x"]) == [10, 10, 10]
+    assert list(kernel.run(program, np.zeros((0, 3)), 0).sums["x"]) == [0, 0, 0]
+    assert kernel.run(program, np.zeros((0, 0)), 5).sums["x"].shape == (0,)
+
+
+TARGETS = {
+    "AVX-512": ("x86_64-unknown-linux-gnu", "skylake-avx512", "", 8),
+    "AVX2": ("x86_64-unknown-linux-gnu", "haswell", "", 4),
+    "AVX2 without FMA": ("x86_64-unknown-linux-gnu", "x86-64", "+avx2", 4),
+    "SSE2": ("x86_64-unknown-linux-gnu", "x86-64", "", 2),
+    "NEON": ("aarch64-unknown-linux-gnu", "", "", 2),
+    "Apple": ("arm64-apple-darwin", "apple-m1", "", 2),
+    "Windows": ("x86_64-pc-windows-msvc", "haswell", "", 4),
+}
+
+
+def programs(loop: Loop) -> list[Program]:
+    """Return programs with every operation among them: the second looks into tables."""
+    problem = taciturn.load("two-mass")
+    clocked = problem.close(taciturn.design.periodic(problem.plant, problem.cost, every=3))
+    return [loop.program(), clocked.program()]
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("build", ["parity", "fast"])
+def test_programs_compile_for_every_processor(loop: Loop, name: str, build: machine.Build) -> None:
+    """No function is called, for there is no mathematical library; the parity build has no fused operation."""
+    triple, cpu, features, lanes = TARGETS[name]
+    llvm.initialize_all_targets()
+    llvm.initialize_all_asmprinters()
+    target = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
+    for program in programs(loop):
+        text = print_llvm(program, lanes, build)
+        assert len(machine.compile_object(text, target)) > 1000
+        module = llvm.parse_assembly(f'target triple = "{triple}"\n{text}')
+        module.data_layout = str(target.target_data)
+        lines = [line.split() for line in target.emit_assembly(module).splitlines() if line.startswith("\t")]
+        mnemonics = {line[0] for line in lines}
+        assert not mnemonics & {"call", "callq", "bl", "blr"}
+        fused = any(word.startswith(("vfma", "vfms", "vfnm", "fmla", "fmls", "fmadd", "fmsub")) for word in mnemonics)
+        assert fused == (build == "fast" and name not in ("SSE2", "AVX2 without FMA"))
+
+
+@pytest.mark.parametrize(
+    ("features", "lanes"), [("+avx512f,+avx2", 8), ("-avx512f,+avx2", 4), ("-avx2,+sse2", 2), ("+neon", 2)]
+)
+def test_the_lanes_fill_the_widest_vector(monkeypatch: pytest.MonkeyPatch, features: str, lanes: int) -> None:
+    """Eight, four or two doubles."""
+    monkeypatch.setattr(machine, "_host", lambda: ("generic", features))
+    assert machine.vector_lanes.__wrapped__() == lanes
+
+
+WITHOUT_LLVM = """
+import sys, warnings
+import numpy as np
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] == "llvmlite":
+            raise ModuleNotFoundError("No module named 'llvmlite'", name="llvmlite")
+
+sys.meta_path.insert(0, Absent())
+import taciturn
+from taciturn.simulation.engine import run
+problem = taciturn.load("two-mass")
+loop = problem.close(problem.design())
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always")
+    for program in (loop.program(), loop.reduced_program()):
+        result = run(program, loop.start(program, 13, 5), 50)
+        sums = {f"sum {name}": value for name, value in result.sums.items()}
+        np.savez(f"{sys.argv[1]}/{len(program.states)}.npz", states=result.states, **sums, **result.outputs)
+print([str(warning.message) for warning in caught if "llvmlite" in str(warning.message)])
+"""
+
+
+def test_without_llvmlite_the_loops_run_in_numpy_with_one_notice(loop: Loop, tmp_path: Path) -> None:
+    """Every number has the bits of the parity build."""
+    command = [sys.executable, "-c", WITHOUT_LLVM, str(tmp_path)]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said.count("llvmlite is missing") == 1
+    for program in (loop.program(), loop.reduced_program()):
+        expected = Kernel(program, "parity").run(program, loop.start(program, 13, 5), 50)
+        found = np.load(tmp_path / f"{len(program.states)}.npz")
+        sums = {f"sum {name}": value for name, value in expected.sums.items()}
+        for name, value in {"states": expected.states, **sums, **expected.outputs}.items():
+            assert found[name].tobytes() == np.ascontiguousarray(value).tobytes()
