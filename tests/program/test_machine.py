@@ -96,9 +96,7 @@ def test_a_cache_that_cannot_be_written_costs_time_alone(
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
-def test_a_read_only_cache_is_read(
-    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, loop: Loop
-) -> None:
+def test_a_read_only_cache_is_read(compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, loop: Loop) -> None:
     """What is in it is used; what is not is compiled."""
     first = play()
     folder = tmp_path / "taciturn"

@@ -38,6 +38,7 @@ LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of ar
     "rotate_left": (1,),
 }
 
+
 class Op(NamedTuple):
     """One operation.
 

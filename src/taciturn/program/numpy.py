@@ -18,7 +18,6 @@ from taciturn.program.ir import Op, Program
 Value = npt.NDArray[Any]  # doubles, truth values or words, one per path
 
 
-
 def _shift_left(x: Value, k: int) -> Value:
     return x << np.uint64(k)
 
