@@ -1,13 +1,23 @@
-"""Every run draws the same examples, so that a failure can be repeated."""
+"""Every run draws the same examples, so that a failure can be repeated, and leaves the user's cache alone."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 
 import matplotlib as mpl
+import pytest
 from hypothesis import settings
 
 mpl.use("Agg")
 os.environ.setdefault("MPLBACKEND", "Agg")  # for the examples, which run as processes
 settings.register_profile("repeatable", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("repeatable")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep compiled programs out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
