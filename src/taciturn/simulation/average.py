@@ -125,10 +125,7 @@ def average(
         UnstableError: the loop diverges.
     """
     estimator = estimator or choose_estimator(loop)
-    if standard_error is not None:
-        number("standard_error", standard_error, 0.0)
-    if steps is not None:
-        count("steps", steps, LEAST_STEPS)
+    check_effort(seed, standard_error, steps)
     sampling = _Sampling(loop, estimator, seed, progress, threads)
 
     def target(cost: Estimate) -> float:
@@ -137,6 +134,21 @@ def average(
     if loop.horizon is not None:
         return sampling.missions(loop.horizon, target, steps)
     return sampling.stationary(target, steps)
+
+
+def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
+    """Refuse a seed, a precision or a budget that means nothing.
+
+    Raises:
+        ProblemError: seed below 0, precision not positive, too few steps, or both precision and steps.
+    """
+    count("seed", seed, 0)
+    if standard_error is not None and steps is not None:
+        raise ProblemError("standard_error and steps are both given; expected one of them")
+    if standard_error is not None:
+        number("standard_error", standard_error, 0.0)
+    if steps is not None:
+        count("steps", steps, LEAST_STEPS)
 
 
 class _Sampling:

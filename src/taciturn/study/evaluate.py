@@ -7,11 +7,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from taciturn._arrays import count, number
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
-from taciturn.simulation.average import LEAST_STEPS, Averages, Progress, average
+from taciturn.simulation.average import Averages, Progress, average, check_effort
 
 
 @dataclass(frozen=True)
@@ -97,13 +96,7 @@ def evaluate(
         >>> evaluate(load("two-mass"), steps=100_000).policy
         'lqg'
     """
-    if standard_error is not None and steps is not None:
-        raise ProblemError("standard_error and steps are both given; expected one of them")
-    count("seed", seed, 0)
-    if steps is not None:
-        count("steps", steps, LEAST_STEPS)
-    if standard_error is not None:
-        number("standard_error", standard_error, 0.0)
+    check_effort(seed, standard_error, steps)
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")
     began = time.perf_counter()
