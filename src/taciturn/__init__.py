@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from taciturn import design as design
     from taciturn.errors import InformationError as InformationError
-    from taciturn.errors import PrecisionError as PrecisionError
     from taciturn.errors import ProblemError as ProblemError
     from taciturn.errors import TaciturnError as TaciturnError
     from taciturn.errors import UnstableError as UnstableError
@@ -53,7 +52,6 @@ _HOME = {
     "Network": "model.network",
     "Plant": "model.plant",
     "Policy": "model.policy",
-    "PrecisionError": "errors",
     "Problem": "problem",
     "ProblemError": "errors",
     "Scheduled": "model.trigger",

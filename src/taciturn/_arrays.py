@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from numbers import Integral, Real
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,6 +14,7 @@ from taciturn.errors import ProblemError
 Array: TypeAlias = npt.NDArray[np.float64]
 ArrayLike: TypeAlias = npt.ArrayLike
 Shape: TypeAlias = tuple[int | None, ...]
+Word = TypeVar("Word", bound=str)
 
 DEFINITENESS_TOLERANCE = 1e-10  # relative to the largest eigenvalue: what rounding leaves of an exact zero
 
@@ -112,6 +113,17 @@ def count(name: str, value: object, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise ProblemError(f"{name} is {quoted(value)}; expected a whole number, at least {least}")
     return int(value)
+
+
+def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
+    """Return ``value`` if it is one of the allowed words.
+
+    Raises:
+        ProblemError: another word.
+    """
+    if value not in allowed:
+        raise ProblemError(f"{name} is {quoted(value)}; expected one of {', '.join(repr(word) for word in allowed)}")
+    return value
 
 
 def frozen(value: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,6 @@ class Panel:
     xlabel: str = ""
     ylabel: str = ""
     title: str = ""
-    logarithmic: bool = False
 
 
 def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
@@ -51,8 +51,6 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
         axis.set_ylabel(panel.ylabel)
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
-        if panel.logarithmic:
-            axis.set_yscale("log")
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
     axes[-1, 0].set_xlabel(panels[-1].xlabel)
@@ -72,6 +70,8 @@ def check_format(path: str | Path) -> Path:
         raise ProblemError(f"the picture {str(path)!r} is a folder; expected the name of a file")
     if not path.parent.is_dir():
         raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the picture to")
+    if not os.access(path.parent, os.W_OK):
+        raise ProblemError(f"the folder {str(path.parent)!r} cannot be written to; expected one that can")
     return path
 
 
@@ -82,9 +82,12 @@ def save(figure: Figure, path: str | Path) -> None:
         ProblemError: another ending, or the file cannot be written.
     """
     target = check_format(path)
+    from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]  # its stubs are partial
+
     drawn: Any = figure
     try:
-        drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
+        with rc_context({"svg.hashsalt": "taciturn"}):  # equal pictures are equal files
+            drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
     except OSError as error:
         raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
 

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from taciturn.simulation.average import Progress
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.reproduce import Reproduction, Table
@@ -109,13 +111,13 @@ def tradeoff(
     problem = taciturn.load(file)
     with _progress("simulating") as progress:
         found = taciturn.tradeoff(problem, values, seed=seed, standard_error=standard_error, progress=progress)
-    if plot is not None:
-        save(found.plot(), plot)
     if as_json:
         _print_json(found.document())
     else:
         _print_tradeoff(found)
-        if plot is not None:
+    if plot is not None:  # after the numbers, which a picture that cannot be written must not take away
+        save(found.plot(), plot)
+        if not as_json:
             typer.echo(f"picture: {plot}")
     missed = [point for point in found.points if not point.evaluation.reached]
     if missed:
@@ -155,19 +157,21 @@ def reproduce(
             f"the folder {str(folder)!r} cannot be made ({error.strerror}); expected one that can be written to"
         ) from None
     documents: list[dict[str, Any]] = []
+    pictures: dict[Path, Figure | None] = {}
     for name in chosen:
         with _progress(name) as progress:
             found = taciturn.reproduce(name, seed=seed, progress=progress)
-        picture = folder / f"{name}.svg"
-        if found.picture is not None and (out is not None or not as_json):
-            save(found.picture, picture)
         documents.append(found.document())
+        pictures[folder / f"{name}.svg"] = found.picture
         if not as_json:
             _print_reproduction(found)
-            if found.picture is not None:
-                typer.echo(f"picture: {picture}")
     if as_json:
         _print_json(documents)
+    for path, picture in pictures.items():  # after the numbers, which must not be lost with a picture
+        if picture is not None and (out is not None or not as_json):
+            save(picture, path)
+            if not as_json:
+                typer.echo(f"picture: {path}")
 
 
 def main() -> None:
@@ -251,7 +255,7 @@ def _parse_grid(items: list[str]) -> dict[str, list[object]]:
     grid: dict[str, list[object]] = {}
     for item in items:
         name, _, listed = item.partition("=")
-        name, parts = name.strip(), [part.strip() for part in listed.split(",")]
+        name, parts = name.strip(), [part.strip() for part in _split(listed)]
         if not all(name.split(".")) or not all(parts):
             raise ProblemError(f"--over {item!r} is not understood; expected NAME=v1,v2,…, as theta=0.1,1")
         if name.removeprefix("policy.") in {known.removeprefix("policy.") for known in grid}:
@@ -260,7 +264,24 @@ def _parse_grid(items: list[str]) -> dict[str, list[object]]:
     return grid
 
 
+def _split(text: str) -> list[str]:
+    """Split at the commas outside brackets."""
+    parts, depth = [""], 0
+    for letter in text:
+        depth += (letter == "[") - (letter == "]")
+        if letter == "," and depth == 0:
+            parts.append("")
+        else:
+            parts[-1] += letter
+    return parts
+
+
 def _parse_value(text: str) -> object:
+    if text.startswith("["):
+        try:
+            return json.loads(text)
+        except ValueError:
+            return text
     for convert in (int, float):
         try:
             return convert(text)
@@ -270,8 +291,8 @@ def _parse_value(text: str) -> object:
 
 
 def _print_evaluation(found: Evaluation) -> None:
-    lines = [("policy", found.policy), ("cost", f"{found.cost}   ({found.cost.method})")]
-    lines += [(f"rate, {link}", str(rate)) for link, rate in found.rates.items()]
+    lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({found.cost.method})")]
+    lines += [(f"rate, {link}", f"{rate} per {found.unit}") for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
         above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""
         lines.append(("all-time cost", f"{found.cost_all_time:.6g}{above}"))
@@ -294,7 +315,7 @@ def _print_tradeoff(found: Tradeoff) -> None:
             [
                 *(str(value) for value in point.values.values()),
                 f"{rate.value:.4f} ± {rate.standard_error:.4f}",
-                f"{100 * (1 - rate.value / found.base_rate):.1f}",
+                f"{100 * (1 - rate.value / e.base_rate):.1f}",
                 str(e.cost),
                 _above(e) if e.cost_all_time else "",
                 "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
@@ -303,7 +324,7 @@ def _print_tradeoff(found: Tradeoff) -> None:
         )
     _print_table(header, rows)
     first = found.points[0].evaluation
-    if first.cost_all_time is not None:
+    if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
         guarantee = f"; guarantee: {found.guarantee}" if found.guarantee else ""
         typer.echo(f"all-time cost {first.cost_all_time:.6g}{guarantee}")
     for note in first.notes:

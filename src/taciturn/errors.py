@@ -17,7 +17,3 @@ class InformationError(TaciturnError):
 
 class UnstableError(TaciturnError):
     """A loop diverges, or no stabilising gain exists."""
-
-
-class PrecisionError(TaciturnError):
-    """An asked precision was not reached within the step budget."""

@@ -34,7 +34,7 @@ class Loop:
         problem: the plant from tick to tick, with its weights.
         policy: the policy.
         network: the network.
-        nominal: whether the plant and the network are those the policy was designed for, so that its theory holds.
+        nominal: whether plant, network and cost are those the policy was designed for, so that its theory holds.
     """
 
     problem: Discrete
@@ -176,7 +176,7 @@ def close(
         plant: the plant that is controlled, the one of the design or another.
         policy: from ``taciturn.design`` or hand-made.
         network: omitted: ideal links.
-        cost: the cost that is measured.
+        cost: the cost that is measured; omitted: the one the policy was designed for.
 
     Returns:
         The loop.
@@ -187,8 +187,9 @@ def close(
 
     Source: khashooei2017
     """
+    cost = policy.cost if cost is None else cost
     if cost is None:
-        raise ProblemError("cost is missing; expected the cost that is measured")
+        raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
     network = network or Network()
     if isinstance(plant, ContinuousPlant) and plant.jumps is not None:
         raise ProblemError(
@@ -202,8 +203,13 @@ def close(
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     check_information(policy, network)
-    nominal = problem.plant.same_as(policy.model) and problem.plant.input_limit is None and network == policy.network
-    return Loop(problem, policy, network, nominal)
+    as_designed = (
+        problem.plant.same_as(policy.model),
+        problem.plant.input_limit is None,
+        network == policy.network,
+        policy.cost is not None and cost.same_as(policy.cost),
+    )
+    return Loop(problem, policy, network, all(as_designed))
 
 
 def _noise(tick: Tick, spread: Array, first: int) -> list[int]:

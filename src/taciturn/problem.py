@@ -244,6 +244,9 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     Raises:
         ProblemError: a parameter is unknown, missing, or of the wrong type.
     """
+    if kind not in CATALOGUE:
+        near = _suggest(str(kind), list(CATALOGUE))
+        raise ProblemError(f"policy.kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
     design = CATALOGUE[kind]
     known = {
         key: value

@@ -105,5 +105,5 @@ def test_between_two_rates_a_discrete_plant_shares_the_time() -> None:
 
 def test_the_curve_leaves_out_rates_at_which_sampling_loses_a_mode() -> None:
     """Every five steps is half a period of the undamped spring: no input moves it then."""
-    rates = [round(1 / point.rate) for point in periodic_curve(load("two-mass"), 1 / 8, "hold")]
+    rates = [round(1 / point.rate) for point in periodic_curve(load("two-mass"), 1.0, 1 / 8, "hold")]
     assert rates == [1, 2, 3, 4, 6, 7, 8]

@@ -238,13 +238,13 @@ class Absent:
 
 sys.meta_path.insert(0, Absent())
 import taciturn
-from taciturn.simulation.engine import run
+from taciturn.simulation.engine import prepare
 problem = taciturn.load("two-mass")
 loop = problem.close(problem.design())
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
     for program in (loop.program(), loop.reduced_program()):
-        result = run(program, loop.start(program, 13, 5), 50)
+        result = prepare(program)(loop.start(program, 13, 5), 50, None)
         sums = {f"sum {name}": value for name, value in result.sums.items()}
         np.savez(f"{sys.argv[1]}/{len(program.states)}.npz", states=result.states, **sums, **result.outputs)
 print([str(warning.message) for warning in caught if "llvmlite" in str(warning.message)])

@@ -41,7 +41,7 @@ def udp_policy(price: float, told: bool = False) -> Policy:
         Assign("actuator", "input", ({"input": 0 * one}, {"command": one}), Received("actuator")),
         Assign("controller", "prior", *((known, Acknowledged("actuator")) if told else (expected, "send"))),
     ), Plant(A, B, W, mean=START), constant, locations=(clock,), initial={"prior": START}, network=NETWORK,
-        identity=Identity(constant, (silence, Form()), "send"))  # fmt: skip
+        cost=Cost(Q, R, horizon=N), identity=Identity(constant, (silence, Form()), "send"))  # fmt: skip
 
 
 @pytest.mark.parametrize(("price", "cost", "spread", "rate"), [(0.1, 65.520, 0.004, 0.502), (1.0, 95.03, 0.03, 0.1474)])

@@ -63,7 +63,7 @@ def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
 def test_a_continuous_tradeoff_counts_per_second() -> None:
     """Rates and costs per second; the periodic curve starts at the base rate, where it is all-time control."""
     found = taciturn.tradeoff(taciturn.load("two-mass-continuous"), {"theta": [0.1, 0.5]}, standard_error=5e-4)
-    assert (found.unit, found.base_rate) == ("second", 10.0)
+    assert (found.unit, found.points[0].evaluation.base_rate) == ("second", 10.0)
     first = found.periodic["hold"][0]
     assert first.rate == pytest.approx(10.0)
     assert first.cost == pytest.approx(found.points[0].evaluation.cost_all_time)

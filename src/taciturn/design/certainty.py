@@ -13,7 +13,8 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, choice
+from taciturn._modes import radius
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
@@ -35,12 +36,14 @@ class Certainty:
         regulator: K, L and H of the infinite horizon.
         estimation: the filter.
         cost_all_time: cost of sending at every tick, per tick, without the inter-sample noise cost.
+        settling: ticks in which regulator and filter forget their start, 1/(1 − |slowest eigenvalue|).
     """
 
     problem: Discrete
     regulator: Regulator
     estimation: Estimation
     cost_all_time: float
+    settling: float
 
     def per_unit(self, cost: float) -> float:
         """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
@@ -70,7 +73,10 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     estimation = estimate_state(problem)
     prior, posterior = estimation.filter.prior, estimation.filter.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    return Certainty(problem, regulator, estimation, float(cost))
+    slowest = radius(plant.A + plant.B @ regulator.L)
+    if not plant.full_state:
+        slowest = max(slowest, radius(plant.A - plant.A @ estimation.filter.gain @ plant.C))
+    return Certainty(problem, regulator, estimation, float(cost), 1 / (1 - slowest))
 
 
 def control_steps(
@@ -87,7 +93,7 @@ def control_steps(
     plant, estimation = certainty.problem.plant, certainty.estimation
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
-    part = _ACTUATIONS[actuation](certainty, L, on)
+    part = _ACTUATIONS[choice("actuation", actuation, _ACTUATIONS)](certainty, L, on)
     steps: tuple[Step, ...] = (
         *estimation.correct,
         Assign("controller", "command", {ESTIMATE: L}),

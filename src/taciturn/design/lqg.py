@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from scipy.linalg import block_diag
 
-from taciturn._arrays import number
+from taciturn._arrays import choice, number
 from taciturn.design.certainty import (
     COLLOCATED,
     Actuation,
@@ -68,6 +68,7 @@ def lqg(
         1.1
     """
     theta = number("theta", theta, 0.0, closed=True)
+    choice("trigger", trigger, ("joint", "separate"))
     if epsilon is not None and trigger != "separate":
         raise ProblemError(
             "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon"
@@ -87,6 +88,8 @@ def lqg(
         initial=initial,
         tick=problem.tick,
         noise_cost=problem.noise_cost,
+        settling=certainty.settling,
+        cost=cost,
         guarantee=Guarantee(
             certainty.per_unit((1 + theta) * certainty.cost_all_time),
             "J ≤ (1+θ) J_all, mean-square stable",

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, choice, count
+from taciturn._modes import radius
 from taciturn.design.certainty import (
     COLLOCATED,
     SEND,
@@ -47,8 +48,7 @@ def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None
         1.0
     """
     certainty = design_certainty("all-time", discretise(plant, cost, period))
-    steps, initial = control_steps(certainty, certainty.regulator.L, "hold", None)
-    return _blind("all-time", certainty, steps, initial, certainty.cost_all_time, 1)
+    return _every_tick("all-time", certainty)
 
 
 def periodic(
@@ -86,14 +86,13 @@ def periodic(
         >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).closed_form.rates
         {'actuator': 1.0}
     """
+    choice("actuation", actuation, ("hold", "model"))
     if isinstance(plant, ContinuousPlant):
         if every is not None:
             raise ProblemError("every is given with a continuous-time plant; expected period, in seconds")
         if actuation == "model":
             return _predicted(plant, cost, period)
-        certainty = design_certainty("periodic", discretise(plant, cost, period))
-        steps, initial = control_steps(certainty, certainty.regulator.L, "hold", None)
-        return _blind("periodic", certainty, steps, initial, certainty.cost_all_time, 1)
+        return _every_tick("periodic", design_certainty("periodic", discretise(plant, cost, period)))
     certainty = design_certainty("periodic", discretise(plant, cost, period))
     if every is None:
         raise ProblemError("every is missing; expected the steps between sends, at least 1")
@@ -110,6 +109,11 @@ def periodic(
     return _blind("periodic", certainty, steps, initial, average, every)
 
 
+def _every_tick(kind: str, certainty: Certainty) -> Policy:
+    steps, initial = control_steps(certainty, certainty.regulator.L, "hold", None)
+    return _blind(kind, certainty, steps, initial, certainty.cost_all_time, 1)
+
+
 def _blind(
     kind: str, certainty: Certainty, steps: tuple[Step, ...], initial: dict[str, Array], average: float, every: int
 ) -> Policy:
@@ -124,6 +128,8 @@ def _blind(
         initial=initial,
         tick=problem.tick,
         noise_cost=problem.noise_cost,
+        settling=every * certainty.settling,
+        cost=problem.cost,
         innovations=certainty.estimation.innovations,
         closed_form=ClosedForm(certainty.per_unit(average), {"actuator": 1.0 / every}),
     )
@@ -165,6 +171,8 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
         sites=(frozenset({"controller", "actuator"}),),
         tick=problem.tick,
         noise_cost=problem.noise_cost,
+        settling=1 / (1 - radius(closed)),
+        cost=cost,
         prediction_gain=L,
         closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
     )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
-from taciturn._modes import uncontrollable_modes
+from taciturn._modes import mode_text, uncontrollable_modes
 from taciturn.errors import ProblemError
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
@@ -283,7 +283,6 @@ def _set_linear(
     B = array("B", B, (n, None), "(states, inputs)")
     if B.shape[1] == 0:
         raise ProblemError("B has no columns; expected at least one input")
-    full_state = C is None and V is None
     C = frozen(np.eye(n)) if C is None else array("C", C, (None, n), "(outputs, states)")
     p = C.shape[0]
     if p == 0:
@@ -301,10 +300,10 @@ def _set_linear(
         if covariance is None
         else semidefinite("initial.covariance", covariance, n, "(states, states)"),
         "input_limit": limit,
-        "full_state": full_state,
     }
     for key, value in values.items():
         object.__setattr__(plant, key, value)
+    object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())
 
 
 def _refuse_lost_modes(
@@ -320,10 +319,6 @@ def _refuse_lost_modes(
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
-                f"{matrices} is not {verb}: {what} the mode at {_mode_text(lost[0])}, which does not decay; "
+                f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which does not decay; "
                 f"expected a {verb} plant; {remedy}"
             )
-
-
-def _mode_text(value: complex) -> str:
-    return f"{value.real:.6g}" if abs(value.imag) < 1e-12 else f"{value.real:.6g}{value.imag:+.6g}i"

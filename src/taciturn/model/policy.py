@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, number
 from taciturn.errors import ProblemError
+from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations
@@ -193,6 +194,8 @@ class Policy:
         tick: seconds per tick; 1 where time is counted in steps.
         noise_cost: inter-sample noise cost per tick that no policy can change.
         network: the network it was designed for.
+        settling: ticks in which the loop forgets its start when everything is sent, 1/(1 − |slowest eigenvalue|).
+        cost: the cost it was designed for; with an identity, a guarantee or a closed form.
         prediction_gain: gain L of an actuator that runs the model continuously between ticks.
         guarantee, identity, innovations, closed_form: where the theory gives them.
 
@@ -212,6 +215,8 @@ class Policy:
     tick: float = 1.0
     noise_cost: float = 0.0
     network: Network = field(default_factory=Network)
+    settling: float = 0.0
+    cost: Cost | None = None
     prediction_gain: Array | None = None
     guarantee: Guarantee | None = None
     identity: Identity | None = None
@@ -223,6 +228,8 @@ class Policy:
         """Check that everything fits together."""
         number("tick", self.tick, 0.0)
         self._check_costs()
+        if self.cost is None and (self.identity or self.guarantee or self.closed_form):
+            raise ProblemError(f"{self.kind} claims a cost but has none; expected cost, the one it was designed for")
         sizes: dict[str, int] = {"y": self.model.outputs}
         for step in self.steps:
             if isinstance(step, Assign):

@@ -12,16 +12,19 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, SENT, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.ir import Program
-from taciturn.simulation.engine import run
+from taciturn.simulation.engine import prepare
 
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
-BURN_IN = 512  # ticks; more where the first half of what is kept still differs from the second
+FEWEST_PATHS = 64  # where a slow loop makes every path long
+BURN_IN = 512  # ticks, at least
+SETTLE = 12  # time constants of the loop that are dropped: e^-12 is left of the start
+KEEP = 8  # time constants, and mean intervals between sends, that are dropped and that are kept at least
 BUDGET = 4_000_000_000  # steps of all paths together
 LEAST_STEPS = 1024
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
-DRIFT = 3.5  # standard errors by which two halves may differ
+DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
 Progress = Callable[[float], None]
 
 
@@ -106,7 +109,8 @@ def average(
     """Estimate the stationary cost and rates, or those of a finite horizon.
 
     Every path is independent, so the standard error is that of the mean over paths, whatever the correlation in time.
-    The first ticks are dropped; if the two halves of what is kept differ, the first is dropped as well.
+    Ticks are dropped until the loop has forgotten its start: twelve time constants of its slowest mode, eight mean
+    intervals between sends, and whatever precedes a window that still differs from the ones before it.
 
     Args:
         loop: the closed loop.
@@ -115,17 +119,20 @@ def average(
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
         steps: run this many steps of all paths together instead.
         progress: called with the fraction done.
-        threads: omitted: all processors.
+        threads: at least 1; omitted: all processors.
 
     Returns:
-        Cost and rates; ``reached`` is False where the budget ended first.
+        Cost and rates; ``reached`` is False where the budget ended first: before the asked standard error, or before
+        the loop had time to settle.
 
     Raises:
-        ProblemError: a budget or precision that is not positive.
+        ProblemError: a budget, precision or number of threads that is not positive.
         UnstableError: the loop diverges.
     """
     estimator = estimator or choose_estimator(loop)
     check_effort(seed, standard_error, steps)
+    if threads is not None:
+        count("threads", threads)
     sampling = _Sampling(loop, estimator, seed, progress, threads)
 
     def target(cost: Estimate) -> float:
@@ -158,35 +165,45 @@ class _Sampling:
         self.loop, self.estimator, self.seed, self.threads = loop, estimator, seed, threads
         self.progress = progress
         self.names = [estimator.sum, *_rates(loop)]
+        self.run = prepare(estimator.program)
         self.steps = 0
 
     def stationary(self, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
-        paths = min(PATHS, max(8, budget // (2 * BURN_IN) // 8 * 8))
-        ticks = budget // paths
-        dropped = min(BURN_IN, ticks // 2)
+        settling = self.loop.policy.settling
+        least = max(BURN_IN, int(SETTLE * settling))
+        paths = min(PATHS, max(8, budget // (2 * least) // 8 * 8))
         state = self.loop.start(self.estimator.program, paths, self.seed)
+        dropped = min(least, budget // paths // 2)
         _, state = self._advance(state, dropped)
         kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
-        window = min(BURN_IN, ticks - dropped)
+        window = min(least, budget // paths - dropped)
         while True:
             sums, state = self._advance(state, window)
             kept.append((window, sums))
-            settled = len(kept) < 2 or self._settled(kept)
-            if not settled:
+            if len(kept) > 1 and not self._settled(kept):
                 dropped += sum(length for length, _ in kept[:-1])
                 kept = kept[-1:]
             cost, rates = self._summary(kept)
-            reached = len(kept) > 1 and steps is None and cost.standard_error <= target(cost)
-            left = ticks - self.steps // paths
-            if reached or left < 1:
-                enough = reached or (steps is not None and settled)
-                return Averages(cost, rates, self.steps, dropped, enough)
-            wanted = target(cost) if steps is None else None
-            self._report(cost, wanted, self.steps / budget)
+            # a loop forgets within its slowest mode, and not before some sends
+            pace = KEEP * max([settling, *(1 / rate.value for rate in rates.values() if rate.value > 0)])
             measured = sum(length for length, _ in kept)
-            missing = left if wanted is None else _missing(measured, cost.standard_error, wanted)
-            window = max(1, min(left, measured, max(missing, BURN_IN // 4)))
+            long_enough = dropped >= pace and measured >= pace and len(kept) > 1
+            wanted = target(cost)
+            reached = long_enough and (cost.standard_error <= wanted if steps is None else False)
+            left = (budget - self.steps) // paths
+            if reached or left < 1:
+                return Averages(cost, rates, self.steps, dropped, reached or (steps is not None and long_enough))
+            self._report(cost, None if steps else wanted, self.steps / budget)
+            if dropped < pace:  # what was kept is burn-in; go on with as many paths as the budget allows
+                dropped, kept, measured = dropped + measured, [], 0
+                affordable = int((budget - self.steps) / (3 * pace)) // 8 * 8
+                paths = min(paths, max(FEWEST_PATHS, affordable)) if steps is None else paths
+                state, left = state[:, :paths], (budget - self.steps) // paths
+                window = min(left, max(int(pace) - dropped, int(pace) // 2 + 1))
+            else:
+                missing = left if steps else _missing(measured, cost.standard_error, wanted)
+                window = max(1, min(left, max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4)))
 
     def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
@@ -216,7 +233,7 @@ class _Sampling:
         chunk = max(1, CHUNK // state.shape[1])
         while ticks > 0:
             now = min(ticks, chunk)
-            result = run(self.estimator.program, state, now, self.threads)
+            result = self.run(state, now, self.threads)
             state = result.states
             sums += np.array([result.sums[name] for name in self.names])
             self.steps += now * state.shape[1]

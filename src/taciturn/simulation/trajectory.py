@@ -12,7 +12,7 @@ from taciturn._arrays import Array, count
 from taciturn._figure import Panel, Series, draw
 from taciturn.errors import ProblemError
 from taciturn.loop import SENT, Loop
-from taciturn.simulation.engine import run
+from taciturn.simulation.engine import prepare
 
 if TYPE_CHECKING:
     import pandas
@@ -109,9 +109,10 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         (50, 1)
     """
     ticks = count("ticks", ticks)
+    count("seed", seed, 0)
     program = loop.program()
     program = program.keep(outputs=set(program.outputs))
-    outputs = run(program, loop.start(program, 1, seed), ticks, threads=1).outputs
+    outputs = prepare(program)(loop.start(program, 1, seed), ticks, 1).outputs
     records = {name: values[:, 0] for name, values in outputs.items()}
 
     def stacked(name: str) -> Array:

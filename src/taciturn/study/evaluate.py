@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.simulation.average import Averages, Progress, average, check_effort
 
@@ -19,6 +20,8 @@ class Evaluation:
 
     Args:
         policy: its kind.
+        unit: what cost and rates count per: ``"step"`` or ``"second"``, or ``"mission"`` for a finite horizon.
+        base_rate: sends per unit at every tick.
         cost: per step or per second, or the total of a finite horizon.
         cost_all_time: exact cost of sending at every tick; None where the simulated plant is not the design's.
         cost_bound: proved bound, or None.
@@ -32,6 +35,8 @@ class Evaluation:
     """
 
     policy: str
+    unit: Literal["step", "second", "mission"]
+    base_rate: float
     cost: Estimate
     cost_all_time: float | None
     cost_bound: float | None
@@ -47,6 +52,8 @@ class Evaluation:
         """Return the JSON document of ``taciturn evaluate --json``."""
         result: dict[str, Any] = {
             "policy": self.policy,
+            "unit": self.unit,
+            "base_rate": self.base_rate,
             "cost": _estimate(self.cost),
             "cost_all_time": self.cost_all_time,
             "cost_bound": self.cost_bound,
@@ -112,10 +119,14 @@ def evaluate(
         found = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
     else:
         found = average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
+        if form is not None:  # a clock needs no estimate
+            found = replace(found, rates={link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()})
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     return Evaluation(
         policy=policy.kind,
+        unit="mission" if loop.horizon is not None else unit_of(problem),
+        base_rate=1 / policy.tick,
         cost=found.cost,
         cost_all_time=policy.cost_all_time if loop.nominal else None,
         cost_bound=None if guarantee is None else guarantee.cost,
@@ -129,6 +140,11 @@ def evaluate(
         if loop.nominal
         else ("the plant is not the one of the design (plant.actual or input_limit): no guarantee holds",),
     )
+
+
+def unit_of(problem: Problem) -> Literal["step", "second"]:
+    """Return what averages of a problem count per."""
+    return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:

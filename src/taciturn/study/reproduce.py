@@ -198,9 +198,9 @@ def _figure_point(problem: Problem, theta: float, seed: int) -> Row:
 
 
 def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
-    slowest = 1 / max(row.computed["mean interval"].value for row in rows)
-    curve = periodic_curve(problem, slowest, "hold")
     x = [row.computed["mean interval"].value for row in rows]
+    slowest = 1 / max(x)
+    curve = periodic_curve(problem, 1 / x[0], slowest, "hold")
     events = [row.computed["event-triggered"] for row in rows]
     bounds = [
         (a, row.computed["bound"].value) for a, row in zip(x, rows, strict=True) if row.computed["bound"].value < 0.6

@@ -16,7 +16,7 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.simulation.average import Progress
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import Evaluation, evaluate, unit_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -55,16 +55,14 @@ class Tradeoff:
 
     Args:
         points: in the order of the grid.
-        periodic: the curve of optimal periodic control, by actuation.
+        periodic: the curve of optimal periodic control, by actuation; none where plant or cost differ between points.
         unit: what a rate counts: ``"step"`` or ``"second"``.
-        base_rate: of sending at every tick.
         guarantee: the theorem behind the bounds, or None.
     """
 
     points: tuple[Point, ...]
     periodic: Mapping[Actuation, tuple[PeriodicPoint, ...]]
     unit: str
-    base_rate: float
     guarantee: str | None
 
     def document(self) -> dict[str, Any]:
@@ -87,12 +85,12 @@ class Tradeoff:
         """Return a figure of cost against rate: the policy with standard errors, periodic control, the guarantee."""
         series: list[Series] = []
         families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
-        lead = next(iter(self.points[0].values))
+        lead = _lead([point.values for point in self.points])
         for point in self.points:
             families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
         for index, (family, points) in enumerate(families.items()):
             ordered = sorted(points, key=_rate)
-            label = ", ".join([ordered[0].evaluation.policy, *(f"{value}" for _, value in family)])
+            label = ", ".join([ordered[0].evaluation.policy, *(_name(key, value) for key, value in family)])
             x, y = [_rate(p) for p in ordered], [p.evaluation.cost.value for p in ordered]
             series.append(Series(x, y, label, error=[p.evaluation.cost.standard_error for p in ordered], color=index))
             bounds = [p.evaluation.cost_bound for p in ordered]
@@ -139,9 +137,7 @@ def tradeoff(
     Raises:
         ProblemError: no values, an unknown key, or data that do not fit.
     """
-    if not over or not all(over.values()):
-        raise ProblemError("no values to trade off over; expected a name with at least one value, as theta=0.1,1")
-    grid = [dict(zip(over, cell, strict=True)) for cell in itertools.product(*over.values())]
+    grid = _grid(over)
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
         changed.design()  # a mistake in the last cell is told before the first one runs
@@ -156,23 +152,52 @@ def tradeoff(
         actuation: Actuation = "model" if changed.parameters.get("actuation") == "model" else "hold"
         same = periodic_cost_at(changed, next(iter(evaluation.rates.values())).value, actuation)
         points.append(Point(cell, evaluation, actuation, same))
-    slowest = min((_rate(point) for point in points if _rate(point) > 0), default=1 / problems[0].design().tick)
+    return Tradeoff(tuple(points), _curves(problems, points, over), unit_of(problem), _statement(problems[0], points))
+
+
+def _grid(over: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
+    """Return the cells: every combination, the last key fastest."""
+    listed: dict[str, list[object]] = {}
+    for name, values in over.items():
+        if isinstance(values, str) or not hasattr(values, "__iter__"):
+            raise ProblemError(f"the values of {name} are {values!r}; expected a list of values, as [0.1, 1.0]")
+        listed[name] = list(values)
+    if not listed or not all(listed.values()):
+        raise ProblemError("no values to trade off over; expected a name with at least one value, as theta=0.1,1")
+    return [dict(zip(listed, cell, strict=True)) for cell in itertools.product(*listed.values())]
+
+
+def _curves(
+    problems: Sequence[Problem], points: Sequence[Point], over: Mapping[str, object]
+) -> dict[Actuation, tuple[PeriodicPoint, ...]]:
+    """Return the periodic curves that all points share: none where a key outside [policy] was varied."""
+    if any("." in name and not name.startswith("policy.") for name in over):
+        return {}
     used: set[Actuation] = {point.actuation for point in points}
-    curves: dict[Actuation, tuple[PeriodicPoint, ...]] = {
-        actuation: periodic_curve(problems[0], slowest, actuation) for actuation in sorted(used)
-    }
-    policy = problems[0].design()
-    statement = (
-        None if policy.guarantee is None or points[0].evaluation.cost_bound is None else policy.guarantee.statement
-    )
-    continuous = isinstance(problem.plant, ContinuousPlant)
-    return Tradeoff(
-        tuple(points),
-        {actuation: curve for actuation, curve in curves.items() if curve},
-        "second" if continuous else "step",
-        1 / policy.tick,
-        statement,
-    )
+    fastest = max(point.evaluation.base_rate for point in points)
+    slowest = min((_rate(point) for point in points if _rate(point) > 0), default=fastest)
+    curves: dict[Actuation, tuple[PeriodicPoint, ...]] = {}
+    for actuation in sorted(used):
+        curve = periodic_curve(problems[0], fastest, slowest, actuation)
+        if curve:
+            curves[actuation] = curve
+    return curves
+
+
+def _statement(problem: Problem, points: Sequence[Point]) -> str | None:
+    guarantee = problem.design().guarantee
+    return None if guarantee is None or points[0].evaluation.cost_bound is None else guarantee.statement
+
+
+def _lead(cells: Sequence[Mapping[str, Any]]) -> str:
+    """Return the key along which points are joined: the first whose values are numbers."""
+    names = list(cells[0])
+    return next((n for n in names if all(isinstance(cell[n], int | float) for cell in cells)), names[0])
+
+
+def _name(key: str, value: object) -> str:
+    """Return a value as a legend shows it: words speak for themselves."""
+    return value if isinstance(value, str) else f"{key} = {value}"
 
 
 def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> float | None:
@@ -202,11 +227,11 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
     return share * faster.cost + (1 - share) * slower.cost
 
 
-def periodic_curve(problem: Problem, slowest: float, actuation: Actuation) -> tuple[PeriodicPoint, ...]:
-    """Return optimal periodic control from the base rate down to ``slowest``; unstable rates are left out."""
+def periodic_curve(problem: Problem, fastest: float, slowest: float, actuation: Actuation) -> tuple[PeriodicPoint, ...]:
+    """Return optimal periodic control from one rate down to another; unstable rates are left out."""
     if isinstance(problem.plant, ContinuousPlant):
-        base = problem.design().tick
-        intervals: Sequence[float] = np.geomspace(base, max(1.05 / slowest, 1.05 * base), CURVE_POINTS).tolist()
+        longest = 1.05 * max(1 / slowest, 1 / fastest)
+        intervals: Sequence[float] = np.geomspace(1 / fastest, longest, CURVE_POINTS).tolist()
     else:
         longest = int(np.ceil(1 / slowest))
         listed = (
