@@ -120,3 +120,47 @@ def test_a_limit_clips_what_the_plant_receives() -> None:
     path = taciturn.simulate(close(limited, policy, cost=COST), 2000, seed=1)
     assert np.abs(path.input).max() == 0.5
     assert (np.abs(path.input) == 0.5).mean() > 0.01
+
+
+@pytest.mark.parametrize("pole", [0.999, 0.9999])
+def test_a_slow_mode_is_waited_for_even_at_low_precision(pole: float) -> None:
+    """A mode that no input moves needs thousands of ticks; asked for 5 %, the estimate is still unbiased."""
+    plant = Plant([[pole, 0.0], [0.0, 0.5]], [[0.0], [1.0]], np.eye(2))
+    policy = design.all_time(plant, Cost(np.eye(2), [[1.0]]))
+    assert policy.closed_form is not None
+    exact = policy.closed_form.cost
+    loop = close(plant, policy)
+    found = average(loop, plain_average(loop), seed=1, standard_error=0.05 * exact)
+    assert found.reached
+    assert abs(found.cost.value - exact) <= 4 * found.cost.standard_error
+
+
+def test_rare_sends_are_waited_for() -> None:
+    """Where a send is rare, as many of them are dropped and kept as it takes, whatever precision is asked."""
+    plant, cost = Plant([[0.6]], [[1.0]], [[0.01]], [[1.0]], [[0.03]]), Cost([[1.0]], [[0.05]])
+    loop = close(plant, design.lqg(plant, cost, theta=1.3, trigger="separate"))
+    quick, long = average(loop, seed=1, standard_error=1e-5), average(loop, seed=2, steps=500_000_000)
+    assert 1e-3 < long.rates["actuator"].value < 5e-3
+    assert quick.burn_in > 8 / long.rates["actuator"].value
+    assert abs(quick.cost.value - long.cost.value) <= 4 * np.hypot(quick.cost.standard_error, long.cost.standard_error)
+    both = (quick.rates["actuator"], long.rates["actuator"])
+    assert abs(both[0].value - both[1].value) <= 4 * np.hypot(both[0].standard_error, both[1].standard_error)
+
+
+def test_too_few_steps_to_settle_are_told() -> None:
+    """A budget that ends before the loop has forgotten its start is not called reached."""
+    plant = Plant([[0.9999]], [[1e-4]], [[1.0]])
+    policy = design.all_time(plant, Cost([[1.0]], [[1e6]]))
+    loop = close(plant, policy)
+    assert not average(loop, plain_average(loop), steps=20_000).reached
+
+
+def test_another_cost_than_the_design_s_is_measured_as_it_is() -> None:
+    """The completed square belongs to the cost of the design; another cost is averaged plainly, without guarantee."""
+    policy = design.lqg(PLANT, COST, theta=0.5)
+    tenfold = Cost(10 * COST.Q, 10 * COST.R)
+    loop = close(PLANT, policy, cost=tenfold)
+    assert not loop.nominal
+    same, more = average(close(PLANT, policy), standard_error=2e-3), average(loop, standard_error=2e-2)
+    error = np.hypot(10 * same.cost.standard_error, more.cost.standard_error)
+    assert abs(10 * same.cost.value - more.cost.value) <= 4 * error
