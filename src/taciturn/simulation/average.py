@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +20,7 @@ FEWEST_PATHS = 64  # where a slow loop makes every path long
 BURN_IN = 512  # ticks, at least
 SETTLE = 12  # time constants of the loop that are dropped: e^-12 is left of the start
 KEEP = 8  # time constants, and mean intervals between sends, that are dropped and that are kept at least
+SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
 BUDGET = 4_000_000_000  # steps of all paths together
 LEAST_STEPS = 1024
 HUGE = 1e150  # its square is still a number
@@ -110,7 +111,7 @@ def average(
 
     Every path is independent, so the standard error is that of the mean over paths, whatever the correlation in time.
     Ticks are dropped until the loop has forgotten its start: twelve time constants of its slowest mode, eight mean
-    intervals between sends, and whatever precedes a window that still differs from the ones before it.
+    intervals between sends, a send on nearly every path, and whatever precedes a window that differs from the latest.
 
     Args:
         loop: the closed loop.
@@ -170,40 +171,55 @@ class _Sampling:
 
     def stationary(self, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
-        settling = self.loop.policy.settling
-        least = max(BURN_IN, int(SETTLE * settling))
+        least = max(BURN_IN, int(SETTLE * self.loop.policy.settling))
         paths = min(PATHS, max(8, budget // (2 * least) // 8 * 8))
         state = self.loop.start(self.estimator.program, paths, self.seed)
-        dropped = min(least, budget // paths // 2)
-        _, state = self._advance(state, dropped)
+        state, dropped, forgotten = self._burn_in(state, min(least, budget // paths // 2), budget)
         kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
-        window = min(least, budget // paths - dropped)
+        window = dropped
         while True:
+            left = (budget - self.steps) // state.shape[1]
+            window = max(1, min(window, left))
             sums, state = self._advance(state, window)
             kept.append((window, sums))
             if len(kept) > 1 and not self._settled(kept):
                 dropped += sum(length for length, _ in kept[:-1])
                 kept = kept[-1:]
             cost, rates = self._summary(kept)
-            # a loop forgets within its slowest mode, and not before some sends
-            pace = KEEP * max([settling, *(1 / rate.value for rate in rates.values() if rate.value > 0)])
-            measured = sum(length for length, _ in kept)
-            long_enough = dropped >= pace and measured >= pace and len(kept) > 1
-            wanted = target(cost)
-            reached = long_enough and (cost.standard_error <= wanted if steps is None else False)
-            left = (budget - self.steps) // paths
-            if reached or left < 1:
-                return Averages(cost, rates, self.steps, dropped, reached or (steps is not None and long_enough))
-            self._report(cost, None if steps else wanted, self.steps / budget)
-            if dropped < pace:  # what was kept is burn-in; go on with as many paths as the budget allows
-                dropped, kept, measured = dropped + measured, [], 0
-                affordable = int((budget - self.steps) / (3 * pace)) // 8 * 8
-                paths = min(paths, max(FEWEST_PATHS, affordable)) if steps is None else paths
-                state, left = state[:, :paths], (budget - self.steps) // paths
-                window = min(left, max(int(pace) - dropped, int(pace) // 2 + 1))
-            else:
-                missing = left if steps else _missing(measured, cost.standard_error, wanted)
-                window = max(1, min(left, max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4)))
+            measured, pace = sum(length for length, _ in kept), self._pace([rate.value for rate in rates.values()])
+            long_enough = forgotten and measured >= pace and len(kept) > 1
+            if steps is None and long_enough and cost.standard_error <= target(cost):
+                return Averages(cost, rates, self.steps, dropped, True)
+            if left <= window:
+                return Averages(cost, rates, self.steps, dropped, steps is not None and long_enough)
+            self._report(cost, None if steps else target(cost), self.steps / budget)
+            missing = left if steps else _missing(measured, cost.standard_error, target(cost))
+            window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
+
+    def _burn_in(self, state: Array, length: int, budget: int) -> tuple[Array, int, bool]:
+        """Run until the start is forgotten: return the state, the ticks that took, and whether it was reached.
+
+        Forgotten means: a few time constants, a few mean intervals between sends, and a send on nearly every path.
+        Where that takes long, fewer paths go on; half of the budget is left for what is kept.
+        """
+        least, dropped = length, 0
+        sent = np.zeros((len(self.names) - 1, state.shape[1]))
+        while True:
+            sums, state = self._advance(state, length)
+            dropped, sent = dropped + length, sent + sums[1:]
+            pace = self._pace(list(sent.mean(axis=1) / dropped))
+            silent = max((float((row == 0).mean()) for row in sent if row.any()), default=0.0)
+            if dropped >= max(least, pace) and silent <= SILENT:
+                return state, dropped, True
+            length = max(dropped, int(pace) - dropped + 1)
+            paths = min(state.shape[1], (budget - self.steps) // 2 // length // 8 * 8)
+            if paths < min(FEWEST_PATHS, state.shape[1]):
+                return state, dropped, False
+            state, sent = state[:, :paths], sent[:, :paths]
+
+    def _pace(self, rates: Sequence[float]) -> float:
+        """Return the ticks in which the loop forgets: some of its slowest mode, and some intervals between sends."""
+        return KEEP * max([self.loop.policy.settling, *(1 / rate for rate in rates if rate > 0)])
 
     def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
