@@ -9,19 +9,25 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from systems import System, systems
 
-from taciturn import Policy, close, design
+from taciturn import Loop, Policy, close, design
 from taciturn.model.policy import Decide
-from taciturn.simulation.average import average, completed_squares, plain_average
+from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
 
 STEPS = 1_000_000
 FEW = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
+def settled(loop: Loop, estimator: Estimator | None, seed: int, steps: int) -> Averages:
+    """Return an average over at least so many steps, more where the loop needs them to forget its start."""
+    found = average(loop, estimator, seed=seed, steps=steps)
+    return found if found.reached or steps > 100_000_000 else settled(loop, estimator, seed, 8 * steps)
+
+
 def no_policy_exceeds_its_guarantee(system: System, name: str) -> None:
     """J ≤ (1+θ) J_all, as simulated with the full plant's law."""
     policy = POLICIES[name](system)
-    found = average(close(system.plant, policy, cost=system.cost), seed=system.seed, steps=STEPS)
+    found = settled(close(system.plant, policy), None, system.seed, STEPS)
     assert policy.guarantee is not None
     assert found.cost.value - 4 * found.cost.standard_error <= policy.guarantee.cost * (1 + 1e-9)
     assert found.cost.value + 4 * found.cost.standard_error >= policy.cost_all_time * (1 - 1e-9)
@@ -30,20 +36,21 @@ def no_policy_exceeds_its_guarantee(system: System, name: str) -> None:
 def both_estimators_agree(system: System, name: str) -> None:
     """Completed squares without the plant and the average of the stage cost with it are one number."""
     loop = close(system.plant, POLICIES[name](system), cost=system.cost)
-    squares = average(loop, completed_squares(loop), seed=system.seed, steps=STEPS)
-    plain = average(loop, plain_average(loop), seed=system.seed + 1, steps=4 * STEPS)
+    squares = settled(loop, completed_squares(loop), system.seed, STEPS)
+    plain = settled(loop, plain_average(loop), system.seed + 1, 4 * STEPS)
     combined = np.hypot(squares.cost.standard_error, plain.cost.standard_error)
     assert abs(squares.cost.value - plain.cost.value) <= 4.5 * combined  # 300 comparisons: 4 would fail once in 50 runs
     link = "actuator"
     combined = np.hypot(squares.rates[link].standard_error, plain.rates[link].standard_error)
-    assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + 1e-12
+    rare = 20 / min(squares.steps, plain.steps)  # sends so rare that one run may have seen none
+    assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + rare
 
 
 def closed_forms_are_what_is_simulated(system: System, name: str) -> None:
     """The exact cost of a policy that ignores the state is the average of its stage cost."""
     policy = POLICIES[name](system)
     loop = close(system.plant, policy, cost=system.cost)
-    found = average(loop, plain_average(loop), seed=system.seed, steps=2 * STEPS)
+    found = settled(loop, plain_average(loop), system.seed, 2 * STEPS)
     assert policy.closed_form is not None
     assert abs(found.cost.value - policy.closed_form.cost) <= 4.5 * found.cost.standard_error
 

@@ -38,6 +38,16 @@ def test_the_curve_rises_with_the_period(plant: ContinuousPlant) -> None:
         assert costs[-1] > 3 * costs[0]
 
 
+def test_a_clock_that_does_not_divide_the_windows_settles() -> None:
+    """Every third step: the simulation of a periodic policy reaches its precision."""
+    problem = load("two-mass")
+    loop = close(problem.plant, design.periodic(problem.plant, problem.cost, every=3))
+    found = average(loop, plain_average(loop), standard_error=5e-3)
+    assert found.reached
+    assert found.burn_in <= 2000  # twelve time constants, not windows dropped one after the other
+    assert abs(found.rates["actuator"].value - 1 / 3) < 1e-3
+
+
 @pytest.mark.parametrize("plant", [STABLE, UNSTABLE], ids=["stable", "unstable"])
 @pytest.mark.parametrize("period", [0.1, 0.7])
 def test_the_closed_form_is_what_is_simulated(plant: ContinuousPlant, period: float) -> None:

@@ -266,7 +266,9 @@ class _Sampling:
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         if np.abs(last).max() > 1e6 * length * max(float(np.abs(earlier).max()), 1e-300):
             raise self._diverges("its cost grew a million times between two windows")
-        return bool((np.abs(change.mean(axis=1)) <= DRIFT * spread + 1e-12 * np.abs(earlier.mean(axis=1))).all())
+        counted = np.array([0.0, *[1.0] * (len(self.names) - 1)]) / length  # a window may end just before a send
+        drift = DRIFT * spread + counted + 1e-12 * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) <= drift).all())
 
     def _diverges(self, how: str) -> UnstableError:
         return UnstableError(
@@ -278,7 +280,9 @@ class _Sampling:
         ticks = sum(length for length, _ in kept)
         means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
         cost = _mean(means[0]).scaled(self.estimator.scale, self.estimator.offset)
-        return cost, {name.split()[1]: _mean(row) for name, row in zip(self.names[1:], means[1:], strict=True)}
+        seen = ticks * means.shape[1]
+        rates = {name.split()[1]: _rate(row, seen) for name, row in zip(self.names[1:], means[1:], strict=True)}
+        return cost, rates
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
@@ -320,3 +324,9 @@ def _mean(values: Array) -> Estimate:
     moments = _Moments()
     moments.add(values)
     return moments.mean()
+
+
+def _rate(values: Array, seen: int) -> Estimate:
+    """Return a mean rate; a send that never or always came in so many steps may still be as rare as one in them."""
+    found = _mean(values)
+    return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
