@@ -133,6 +133,11 @@ def frozen(value: Array) -> Array:
     return result
 
 
+def symmetrised(matrix: Array) -> Array:
+    """Return the symmetric part, which rounding has blurred."""
+    return (matrix + matrix.T) / 2
+
+
 def quoted(value: object) -> str:
     """Return a value as a sentence shows what it got: as it would be typed, and no longer than a line."""
     try:

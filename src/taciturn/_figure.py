@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".png", ".pdf")
-Style = Literal["line", "dashed", "dotted", "points", "steps", "stems"]
+Style = Literal["line", "dashed", "dotted", "steps", "stems"]
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def save(figure: Figure, path: str | Path) -> None:
 
 def _plot(axis: Any, series: Series) -> None:
     color = None if series.color is None else f"C{series.color}"
-    lines = {"line": "-", "dashed": "--", "dotted": ":", "points": "o"}
+    lines = {"line": "-", "dashed": "--", "dotted": ":"}
     if series.style == "steps":
         axis.step(series.x, series.y, where="post", label=series.label, color=color)
     elif series.style == "stems":

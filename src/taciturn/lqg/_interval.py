@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array
+from taciturn._arrays import Array, symmetrised
 from taciturn.errors import ProblemError
 
 
@@ -48,8 +48,8 @@ def compose(first: Interval, second: Interval) -> Interval:
     """Return the stretch that is ``first`` followed by ``second``."""
     return Interval(
         second.Phi @ first.Phi,
-        _symmetric(first.M + first.Phi.T @ second.M @ first.Phi),
-        _symmetric(second.G + second.Phi @ first.G @ second.Phi.T),
+        symmetrised(first.M + first.Phi.T @ second.M @ first.Phi),
+        symmetrised(second.G + second.Phi @ first.G @ second.Phi.T),
         first.noise_cost + second.noise_cost + float(np.sum(second.M * first.G)),
     )
 
@@ -104,8 +104,8 @@ def _doubled(F: Array, M: Array, G: Array, step: float, doublings: int) -> Inter
     Phi, near = one + change, True
     for _ in range(doublings):
         cost = 2 * cost + float(np.sum(M * G))
-        M = _symmetric(M + Phi.T @ M @ Phi)
-        G = _symmetric(G + Phi @ G @ Phi.T)
+        M = symmetrised(M + Phi.T @ M @ Phi)
+        G = symmetrised(G + Phi @ G @ Phi.T)
         # Near the identity the small Φ − I carries the digits; far from it (decayed modes) Φ itself does.
         near = near and bool(np.abs(change).max() < 0.5)
         if near:
@@ -125,8 +125,8 @@ def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Ar
         cost += float(np.sum(M * g)) * step / (k + 1)
         power = power @ F * (step / k)
         change = change + power
-        m = _symmetric(m @ F) * (2 * step / (k + 1))
-        g = _symmetric(F @ g) * (2 * step / (k + 1))
+        m = symmetrised(m @ F) * (2 * step / (k + 1))
+        g = symmetrised(F @ g) * (2 * step / (k + 1))
     return change, weight, noise, cost
 
 
@@ -142,7 +142,3 @@ def split(stretch: Interval, states: int) -> Sampled:
         W=_arrays.frozen(stretch.G[:n, :n]),
         noise_cost=stretch.noise_cost,
     )
-
-
-def _symmetric(matrix: Array) -> Array:
-    return (matrix + matrix.T) / 2

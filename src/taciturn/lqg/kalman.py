@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import TINY, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
@@ -149,7 +149,7 @@ def predict_covariances(
         gains[k] = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
         posterior[k] = _posterior(Sigma, gains[k], C, V)
         with np.errstate(over="ignore", invalid="ignore"):
-            Sigma = _symmetric(A @ posterior[k] @ A.T + W)
+            Sigma = symmetrised(A @ posterior[k] @ A.T + W)
             overflown = not np.isfinite(Sigma @ Sigma).all()
         if overflown:
             raise UnstableError(
@@ -186,7 +186,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     A, C, W, V = _checked(A, C, W, V)
     Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
     gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
-    return _arrays.frozen(_symmetric(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
+    return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
 
 
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
@@ -209,7 +209,7 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     """Return the covariance after a measurement in Joseph's form, which stays semidefinite under rounding."""
     rest = np.eye(len(Sigma)) - gain @ C
-    posterior = _symmetric(rest @ Sigma @ rest.T + gain @ V @ gain.T)
+    posterior = symmetrised(rest @ Sigma @ rest.T + gain @ V @ gain.T)
     # A noise-free output leaves exact zeros, whose rounding must not be inverted at a next step.
     return posterior if _dare.is_definite(V) else _cleaned(posterior, Sigma)
 
@@ -261,7 +261,3 @@ def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Ar
         _arrays.semidefinite("W", W, n, "states × states"),
         _arrays.semidefinite("V", V, C.shape[0], "outputs × outputs"),
     )
-
-
-def _symmetric(matrix: Array) -> Array:
-    return (matrix + matrix.T) / 2

@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare, _scipy
@@ -149,7 +149,7 @@ def regulate_finite(
     K[horizon] = _arrays.symmetric("terminal", terminal, n, "states × states")
     for k in reversed(range(horizon)):
         with np.errstate(over="ignore", invalid="ignore"):
-            H[k] = _symmetric(R + B.T @ K[k + 1] @ B)
+            H[k] = symmetrised(R + B.T @ K[k + 1] @ B)
             cross = B.T @ K[k + 1] @ A + N.T
         if not (np.isfinite(H[k]).all() and np.isfinite(cross).all()):
             raise UnstableError(
@@ -162,7 +162,7 @@ def regulate_finite(
         L[k] = -np.linalg.solve(H[k], cross)
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is met, and named, in the next turn
-            K[k] = _symmetric(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
+            K[k] = symmetrised(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
     if not np.isfinite(K[0]).all():
         raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
     return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
@@ -210,7 +210,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         if eigenvalues(A + B @ L).real.max() >= 0:
             K = None
             break
-        K = _scipy.continuous_lyapunov((A + B @ L).T, _symmetric(Q + N @ L + L.T @ N.T + L.T @ R @ L))
+        K = _scipy.continuous_lyapunov((A + B @ L).T, symmetrised(Q + N @ L + L.T @ N.T + L.T @ R @ L))
     if K is not None:
         L = -np.linalg.solve(R, B.T @ K + N.T)
         residual = A.T @ K + K.T @ A + Q - L.T @ R @ L
@@ -266,7 +266,7 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
     share = np.linalg.solve(R, N.T)
     weight = Q - N @ share
     weight = np.where(np.abs(weight) > 1e-13 * (np.abs(Q) + np.abs(N) @ np.abs(share)), weight, 0.0)
-    return uncontrollable_modes((A - B @ share).T, root(_symmetric(weight)))
+    return uncontrollable_modes((A - B @ share).T, root(symmetrised(weight)))
 
 
 def _refuse_unmoved(modes: Modes, region: str) -> None:
@@ -297,7 +297,3 @@ def _singular(H: Array, where: str) -> ProblemError:
         "direction is free; expected every input to cost something; give R a positive part or drop the "
         "redundant input"
     )
-
-
-def _symmetric(matrix: Array) -> Array:
-    return (matrix + matrix.T) / 2

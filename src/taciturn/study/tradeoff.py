@@ -204,8 +204,7 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
     """Return the exact cost of optimal periodic control at a rate, or None where there is none (rate 0, or unstable).
 
     A discrete plant has the rates 1/k only; between them two controllers share the time over long phases, which
-    interpolates rate and cost linearly; an interval at which sampling loses a mode is
-    passed over.
+    interpolates rate and cost linearly; an interval at which sampling loses a mode is passed over.
 
     Args:
         problem: its plant and cost.
