@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from taciturn.model.plant import plant_from as plant_from
     from taciturn.model.policy import Guarantee as Guarantee
     from taciturn.model.policy import Policy as Policy
+    from taciturn.model.reference import Reference as Reference
+    from taciturn.model.schedule import Schedule as Schedule
     from taciturn.model.trigger import Form as Form
     from taciturn.model.trigger import Scheduled as Scheduled
     from taciturn.model.trigger import Trigger as Trigger
@@ -54,6 +56,8 @@ _HOME = {
     "Policy": "model.policy",
     "Problem": "problem",
     "ProblemError": "errors",
+    "Reference": "model.reference",
+    "Schedule": "model.schedule",
     "Scheduled": "model.trigger",
     "TaciturnError": "errors",
     "Tradeoff": "study.tradeoff",

@@ -15,7 +15,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Policy
+from taciturn.model.policy import ENDS, Assign, Policy, Send
 from taciturn.model.trigger import Form
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
@@ -34,13 +34,18 @@ class Loop:
         problem: the plant from tick to tick, with its weights.
         policy: the policy.
         network: the network.
-        nominal: whether plant, network and cost are those the policy was designed for, so that its theory holds.
+        departures: in what the loop is not the one the policy was designed for; then its theory does not hold.
     """
 
     problem: Discrete
     policy: Policy
     network: Network
-    nominal: bool
+    departures: tuple[str, ...]
+
+    @property
+    def nominal(self) -> bool:
+        """Whether plant, network and cost are those the policy was designed for, so that its theory holds."""
+        return not self.departures
 
     @property
     def horizon(self) -> int | None:
@@ -63,14 +68,15 @@ class Loop:
         """
         plant = self.problem.plant
         tick = self._tick({"x": plant.states})
+        losses = self._losses(tick)
         tick.signals["y"] = tick.combine({"x": plant.C}, plant.outputs)
         if plant.V.any():
             noise = _noise(tick, factor(plant.V), 0)
             tick.signals["y"] = [tick.builder.emit("add", y, v) for y, v in zip(tick.signals["y"], noise, strict=True)]
         for step in self.policy.steps:
-            tick.take(step, self._losses())
+            tick.take(step, losses)
         tick.signals["applied"] = self._clip(tick)
-        stage = tick.form(self._stage("x"))
+        stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
         if plant.W.any():
@@ -100,10 +106,10 @@ class Loop:
             if isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = _noise(tick, factor(innovations.covariance), 0)
             else:
-                tick.take(step, self._losses())
+                tick.take(step, self._losses(tick))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
-        stage = tick.form(self._stage(innovations.estimate, error))
+        stage = tick.form(self._stage(innovations.estimate, "applied", error))
         return with_draws(tick.finish(self._sums(tick, stage), self._outputs(tick, ())))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
@@ -113,6 +119,10 @@ class Loop:
         spread = factor(plant.covariance)
         x = plant.mean[:, None] + spread @ draws.standard_normal((paths, spread.shape[1])).T
         drawn = {"x": x, GENERATOR: seed_generators(seed, paths, first)}
+        for link in ENDS:
+            burst = self.network.burst(link)
+            if burst is not None:
+                drawn[_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
         rows: list[Array] = []
         for state in program.states:
             if isinstance(state.start, tuple):
@@ -124,11 +134,33 @@ class Loop:
 
     def _tick(self, extra: Mapping[str, int]) -> Tick:
         policy, plant = self.policy, self.problem.plant
-        sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1}
-        return Tick(Builder(), sizes, {**policy.initial, "x": "x", WEIGHT: np.ones(1)}, policy.locations)
+        sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1, **{_bad(link): 1 for link in ENDS}}
+        initial = {**policy.initial, "x": "x", WEIGHT: np.ones(1), **{_bad(link): _bad(link) for link in ENDS}}
+        return Tick(Builder(), sizes, initial, policy.locations)
 
-    def _losses(self) -> dict[str, Coefficient]:
-        return {link: self.network.loss(link) for link in ENDS}
+    def _losses(self, tick: Tick) -> dict[str, Coefficient]:
+        """Return the loss probability of each link: constant, or read by the drawn location of its bursts."""
+        losses: dict[str, Coefficient] = {}
+        for link in ENDS:
+            burst, b = self.network.burst(link), tick.builder
+            losses[link] = self.network.loss(link)
+            if burst is not None and any(isinstance(s, Send) and s.link == link for s in self.policy.steps):
+                (bad,) = tick.read(_bad(link))
+                losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
+                turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
+                turned = b.emit("sub", b.constant(1.0), bad)
+                tick.signals[_bad(link)] = [tick.choose(b.emit("greater", turn, tick.uniform()), turned, bad)]
+        return losses
+
+    def _deviate(self, tick: Tick) -> tuple[str, str]:
+        """Return the signals that the cost weighs: state and input, or what they are off a reference."""
+        tracking, plant = self.policy.tracking, self.problem.plant
+        if tracking is None:
+            return "x", "applied"
+        n, m = np.eye(plant.states), np.eye(plant.inputs)
+        tick.signals["x off"] = tick.combine({"x": n, tracking.state: -n}, plant.states)
+        tick.signals["applied off"] = tick.combine({"applied": m, tracking.input: -m}, plant.inputs)
+        return "x off", "applied off"
 
     def _clip(self, tick: Tick) -> list[int]:
         limit = self.problem.plant.input_limit
@@ -142,20 +174,20 @@ class Loop:
             clipped.append(tick.choose(tick.builder.emit("greater", low, below), low, below))
         return clipped
 
-    def _stage(self, state: str, constant: float = 0.0) -> Form:
+    def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem
-        return Form((state, "applied"), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
+        return Form((state, applied), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
 
     def _sums(self, tick: Tick, stage: int) -> dict[str, int]:
-        discount = self.problem.cost.discount
-        if discount < 1:
-            (weight,) = tick.read(WEIGHT)
-            tick.signals[WEIGHT] = [tick.builder.scale(discount, weight)]
-            stage = tick.builder.emit("mul", weight, stage)
         sums = {COST: stage}
         identity = self.policy.identity
         if identity is not None and self.nominal:
             sums[EXCESS] = tick.pick(identity.on, [tick.form(form) for form in identity.forms])
+        discount = self.problem.cost.discount
+        if discount < 1:
+            (weight,) = tick.read(WEIGHT)
+            tick.signals[WEIGHT] = [tick.builder.scale(discount, weight)]
+            sums = {name: tick.builder.emit("mul", weight, value) for name, value in sums.items()}
         return sums | {f"{SENT} {link}": tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
 
     def _outputs(self, tick: Tick, more: tuple[str, ...]) -> dict[str, int]:
@@ -175,7 +207,7 @@ def close(
     Args:
         plant: the plant that is controlled, the one of the design or another.
         policy: from ``taciturn.design`` or hand-made.
-        network: omitted: ideal links.
+        network: omitted: the one of the design.
         cost: the cost that is measured; omitted: the one the policy was designed for.
 
     Returns:
@@ -190,7 +222,7 @@ def close(
     cost = policy.cost if cost is None else cost
     if cost is None:
         raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
-    network = network or Network()
+    network = network or policy.network
     if isinstance(plant, ContinuousPlant) and plant.jumps is not None:
         raise ProblemError(
             f"the plant has Poisson jumps, which {policy.kind} does not sample; expected Wiener noise: "
@@ -203,13 +235,36 @@ def close(
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     check_information(policy, network)
-    as_designed = (
-        problem.plant.same_as(policy.model),
-        problem.plant.input_limit is None,
-        network == policy.network,
-        policy.cost is not None and cost.same_as(policy.cost),
-    )
-    return Loop(problem, policy, network, all(as_designed))
+    if network.delay != policy.network.delay:
+        raise ProblemError(
+            f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
+            "expected the delay of the design"
+        )
+    if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
+        raise ProblemError(
+            f"cost.horizon is {cost.horizon}, and the reference has {policy.cost.horizon} steps; expected the same"
+        )
+    return Loop(problem, policy, network, _departures(problem, policy, network))
+
+
+def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
+    plant, model, cost = problem.plant, policy.model, problem.cost
+    mission = cost.horizon is not None or cost.discount < 1
+    same_start = np.array_equal(plant.mean, model.mean) and np.array_equal(plant.covariance, model.covariance)
+    bursts = any(network.burst(link) is not None for link in ENDS)
+    found = {
+        "the plant is not the one of the design": not plant.same_as(model),
+        "the initial state is not the one of the design": mission and not same_start,
+        "inputs are clipped (input_limit)": plant.input_limit is not None,
+        "losses come in bursts, and the design knows their mean only": bursts,
+        "the network is not the one of the design": not bursts and network != policy.network,
+        "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
+    }
+    return tuple(text for text, departs in found.items() if departs)
+
+
+def _bad(link: str) -> str:
+    return f"{link} link is bad"
 
 
 def _noise(tick: Tick, spread: Array, first: int) -> list[int]:

@@ -48,7 +48,7 @@ def refusal(action: Callable[[], object]) -> str:
 def test_a_policy_knows_its_signals_and_decisions() -> None:
     """Sizes follow from the matrices, outcomes from the triggers."""
     policy = make()
-    assert policy.sizes == {"y": 2, "command": 1, "input": 1}
+    assert policy.sizes == {"one": 1, "y": 2, "command": 1, "input": 1}
     assert policy.decisions == {"send": TRIGGER}
     assert (policy.outcomes("send"), policy.outcomes(Received("actuator")), TRIGGER.reads) == (2, 2, ("command",))
 

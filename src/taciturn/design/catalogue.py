@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.design.lqg import lqg
 from taciturn.design.periodic import all_time, periodic
+from taciturn.design.remote_lqg import remote_lqg
 from taciturn.model.policy import Policy
 
 CATALOGUE: Mapping[str, Callable[..., Policy]] = {
     "all-time": all_time,
     "periodic": periodic,
     "lqg": lqg,
+    "remote-lqg": remote_lqg,
+    "lossy-lqg": lossy_lqg,
 }

@@ -12,19 +12,22 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from taciturn._arrays import Array, choice
+from taciturn._arrays import Array, ArrayLike, choice
 from taciturn._modes import radius
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
+from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.lqg.riccati import Regulator, regulate
+from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, Identity, Location, NodeName, Received, Send, Step
-from taciturn.model.trigger import Form, Trigger
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
 COLLOCATED: tuple[frozenset[NodeName], ...] = (frozenset({"sensor", "controller"}),)
-SEND = "send"
+SEND, CLOCK = "send", "clock"
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,20 +37,22 @@ class Certainty:
     Args:
         problem: the plant from tick to tick.
         regulator: K, L and H of the infinite horizon.
-        estimation: the filter.
+        filter: covariances and gain of the steady filter.
+        estimation: its steps.
         cost_all_time: cost of sending at every tick, per tick, without the inter-sample noise cost.
         settling: ticks in which regulator and filter forget their start, 1/(1 − |slowest eigenvalue|).
     """
 
     problem: Discrete
     regulator: Regulator
+    filter: Filter
     estimation: Estimation
     cost_all_time: float
     settling: float
 
     def per_unit(self, cost: float) -> float:
-        """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
-        return (cost + self.problem.noise_cost) / self.problem.tick
+        """Return a cost per tick in the units of the cost."""
+        return self.problem.per_unit(cost)
 
 
 def design_certainty(kind: str, problem: Discrete) -> Certainty:
@@ -70,30 +75,31 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
         )
     plant = problem.plant
     regulator = regulate(plant.A, plant.B, problem.Q, problem.R, problem.N)
-    estimation = estimate_state(problem)
-    prior, posterior = estimation.filter.prior, estimation.filter.posterior
+    steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
+    prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
     slowest = radius(plant.A + plant.B @ regulator.L)
     if not plant.full_state:
-        slowest = max(slowest, radius(plant.A - plant.A @ estimation.filter.gain @ plant.C))
-    return Certainty(problem, regulator, estimation, float(cost), 1 / (1 - slowest))
+        slowest = max(slowest, radius(plant.A - plant.A @ steady.gain @ plant.C))
+    estimation = estimate_state(plant, steady)
+    return Certainty(problem, regulator, steady, estimation, float(cost), 1 / (1 - slowest))
 
 
 def control_steps(
-    certainty: Certainty, L: Array, actuation: Actuation, trigger: Trigger | None
+    plant: Plant, estimation: Estimation, L: Matrix, actuation: Actuation, trigger: Trigger | None
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
     """Return the steps of a tick and the first values of the memories.
 
     Args:
-        certainty: filter and model.
+        plant: from tick to tick.
+        estimation: the steps that make the estimate.
         L: the gain of the command.
-        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃.
+        actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃, L constant.
         trigger: over ``estimate``, ``candidate`` and ``error``; None: send at every tick.
     """
-    plant, estimation = certainty.problem.plant, certainty.estimation
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
-    part = _ACTUATIONS[choice("actuation", actuation, _ACTUATIONS)](certainty, L, on)
+    part = _ACTUATIONS[choice("actuation", actuation, _ACTUATIONS)](plant, L, on)
     steps: tuple[Step, ...] = (
         *estimation.correct,
         Assign("controller", "command", {ESTIMATE: L}),
@@ -106,18 +112,38 @@ def control_steps(
     return steps, {**estimation.initial, **part.initial}
 
 
-def completed_square(certainty: Certainty) -> Identity:
-    """Return J = J_all + E[(û − Lx̂)'H(û − Lx̂)]: silence costs exactly e'He, sending nothing.
+def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
+    """Return J = constant + E[(û − Lx̂)'H(û − Lx̂)]: silence costs exactly e'He, sending nothing.
 
     Source: khashooei2017
     """
-    silent, sent = Form(("error",), certainty.regulator.H / certainty.problem.tick), Form()
-    return Identity(certainty.per_unit(certainty.cost_all_time), (silent, sent), SEND)
+    return Identity(constant, (Form(("error",), H), Form()), SEND)
 
 
-def phase_clock(every: int) -> tuple[Location, ...]:
-    """Return a clock that counts 0, 1, …, every − 1 and starts again."""
-    return (Location("phase", np.roll(np.arange(every), -1)),)
+def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
+    """Return (1+θ) e'He − θ·(stage cost of staying silent), which silence must keep at most θ tr(QΣ).
+
+    It is [x̂; e]'Γ[x̂; e] of (2.13), and [x̂; û]'Γ[x̂; û] of (3.10) with e = û − Lx̂, with its terms collected.
+
+    Args:
+        problem: the weights of one tick.
+        H: price of another input than Lx̂, (m, m), or one for each tick of the clock, (ticks, m, m).
+        theta: the share θ.
+
+    Source: khashooei2017
+    """
+    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
+    signals = (ESTIMATE, "candidate", "error")
+    if H.ndim == 2:
+        return Form(signals, block_diag(-theta * stage, (1 + theta) * H))
+    return Form(signals, Scheduled(CLOCK, [block_diag(-theta * stage, (1 + theta) * price) for price in H]))
+
+
+def count_ticks(ticks: int, start: int | None) -> Location:
+    """Return the clock that counts 0, 1, …, ticks − 1 and goes on at ``start``, or stays where that is None."""
+    table = np.arange(1, ticks + 1)
+    table[-1] = ticks - 1 if start is None else start
+    return Location(CLOCK, table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +153,8 @@ class _Actuation:
     initial: dict[str, Array]
 
 
-def _hold(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
-    unit = np.eye(L.shape[0])
+def _hold(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
+    unit = np.eye(plant.inputs)
     known = ({"candidate": unit}, {"command": unit})
     return _Actuation(
         Assign("controller", "candidate", {HELD: unit}),
@@ -141,8 +167,8 @@ def _hold(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
     )
 
 
-def _model(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
-    plant = certainty.problem.plant
+def _model(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
+    assert not isinstance(L, Scheduled)
     unit, closed = np.eye(plant.states), plant.A + plant.B @ L
     copied = ({"prediction": unit}, {ESTIMATE: unit})
     known = ({"candidate": np.eye(plant.inputs)}, {"command": np.eye(plant.inputs)})
@@ -161,4 +187,4 @@ def _model(certainty: Certainty, L: Array, on: str | None) -> _Actuation:
     )
 
 
-_ACTUATIONS: dict[Actuation, Callable[[Certainty, Array, str | None], _Actuation]] = {"hold": _hold, "model": _model}
+_ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], _Actuation]] = {"hold": _hold, "model": _model}

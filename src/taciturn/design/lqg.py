@@ -15,6 +15,7 @@ from taciturn.design.certainty import (
     completed_square,
     control_steps,
     design_certainty,
+    silence_form,
 )
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -75,10 +76,10 @@ def lqg(
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
-    threshold = theta * float(np.trace(problem.Q @ certainty.estimation.filter.posterior))
-    silent = _joint(certainty, theta) if trigger == "joint" else _separate(certainty, theta, epsilon)
+    threshold = theta * float(np.trace(problem.Q @ certainty.filter.posterior))
+    silent = silence_form(problem, certainty.regulator.H, theta) if trigger == "joint" else _separate(certainty, theta, epsilon)
     rule = Trigger({"silent": silent, "send": Form(constant=threshold)})
-    steps, initial = control_steps(certainty, certainty.regulator.L, actuation, rule)
+    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
     return Policy(
         kind="lqg",
         steps=steps,
@@ -95,16 +96,9 @@ def lqg(
             "J ≤ (1+θ) J_all, mean-square stable",
             "khashooei2017",
         ),
-        identity=completed_square(certainty),
+        identity=completed_square(certainty.per_unit(certainty.cost_all_time), certainty.regulator.H / problem.tick),
         innovations=certainty.estimation.innovations,
     )
-
-
-def _joint(certainty: Certainty, theta: float) -> Form:
-    """(1+θ) e'He − θ·(stage cost of staying silent): [x̂; e]'Γ[x̂; e] of (2.13) with its terms collected."""
-    p = certainty.problem
-    stage = np.block([[p.Q, p.N], [p.N.T, p.R]])
-    return Form(("estimate", "candidate", "error"), block_diag(-theta * stage, (1 + theta) * certainty.regulator.H))
 
 
 def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form:

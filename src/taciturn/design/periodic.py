@@ -8,13 +8,14 @@ from scipy.linalg import solve_discrete_lyapunov
 from taciturn._arrays import Array, choice, count
 from taciturn._modes import radius
 from taciturn.design.certainty import (
+    CLOCK,
     COLLOCATED,
     SEND,
     Actuation,
     Certainty,
     control_steps,
+    count_ticks,
     design_certainty,
-    phase_clock,
 )
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -101,16 +102,17 @@ def periodic(
         L, average = certainty.regulator.L, _predicted_cost(certainty, every)
     else:
         p = certainty.problem
-        held = periodic_cost(plant.A, plant.B, p.Q, p.R, p.N, certainty.estimation.filter, every)
+        held = periodic_cost(plant.A, plant.B, p.Q, p.R, p.N, certainty.filter, every)
         L, average = held.regulator.L, held.cost
-    turn = Scheduled("phase", [-1.0] + [1.0] * (every - 1))
+    turn = Scheduled(CLOCK, [-1.0] + [1.0] * (every - 1))
     trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
-    steps, initial = control_steps(certainty, L, actuation, trigger)
+    steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
     return _blind("periodic", certainty, steps, initial, average, every)
 
 
 def _every_tick(kind: str, certainty: Certainty) -> Policy:
-    steps, initial = control_steps(certainty, certainty.regulator.L, "hold", None)
+    plant, L = certainty.problem.plant, certainty.regulator.L
+    steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
     return _blind(kind, certainty, steps, initial, certainty.cost_all_time, 1)
 
 
@@ -124,7 +126,7 @@ def _blind(
         model=problem.plant,
         cost_all_time=certainty.per_unit(certainty.cost_all_time),
         sites=COLLOCATED,
-        locations=phase_clock(every),
+        locations=(count_ticks(every, 0),),
         initial=initial,
         tick=problem.tick,
         noise_cost=problem.noise_cost,
@@ -139,7 +141,7 @@ def _predicted_cost(certainty: Certainty, every: int) -> float:
     """J_all + (1/k) Σ_{j<k} tr(L'HL V_j): the error before a send is what the innovations of j steps have left."""
     plant, regulator = certainty.problem.plant, certainty.regulator
     weight = regulator.L.T @ regulator.H @ regulator.L
-    fresh = certainty.estimation.filter.prior - certainty.estimation.filter.posterior
+    fresh = certainty.filter.prior - certainty.filter.posterior
     free = np.zeros((plant.inputs, plant.inputs))
     excess = lift(plant.A, plant.B, weight, free, np.zeros_like(plant.B), fresh, every).noise_cost
     return certainty.cost_all_time + excess / every

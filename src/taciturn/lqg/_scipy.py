@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from typing import cast
 
 import numpy as np
 import scipy.linalg
+import scipy.optimize
 
 from taciturn._arrays import Array
 
@@ -45,3 +47,16 @@ def balancing(A: Array) -> Array:
         return np.ones(0)
     _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
     return np.asarray(scale, dtype=np.float64)
+
+
+def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
+    """Return (A_u, V) with V A = A_u V: the modes of modulus at least ``edge`` as orthonormal coordinates V x."""
+    upper, basis, count = cast(
+        "tuple[Array, Array, int]", scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
+    )
+    return upper[:count, :count].T, basis[:, :count].T
+
+
+def crossing(function: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function changes its sign, by bisection to 1e-9."""
+    return float(cast(float, scipy.optimize.bisect(function, low, high, xtol=1e-9)))

@@ -31,6 +31,10 @@ class Discrete:
     tick: float
     noise_cost: float
 
+    def per_unit(self, cost: float) -> float:
+        """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
+        return (cost + self.noise_cost) / self.tick
+
 
 def discretise(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction_gain: Array | None = None

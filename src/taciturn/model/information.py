@@ -9,6 +9,7 @@ from taciturn.errors import InformationError
 from taciturn.model.network import Network
 from taciturn.model.policy import (
     ENDS,
+    ONE,
     Acknowledged,
     Assign,
     Condition,
@@ -52,7 +53,7 @@ class _Knowledge:
 
     def __init__(self, policy: Policy, network: Network) -> None:
         self.policy, self.network = policy, network
-        self.home: dict[str, Site] = {"y": policy.site("sensor")}
+        self.home: dict[str, Site] = {"y": policy.site("sensor")}  # ONE is at home everywhere
         self.decided: dict[str, Site] = {}
         self.packets: dict[str, tuple[Site, tuple[str, ...]]] = {}
         for step in policy.steps:
@@ -100,7 +101,7 @@ class _Knowledge:
 
     def _check_read(self, name: str, at: NodeName, arrived: str | None) -> None:
         packet = self.packets[arrived][1] if arrived in self.packets else ()
-        if self.home.get(name) != self.policy.site(at) and name not in packet:
+        if name != ONE and self.home.get(name) != self.policy.site(at) and name not in packet:
             raise InformationError(
                 f"{at} reads {name!r}, which it does not hold; expected its own signals or a received packet's payload"
             )

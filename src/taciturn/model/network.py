@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from taciturn._arrays import count, number
@@ -13,7 +13,7 @@ ProtocolName = Literal["udp", "tcp", "ideal"]
 
 @dataclass(frozen=True)
 class Burst:
-    """Gilbert–Elliott losses: a link that is now good, now bad.
+    """Gilbert–Elliott losses: a link that is now good, now bad; its first state is drawn from the stationary law.
 
     Args:
         to_bad: probability per step of turning bad, in [0, 1].
@@ -23,6 +23,8 @@ class Burst:
 
     Raises:
         ProblemError: a probability outside [0, 1].
+
+    Source: gilbert1960, elliott1963
     """
 
     to_bad: float
@@ -34,6 +36,17 @@ class Burst:
         """Check the ranges."""
         for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
             number(name, getattr(self, name), 0.0, 1.0, closed=True)
+
+    @property
+    def share_bad(self) -> float:
+        """Stationary probability of the bad state; 0 for a link that never turns, which starts good."""
+        turns = self.to_bad + self.to_good
+        return 0.0 if turns == 0 else self.to_bad / turns
+
+    @property
+    def loss(self) -> float:
+        """Stationary loss probability."""
+        return (1 - self.share_bad) * self.loss_good + self.share_bad * self.loss_bad
 
 
 @dataclass(frozen=True)
@@ -75,6 +88,21 @@ class Network:
                     "expected protocol = 'udp' or 'tcp' where packets are lost"
                 )
 
+    def burst(self, link: str) -> Burst | None:
+        """Return the bursts of a link, or None where its loss probability is constant."""
+        return {"actuator": self.actuator_burst, "sensor": self.sensor_burst}[link]
+
     def loss(self, link: str) -> float:
-        """Return the constant loss probability of a link."""
-        return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link]
+        """Return the loss probability of a link: constant, or the stationary one of its bursts."""
+        burst = self.burst(link)
+        return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link] if burst is None else burst.loss
+
+    def without_bursts(self) -> Network:
+        """Return the network that loses as much on each link, without memory."""
+        return replace(
+            self,
+            actuator_loss=self.loss("actuator"),
+            sensor_loss=self.loss("sensor"),
+            actuator_burst=None,
+            sensor_burst=None,
+        )

@@ -1,11 +1,13 @@
 """Policies as data: nodes that compute, decide and exchange packets, and the guarantee that holds for them.
 
 A policy is the list of what happens within one tick, in order. A signal read before it is assigned in a tick has its
-value of the tick before: that is the whole notion of memory, and a delay is an order of events.
+value of the tick before: that is the whole notion of memory, and a delay is an order of events. ``ONE``, the number 1,
+is known everywhere: its weights are constants.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
@@ -18,12 +20,15 @@ from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant
+from taciturn.model.reference import Tracking
+from taciturn.model.schedule import Schedule
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
 NodeName = Literal["sensor", "controller", "actuator"]
 LinkName = Literal["sensor", "actuator"]
 NODES: tuple[NodeName, ...] = ("sensor", "controller", "actuator")
+ONE = "one"
 ENDS: dict[str, NodeName] = {"sensor": "controller", "actuator": "actuator"}  # a link is named after where it matters
 
 
@@ -177,6 +182,18 @@ class Location:
         indices.setflags(write=False)
         object.__setattr__(self, "table", indices)
 
+    @property
+    def period(self) -> int:
+        """Ticks after which a clock repeats; 1 for a location that depends on an outcome."""
+        if self.on is not None:
+            return 1
+        visited: dict[int, int] = {}
+        here = self.initial
+        while here not in visited:
+            visited[here] = len(visited)
+            here = int(self.table[here])
+        return len(visited) - visited[here]
+
 
 @dataclass(frozen=True, eq=False)
 class Policy:
@@ -198,6 +215,9 @@ class Policy:
         cost: the cost it was designed for; with an identity, a guarantee or a closed form.
         prediction_gain: gain L of an actuator that runs the model continuously between ticks.
         guarantee, identity, innovations, closed_form: where the theory gives them.
+        tracking: where the policy follows a reference.
+        schedule: where a link is scheduled offline.
+        notes: what a reader of its numbers must know.
 
     Raises:
         ProblemError: a signal, decision or location without origin, a matrix that does not fit, or a cost that is
@@ -222,6 +242,9 @@ class Policy:
     identity: Identity | None = None
     innovations: Innovations | None = None
     closed_form: ClosedForm | None = None
+    tracking: Tracking | None = None
+    schedule: Schedule | None = None
+    notes: tuple[str, ...] = ()
     sizes: Mapping[str, int] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -230,7 +253,7 @@ class Policy:
         self._check_costs()
         if self.cost is None and (self.identity or self.guarantee or self.closed_form):
             raise ProblemError(f"{self.kind} claims a cost but has none; expected cost, the one it was designed for")
-        sizes: dict[str, int] = {"y": self.model.outputs}
+        sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
         for step in self.steps:
             if isinstance(step, Assign):
                 if sizes.setdefault(step.signal, step.size) != step.size:
@@ -240,6 +263,8 @@ class Policy:
                     )
             elif isinstance(step, Evaluate | Draw):
                 sizes[step.signal] = 1
+            if isinstance(step, Assign | Evaluate | Draw) and step.signal == ONE:
+                raise ProblemError(f"{ONE!r} is assigned; it is the number 1: expected another name")
         object.__setattr__(self, "sizes", sizes)
         initial = {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
         object.__setattr__(self, "initial", initial)
@@ -266,6 +291,11 @@ class Policy:
     def decisions(self) -> Mapping[str, Trigger]:
         """The trigger of each decision."""
         return {step.decision: step.trigger for step in self.steps if isinstance(step, Decide)}
+
+    @property
+    def cycle(self) -> int:
+        """Ticks after which all clocks repeat."""
+        return math.lcm(*(location.period for location in self.locations))
 
     def outcomes(self, condition: Condition) -> int:
         """Return the number of outcomes of a condition."""

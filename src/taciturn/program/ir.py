@@ -103,11 +103,13 @@ class Program:
         """Number of operations that compute something."""
         return sum(op.name not in ("const", "state", "input", "word") for op in self.ops)
 
-    def keep(self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset()) -> Program:
-        """Return the program with only these sums and outputs, and what they depend on."""
+    def keep(
+        self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
+    ) -> Program:
+        """Return the program with only these sums, outputs and states, and what they depend on."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
-        return merge_states(replace(self, sums=kept_sums, outputs=kept_outputs))
+        return merge_states(replace(self, sums=kept_sums, outputs=kept_outputs), states)
 
 
 class Builder:
@@ -166,6 +168,8 @@ class Builder:
 
     def scale(self, coefficient: Coefficient, x: int) -> int:
         """Return coefficient · x."""
+        if x == self.constant(1.0):
+            return self.value(coefficient)
         return x if _is(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
 
     def add(self, *terms: int | None) -> int | None:
@@ -261,8 +265,8 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     )
 
 
-def merge_states(program: Program) -> Program:
-    """Merge states that provably agree at every tick, and drop states that nothing depends on.
+def merge_states(program: Program, wanted: Set[str] = frozenset()) -> Program:
+    """Merge states that provably agree at every tick, and drop states that nothing depends on and no name wants.
 
     States are first taken to agree where they start equal; classes whose next values differ are split until
     none does (the coarsest partition, as in the minimisation of automata).
@@ -279,7 +283,7 @@ def merge_states(program: Program) -> Program:
         if split == leader:
             break
         leader = split
-    alive = _alive(program, leader)
+    alive = _alive(program, leader, {leader[i] for i, state in enumerate(program.states) if state.name in wanted})
     return rebuild(program, _led(leader, alive), alive)
 
 
@@ -289,10 +293,9 @@ def _led(leader: Sequence[int], kept: Sequence[int]) -> Callable[[Builder, Op], 
     return lambda builder, op: builder.emit("state", positions[leader[op.arguments[0]]]) if op.name == "state" else None
 
 
-def _alive(program: Program, leader: Sequence[int]) -> list[int]:
-    """Return the states that sums and outputs depend on, through any number of ticks."""
-    alive: set[int] = set()
-    roots = list(program.sums.values()) + list(program.outputs.values())
+def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int]:
+    """Return the states that sums, outputs and those already alive depend on, through any number of ticks."""
+    roots = [*program.sums.values(), *program.outputs.values(), *(program.following[i] for i in alive)]
     while True:
         needed = (program.ops[i] for i in _needed(program, roots))
         read = {leader[op.arguments[0]] for op in needed if op.name == "state"}

@@ -11,6 +11,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.model.policy import (
+    ONE,
     Assign,
     Condition,
     Decide,
@@ -50,7 +51,7 @@ class Tick:
     ) -> None:
         """Start before the first step."""
         self.builder, self.sizes, self.initial = builder, sizes, initial
-        self.signals: dict[str, Vector] = {}
+        self.signals: dict[str, Vector] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Vector] = {}
         self.outcomes: dict[Condition, list[Truth]] = {}  # one truth value per outcome but the last
         self.arrived: dict[str, Truth] = {}

@@ -85,7 +85,8 @@ def completed_squares(loop: Loop) -> Estimator:
 
 def plain_average(loop: Loop) -> Estimator:
     """Return the estimator that averages the stage cost of the loop with its plant."""
-    problem, program = loop.problem, loop.program().keep({COST, *_rates(loop)})
+    final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
+    problem, program = loop.problem, loop.program().keep({COST, *_rates(loop)}, states=final)
     if loop.horizon is None:
         return Estimator(program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
     ticks = sum(problem.cost.discount**k for k in range(loop.horizon))
@@ -179,7 +180,7 @@ class _Sampling:
         window = dropped
         while True:
             left = (budget - self.steps) // state.shape[1]
-            window = max(1, min(window, left))
+            window = self._whole(max(1, min(window, left)))
             sums, state = self._advance(state, window)
             kept.append((window, sums))
             if len(kept) > 1 and not self._settled(kept):
@@ -195,6 +196,11 @@ class _Sampling:
             self._report(cost, None if steps else target(cost), self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target(cost))
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
+
+    def _whole(self, ticks: int) -> int:
+        """Return ticks as whole turns of the policy's clocks: all paths are at the same place of a schedule."""
+        cycle = self.loop.policy.cycle
+        return -(-ticks // cycle) * cycle
 
     def _burn_in(self, state: Array, length: int, budget: int) -> tuple[Array, int, bool]:
         """Run until the start is forgotten: return the state, the ticks that took, and whether it was reached.
@@ -232,6 +238,8 @@ class _Sampling:
             sums, state = self._advance(state, horizon)
             if self.estimator.sum == COST and terminal is not None:
                 x = np.array([row for row, s in zip(state, program.states, strict=True) if s.name == "x"])
+                tracking = self.loop.policy.tracking
+                x -= 0.0 if tracking is None else tracking.final[:, None]
                 sums[0] += np.einsum("ip,ij,jp->p", x, terminal, x)
             for moment, row in zip(moments, sums, strict=True):
                 moment.add(row)

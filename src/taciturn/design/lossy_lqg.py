@@ -1,0 +1,215 @@
+"""Event-triggered LQG over links that lose packets, with and without acknowledgement, and tracking over them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import Array, number
+from taciturn._modes import radius
+from taciturn.design.certainty import CLOCK, SEND, count_ticks
+from taciturn.design.estimation import ESTIMATE
+from taciturn.errors import ProblemError
+from taciturn.lqg.lossy import (
+    Channel,
+    LossyRegulator,
+    loss_sentence,
+    mean_square_rate,
+    regulate_lossy,
+    regulate_lossy_finite,
+    slowest_growth,
+)
+from taciturn.model.cost import Cost
+from taciturn.model.network import Network
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import (
+    ONE,
+    Acknowledged,
+    Assign,
+    Decide,
+    Guarantee,
+    Identity,
+    Policy,
+    Received,
+    Send,
+    Step,
+)
+from taciturn.model.reference import Reference, Tracking
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+
+REFERENCE, FEEDFORWARD, DEVIATION = "reference", "feedforward", "deviation"
+
+
+def lossy_lqg(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    price: float,
+    network: Network | None = None,
+    reference: Reference | None = None,
+) -> Policy:
+    """Design the policy that sends when silence would cost more than the price of a send, over links that lose packets.
+
+    The sensor sends its state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies zero
+    when nothing arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. With α and β the losses of
+    actuator and sensor link, M = R + B'(K + αβP)B (UDP-like; with a delay αP; TCP-like without P),
+
+        L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,  K ← Q + A'KA − Γ,  P ← Γ + βA'PA,
+
+    backwards over the horizon, or at the fixed point. x̂ = x when the measurement arrives, and otherwise
+    A x̂ + (1−α) B σu (UDP-like) or A x̂ + B û (TCP-like). With ``network.delay`` = 1 the measurement of step k reaches
+    the control of step k + 1. Bursty losses are designed for as if they had no memory.
+
+    With a reference the deviation from it is controlled: both ends hold r and f, only the feedback is sent.
+
+    Args:
+        plant: discrete in time, its full state measured.
+        cost: without cross term; a finite horizon, or an average (the fixed point).
+        price: λ ≥ 0, the price of a send.
+        network: omitted: ideal links.
+        reference: to be tracked, with a horizon; the cost is then that of the deviation.
+
+    Returns:
+        The policy, with J ≤ J_all + λN and the sharper J ≤ J_all + λN(1−R) at the rate R (average: λ and λ(1−R)).
+
+    Raises:
+        ProblemError: a continuous plant, C or V, N or a discount, a delay above 1, or a reference that does not fit.
+        UnstableError: an average with more losses than mean-square stability allows.
+
+    Source: khashooei2017, schenato2007
+
+    Example:
+        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
+        >>> policy = lossy_lqg(plant, cost, price=0.1, network=Network("udp", actuator_loss=0.3, sensor_loss=0.6))
+        >>> round(policy.guarantee.cost - policy.cost_all_time, 12)
+        0.1
+    """
+    price = number("price", price, 0.0, closed=True)
+    network = (network or Network()).without_bursts()
+    plant = _refuse_what_is_not_covered(plant, cost, network, reference)
+    channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
+    notes: tuple[str, ...] = ()
+    settling = 0.0
+    if cost.horizon is None:
+        gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
+        settling = 1 / (1 - np.sqrt(mean_square_rate(plant.A, plant.B, gains.L, channel)))
+        ticks = 1
+    else:
+        assert cost.terminal is not None
+        gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
+        reference = None if reference is None else reference.of(plant, cost.horizon)
+        if radius(plant.A) > 1 and slowest_growth(plant.A, plant.B, channel)[0] >= 1:
+            notes = (f"{loss_sentence(plant.A, plant.B, channel)}: over longer horizons the cost grows without bound",)
+        ticks = cost.horizon
+    cost_all_time = _cost_all_time(plant, gains, channel, reference)
+    silent = Form((ESTIMATE if reference is None else DEVIATION,), _by_clock(gains.Gamma))
+    trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
+    return Policy(
+        kind="lossy-lqg",
+        steps=_steps(plant, network, _by_clock(gains.L), trigger, reference),
+        model=plant,
+        cost_all_time=cost_all_time,
+        locations=() if cost.horizon is None else (count_ticks(ticks, None),),
+        initial={"prior": plant.mean},
+        network=network,
+        settling=float(settling),
+        cost=cost,
+        guarantee=Guarantee(
+            cost_all_time + price * ticks,
+            "J ≤ J_all + λ, and J ≤ J_all + λ(1−R)" if ticks == 1 else "J ≤ J_all + λN, and J ≤ J_all + λN(1−R)",
+            "khashooei2017",
+            cost_all_time,
+            price * ticks,
+        ),
+        identity=Identity(cost_all_time, (silent, Form()), SEND),
+        tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
+        notes=notes,
+    )
+
+
+def _refuse_what_is_not_covered(
+    plant: Plant | ContinuousPlant, cost: Cost, network: Network, reference: Reference | None
+) -> Plant:
+    if isinstance(plant, ContinuousPlant):
+        raise ProblemError(
+            "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; "
+            "expected a discrete plant: give plant.dt and the matrices of one step"
+        )
+    if not plant.full_state:
+        raise ProblemError("C or V is given, and lossy-lqg measures the full state; expected neither: remove them")
+    if cost.N.any():
+        raise ProblemError("cost.N is not zero, which lossy-lqg does not know; expected no cross weight: remove it")
+    if cost.discount < 1:
+        raise ProblemError(
+            f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average or a horizon"
+        )
+    if network.delay > 1:
+        raise ProblemError(f"network.delay is {network.delay}; expected 0 or 1 with lossy-lqg")
+    if reference is not None and cost.horizon is None:
+        raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
+    n, m = cost.N.shape
+    if (n, m) != (plant.states, plant.inputs):
+        raise ProblemError(
+            f"Q is {(n, n)} and R is {(m, m)}; expected {(plant.states,) * 2} and {(plant.inputs,) * 2} = the states "
+            "and inputs of the plant"
+        )
+    return plant
+
+
+def _cost_all_time(plant: Plant, gains: LossyRegulator, channel: Channel, reference: Reference | None) -> float:
+    """Return z_0'K_0z_0 + tr((K_0 + φP_0)Θ) + Σ tr((K_{i+1} + φP_{i+1})W), z_0 the mean; or the average of the sum."""
+    F = gains.K + channel.exposure * gains.P  # the price of an error made now, which φ says may be known at once
+    if F.ndim == 2:
+        return float(np.sum(F * plant.W))
+    mean = plant.mean if reference is None else plant.mean - reference.states[0]
+    start = mean @ gains.K[0] @ mean + np.sum(F[0] * plant.covariance)
+    return float(start + np.sum(F[1:] * plant.W))
+
+
+def _steps(
+    plant: Plant, network: Network, L: Matrix, trigger: Trigger, reference: Reference | None
+) -> tuple[Step, ...]:
+    n, m = np.eye(plant.states), np.eye(plant.inputs)
+    acknowledged = network.protocol == "tcp"
+    subject = ESTIMATE if reference is None else DEVIATION
+    deviate: tuple[Step, ...] = ()
+    supply: tuple[Step, ...] = (
+        Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),
+    )
+    silent, sent = {ESTIMATE: plant.A}, {ESTIMATE: plant.A, "command": (1 - network.loss("actuator")) * plant.B}
+    if acknowledged:
+        sent = {ESTIMATE: plant.A, "command": plant.B}
+    if reference is not None:
+        states, inputs = reference.states[:-1, :, None], reference.inputs[:, :, None]
+        deviate = (
+            Assign("controller", REFERENCE, {ONE: Scheduled(CLOCK, states)}),
+            Assign("controller", "push", {ONE: Scheduled(CLOCK, plant.B @ inputs)}),
+            Assign("controller", DEVIATION, {ESTIMATE: n, REFERENCE: -n}),
+        )
+        supply = (
+            Assign("actuator", FEEDFORWARD, {ONE: Scheduled(CLOCK, inputs)}),
+            Assign("actuator", "input", ({FEEDFORWARD: m}, {FEEDFORWARD: m, "command": m}), Received("actuator")),
+        )
+        silent, sent = {**silent, "push": n}, {**sent, "push": n}
+    watch: tuple[Step, ...] = (
+        Send("sensor", "sensor", ("y",)),
+        Assign("controller", "seen", ({"prior": n}, {"y": n}), Received("sensor")),
+    )
+    act: tuple[Step, ...] = (
+        *deviate,
+        Assign("controller", "command", {subject: L}),
+        Decide("controller", SEND, trigger),
+        Send("controller", "actuator", ("command",), SEND),
+        *supply,
+    )
+    # A measurement that reaches the next control only is one that is taken after this one.
+    if network.delay:
+        order = (Assign("controller", ESTIMATE, {"prior": n}), *act, *watch)
+        silent, sent = ({"seen" if name == ESTIMATE else name: w for name, w in t.items()} for t in (silent, sent))
+    else:
+        order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
+    known = Acknowledged("actuator") if acknowledged else SEND
+    return (*order, Assign("controller", "prior", (silent, sent), known))
+
+
+def _by_clock(values: Array) -> Matrix:
+    return values if values.ndim == 2 else Scheduled(CLOCK, values)

@@ -1,0 +1,299 @@
+"""Optimal control over links that lose packets: gains, their fixed point, and the losses that can be survived.
+
+The actuator applies zero when nothing arrives; the sensor link delivers the state or nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._modes import mode_text, radius, uncontrollable_modes
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg import _dare, _scipy
+from taciturn.lqg.riccati import regulate
+
+LARGEST = 60  # states for which the fixed point is solved: its linear equations have 2n² unknowns
+STRICT = 1e-9  # a growth nearer to 1 than this is not called stable
+
+
+@dataclass(frozen=True)
+class Channel:
+    """What the gains must know of the network.
+
+    Args:
+        actuator_loss: α, in [0, 1].
+        sensor_loss: β, in [0, 1].
+        acknowledged: whether the controller learns what arrived (TCP-like) or not (UDP-like).
+        delayed: whether the measurement of step k reaches the control of step k + 1 only.
+    """
+
+    actuator_loss: float
+    sensor_loss: float
+    acknowledged: bool
+    delayed: bool
+
+    @property
+    def exposure(self) -> float:
+        """Probability φ that an error made now still stands at the next control: β, or 1 with the delay."""
+        return 1.0 if self.delayed else self.sensor_loss
+
+    @property
+    def coupling(self) -> float:
+        """Factor αφ by which an input not known to have arrived makes an estimation error; 0 where acknowledged."""
+        return 0.0 if self.acknowledged else self.actuator_loss * self.exposure
+
+
+@dataclass(frozen=True, eq=False)
+class LossyRegulator:
+    """Gains over lossy links: u = L x̂; silence costs x̂'Γx̂; an error e of the estimate costs e'Pe.
+
+    K, P are (n, n), L (m, n), Gamma (n, n); of a finite horizon they have one more axis in front: K, P of length N + 1,
+    L, Gamma of length N.
+    """
+
+    K: Array
+    P: Array
+    L: Array
+    Gamma: Array
+
+
+def lossy_step(
+    A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
+) -> tuple[Array, Array, Array, Array]:
+    """Return (K, P, L, Γ) of one step from K and P of the next.
+
+    M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
+    K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
+
+    Source: khashooei2017, schenato2007
+    """
+    inverse = _dare.price(B, K + channel.coupling * P, R)[1]
+    cross = B.T @ K @ A
+    L = -inverse @ cross
+    Gamma = symmetrised((1 - channel.actuator_loss) * cross.T @ inverse @ cross)
+    return (
+        symmetrised(Q + A.T @ K @ A - Gamma),
+        symmetrised(Gamma + channel.sensor_loss * A.T @ P @ A),
+        L,
+        Gamma,
+    )
+
+
+def regulate_lossy_finite(
+    A: Array, B: Array, Q: Array, R: Array, terminal: Array, horizon: int, channel: Channel
+) -> LossyRegulator:
+    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over lossy links: K_N = Q_N, P_N = 0.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) semidefinite state weight.
+        R: (m, m) definite input weight.
+        terminal: (n, n) semidefinite weight of the final state.
+        horizon: steps N, at least 1.
+        channel: loss probabilities, acknowledgement and delay.
+
+    Returns:
+        The gains, indexed by time.
+
+    Raises:
+        UnstableError: the cost overflows.
+
+    Source: khashooei2017, schenato2007
+    """
+    n, m = B.shape
+    K, P = np.zeros((horizon + 1, n, n)), np.zeros((horizon + 1, n, n))
+    L, Gamma = np.zeros((horizon, m, n)), np.zeros((horizon, n, n))
+    K[horizon] = terminal
+    for k in reversed(range(horizon)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            K[k], P[k], L[k], Gamma[k] = lossy_step(A, B, Q, R, K[k + 1], P[k + 1], channel)
+            overflown = not np.isfinite(K[k] @ K[k] + P[k] @ P[k]).all()
+        if overflown:
+            raise UnstableError(
+                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: too much is "
+                "lost for this plant; expected a shorter horizon or smaller losses"
+            )
+    return LossyRegulator(frozen(K), frozen(P), frozen(L), frozen(Gamma))
+
+
+def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
+    """Return the gains of the infinite-horizon average over lossy links: the fixed point of :func:`lossy_step`.
+
+    Policy iteration: the cost of a stabilising gain by linear equations, then the best answer to it, which converges
+    quadratically and never leaves the stabilising gains.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        Q: (n, n) semidefinite state weight.
+        R: (m, m) definite input weight.
+        channel: loss probabilities, acknowledgement and delay.
+
+    Returns:
+        The gains; the average cost of sending always is tr((K + φP)W).
+
+    Raises:
+        UnstableError: more is lost than mean-square stability allows; the message names the critical values.
+        ProblemError: too many states.
+
+    Source: khashooei2017, schenato2007
+    """
+    n = len(A)
+    if n > LARGEST:
+        raise ProblemError(f"the plant has {n} states; expected at most {LARGEST} for an average over lossy links")
+    regulate(A, B, Q, R, np.zeros_like(B))  # refuses modes that no input moves or no weight sees
+    rate, L = slowest_growth(A, B, channel)
+    if rate >= 1 - STRICT:
+        raise UnstableError(f"{loss_sentence(A, B, channel)}; expected smaller losses, or cost.horizon")
+    previous = np.inf
+    for _ in range(60):
+        K, P = _cost_of(A, B, Q, R, L, channel)
+        gap = float(np.abs(K).max())
+        following = lossy_step(A, B, Q, R, K, P, channel)
+        change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
+        L = following[2]
+        if change <= 1e-13 * gap or (change <= 1e-9 * gap and change >= 0.5 * previous):
+            return LossyRegulator(*(frozen(part) for part in following))
+        previous = change
+    raise UnstableError(
+        "the fixed point of the lossy Riccati recursions was not reached to rounding accuracy; expected losses further "
+        "from the critical ones, or states of comparable size"
+    )
+
+
+def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
+    """Return the critical actuator loss at this sensor loss, and the critical sensor loss at this actuator loss.
+
+    At or above either, no linear control keeps the mean square of an unstable plant bounded; 1 for a plant that losses
+    cannot make unstable, 0 where the other link alone is too much.
+
+    Source: schenato2007
+    """
+
+    def excess(actuator: float, sensor: float) -> float:
+        tried = Channel(actuator, sensor, channel.acknowledged, channel.delayed)
+        return slowest_growth(A, B, tried)[0] - 1.0
+
+    return (
+        _crossing(lambda loss: excess(loss, channel.sensor_loss)),
+        _crossing(lambda loss: excess(channel.actuator_loss, loss)),
+    )
+
+
+def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
+    """Say by how much the losses pass what mean-square stability allows."""
+    actuator, sensor = critical_losses(A, B, channel)
+    limits: list[str] = []
+    if channel.actuator_loss > 0 and actuator > 0:
+        limits.append(f"actuator losses below {actuator:.6g} at this sensor loss")
+    if channel.sensor_loss > 0 and sensor > 0:
+        limits.append(f"sensor losses below {sensor:.6g} at this actuator loss")
+    allowed = " or ".join(limits) or "smaller losses on both links"
+    return (
+        f"actuator_loss is {channel.actuator_loss:g} and sensor_loss is {channel.sensor_loss:g}, and for this plant "
+        f"(largest eigenvalue {mode_text(complex(radius(A)))}) mean-square stability allows {allowed}"
+    )
+
+
+def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
+    """Return the least growth per step of the mean square that a linear gain attains, and such a gain.
+
+    Only modes on or outside the unit circle matter. On them the growth of a gain is the spectral radius of a positive
+    linear map on pairs of weights; policy iteration on its Perron vector finds the least. Below 1: stabilisable.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        channel: loss probabilities, acknowledgement and delay.
+
+    Returns:
+        The growth (0 for a stable plant), and the gain (m, n).
+
+    Raises:
+        UnstableError: a mode on or outside the unit circle that B cannot move.
+
+    Source: schenato2007
+    """
+    n, m = B.shape
+    lost = uncontrollable_modes(A, B)
+    lost = lost[np.abs(lost) >= 1 - 1e-12]
+    if lost.size:
+        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
+    A_u, V = _scipy.unstable_part(A, 1 - _dare.CIRCLE)
+    B_u, count = V @ B, len(V)
+    if count == 0:
+        return 0.0, np.zeros((m, n))
+    K, P = np.eye(count), np.eye(count)
+    best, L = np.inf, np.zeros((m, count))
+    for _ in range(200):
+        trial = _free_gain(A_u, B_u, K, P, channel)
+        rate, K, P = _perron(_growth_map(A_u, B_u, trial, channel), count)
+        if rate >= best * (1 - 1e-13):
+            break
+        best, L = rate, trial
+    return float(best), L @ V
+
+
+def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
+    """Return the factor per step by which the mean square under a gain shrinks, without noise.
+
+    Source: schenato2007
+    """
+    return radius(_growth_map(A, B, L, channel))
+
+
+def _free_gain(A: Array, B: Array, K: Array, P: Array, channel: Channel) -> Array:
+    return -_dare.price(B, K + channel.coupling * P, np.zeros((B.shape[1],) * 2))[1] @ B.T @ K @ A
+
+
+def _growth_map(A: Array, B: Array, L: Array, channel: Channel) -> Array:
+    """Return the map (K, K + P) ← (…) of a gain without weights, on stacked rows: x̂'Kx̂ + tr((K + P)Σ) is the cost.
+
+    K ← (A + ᾱBL)'K(A + ᾱBL) + αᾱ L'B'(K + φP)BL  (UDP-like; with an acknowledgement φ = 0),
+    K + P ← A'(K + βP)A.
+    """
+    alpha, beta = channel.actuator_loss, channel.sensor_loss
+    reach = 0.0 if channel.acknowledged else channel.exposure
+    pushed = B @ L
+    moved = A + (1 - alpha) * pushed
+    spread = alpha * (1 - alpha) * np.kron(pushed.T, pushed.T)
+    open_loop = np.kron(A.T, A.T)
+    return np.block(
+        [
+            [np.kron(moved.T, moved.T) + (1 - reach) * spread, reach * spread],
+            [(1 - beta) * open_loop, beta * open_loop],
+        ]
+    )
+
+
+def _perron(growth: Array, n: int) -> tuple[float, Array, Array]:
+    """Return the spectral radius of a positive map on pairs of weights, and the pair (K, P) that it multiplies."""
+    values, vectors = np.linalg.eig(growth)
+    leading = int(np.argmax(np.abs(values)))
+    rate = float(np.abs(values[leading]))
+    # equal moduli surround the Perron root where modes rotate: the real, semidefinite pair is the one at +rate
+    leading = int(np.argmin(np.abs(values - rate)))
+    K, total = (symmetrised(part.reshape(n, n)) for part in np.split(np.real(vectors[:, leading]), 2))
+    sign = 1.0 if np.trace(K) + np.trace(total) >= 0 else -1.0
+    return rate, sign * K, sign * (total - K)
+
+
+def _cost_of(A: Array, B: Array, Q: Array, R: Array, L: Array, channel: Channel) -> tuple[Array, Array]:
+    """Return K and P of a stabilising gain: the sum of all stage costs, by linear equations."""
+    n = len(A)
+    stage = Q + (1 - channel.actuator_loss) * L.T @ R @ L
+    right = np.concatenate([stage.ravel(), Q.ravel()])
+    found = np.linalg.solve(np.eye(2 * n * n) - _growth_map(A, B, L, channel), right)
+    K, total = (symmetrised(part.reshape(n, n)) for part in np.split(found, 2))
+    return K, total - K
+
+
+def _crossing(excess: Callable[[float], float]) -> float:
+    if excess(1.0) < 0:
+        return 1.0
+    return 0.0 if excess(0.0) >= 0 else _scipy.crossing(excess, 0.0, 1.0)

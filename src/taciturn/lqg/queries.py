@@ -1,0 +1,226 @@
+"""When to query a sensor: the value of a measurement to the controller, and the schedule it leads to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._modes import radius, summed
+from taciturn.errors import UnstableError
+from taciturn.lqg import _dare
+from taciturn.model.plant import Plant
+from taciturn.model.schedule import Schedule
+
+NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
+CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
+SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
+LONGEST = 20_000  # ticks within which a schedule must repeat
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What an estimation error costs: α^k e'P_k e at tick k.
+
+    Args:
+        P: (n, n), or one for each tick of a finite horizon, (N, n, n).
+        discount: α; 1 for an average or a finite horizon.
+    """
+
+    P: Array
+    discount: float = 1.0
+
+    @property
+    def horizon(self) -> int | None:
+        """Ticks, or None."""
+        return len(self.P) if self.P.ndim == 3 else None
+
+
+class Predictor:
+    """The filter of a plant whose measurement of tick k reaches the control of tick k + 1.
+
+    Args:
+        plant: A, C, W and V.
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        """Look once at what decides how a gain is computed."""
+        self.plant, self._noisy = plant, _dare.is_definite(plant.V)
+
+    def gain(self, Sigma: Array) -> Array:
+        """Return AΣC'(CΣC' + V)^{-1}, with the pseudo-inverse where an output is known in advance; (…, n, p)."""
+        p = self.plant
+        seen = p.C @ Sigma
+        if self._noisy:
+            return np.linalg.solve(seen @ p.C.T + p.V, seen @ p.A.T).swapaxes(-1, -2)
+        inverses = [_dare.price(p.C.T, one, p.V)[1] for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
+        return p.A @ seen.swapaxes(-1, -2) @ np.reshape(inverses, (*Sigma.shape[:-2], *p.V.shape))
+
+    def silent(self, Sigma: Array) -> Array:
+        """Return AΣA' + W, the next covariance without a measurement."""
+        return symmetrised(self.plant.A @ Sigma @ self.plant.A.T + self.plant.W)
+
+    def queried(self, Sigma: Array, gain: Array) -> Array:
+        """Return the next covariance with a measurement, in Joseph's form; (…, n, n)."""
+        p = self.plant
+        F, turned = p.A - gain @ p.C, gain.swapaxes(-1, -2)
+        following = F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W
+        return (following + following.swapaxes(-1, -2)) / 2
+
+    def follow(self, Sigma: Array, query: bool) -> Array:
+        """Return the next covariance.
+
+        Raises:
+            UnstableError: it overflows.
+        """
+        with np.errstate(over="ignore", invalid="ignore"):
+            following = self.queried(Sigma, self.gain(Sigma)) if query else self.silent(Sigma)
+            if not np.isfinite(following @ following).all():
+                raise UnstableError(
+                    "the error covariance overflows before a query is worth its price; expected a smaller zeta"
+                )
+        return following
+
+
+def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int = 0) -> float:
+    """Return h(Σ): what a query now saves of the optimal cost-to-go if the sensor is queried at every later tick.
+
+    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). The differences are never subtracted: they
+    obey D_{s+1} = F(X_s) D_s F(Y_s)' with F(X) = A − AXC'(CXC' + V)^{-1}C, X_s and Y_s the two covariances. Once these
+    have converged the rest is the solution of a Lyapunov equation. Of a finite horizon, P is P_{tick+1+s} and the sum
+    ends with it.
+
+    Args:
+        predictor: the filter.
+        Sigma: covariance of the predicted estimate, (n, n).
+        weights: of the estimation error.
+        tick: of a finite horizon.
+
+    Returns:
+        h(Σ) ≥ 0.
+
+    Raises:
+        UnstableError: the sum does not converge: a difference that no later query removes.
+
+    Source: khashooei2017
+    """
+    A, C = predictor.plant.A, predictor.plant.C
+    gain = predictor.gain(Sigma)
+    both = np.stack([predictor.silent(Sigma), predictor.queried(Sigma, gain)])  # X and Y
+    D = symmetrised(gain @ C @ Sigma @ A.T)
+    alpha, total, factor = weights.discount, 0.0, weights.discount
+    later = None if weights.horizon is None else weights.P[tick + 1 :]
+    largest = float(np.trace(weights.P, axis1=-2, axis2=-1).max())
+    for s in range(LONGEST if later is None else len(later)):
+        P = weights.P if later is None else later[s]
+        total += factor * float(np.sum(P * D))
+        gains = predictor.gain(both)
+        F, G = A - gains @ C
+        D = symmetrised(F @ D @ G.T)
+        factor *= alpha
+        if factor * float(np.abs(D).max()) * largest <= NEGLIGIBLE * total:
+            return total
+        before, both = both, predictor.queried(both, gains)
+        if later is None and s % 8 == 7 and max(map(_change, before, both)) <= CONVERGED:
+            shrinking = np.sqrt(alpha) * F
+            if radius(shrinking) < 1:
+                return total + factor * float(np.sum(P * summed(shrinking, D)))
+    if later is not None:
+        return total
+    raise UnstableError(
+        "the value of a query is not finite: an error that no later query removes; expected a detectable plant whose "
+        "noise reaches every mode on the unit circle, or a discount"
+    )
+
+
+def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
+    """Return the schedule that queries where h(Σ_k) > ζ, from a covariance on, until it repeats or the horizon ends.
+
+    Args:
+        plant: A, C, W and V.
+        weights: of the estimation error.
+        price: ζ ≥ 0.
+        initial: Σ_0, (n, n).
+
+    Returns:
+        The schedule, with the tick from which it repeats.
+
+    Raises:
+        UnstableError: it does not repeat within 20,000 ticks, or never queries an unstable plant.
+
+    Source: khashooei2017
+    """
+    predictor = Predictor(plant)
+    covariance: list[Array] = []
+    value: list[float] = []
+    Sigma = initial
+    for tick in range(weights.horizon or LONGEST):
+        covariance.append(Sigma)
+        value.append(query_value(predictor, Sigma, weights, tick))
+        start = None if weights.horizon is not None else _repetition(covariance)
+        if start is not None:
+            return _schedule(plant, covariance[:-1], value[:-1], price, start)
+        Sigma = predictor.follow(Sigma, value[-1] > price)
+    if weights.horizon is None:
+        raise UnstableError(
+            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; expected another zeta"
+        )
+    return _schedule(plant, covariance, value, price, None)
+
+
+def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
+    """Return the covariances Ric^k(Σ_0) of a sensor queried at every tick, and the tick from which they repeat.
+
+    Args:
+        plant: A, C, W and V.
+        initial: Σ_0, (n, n).
+        horizon: ticks; None: until the covariance has converged.
+
+    Returns:
+        (ticks, n, n), and the tick from which on they repeat, or None with a horizon.
+
+    Raises:
+        UnstableError: the covariance does not converge within 20,000 ticks.
+
+    Source: khashooei2017
+    """
+    predictor, covariance = Predictor(plant), [initial]
+    for _ in range((horizon or LONGEST) - 1):
+        covariance.append(predictor.follow(covariance[-1], True))
+        start = None if horizon is not None else _repetition(covariance)
+        if start is not None:
+            return frozen(np.array(covariance[:-1])), start
+    if horizon is None:
+        raise UnstableError(
+            f"the error covariance has not converged within {LONGEST} ticks; expected noise W on slow modes, or a horizon"
+        )
+    return frozen(np.array(covariance)), None
+
+
+def _schedule(plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None) -> Schedule:
+    values = frozen(np.array(value))
+    found = Schedule(values > price, values, frozen(np.array(covariance)), price, start)
+    if start is not None and not found.rate and radius(plant.A) >= 1:
+        raise UnstableError(
+            f"with zeta = {price:g} the sensor is never queried, and the plant is unstable: nothing would tell where its "
+            "state drifts; expected a smaller zeta, or noise W on the unstable modes"
+        )
+    return found
+
+
+def _repetition(covariance: Sequence[Array]) -> int | None:
+    """Return the latest tick whose covariance is that of the last one, or None: then all after it repeats."""
+    last = covariance[-1]
+    scale = np.sqrt(np.diag(last))
+    unit = np.where(scale > 0, scale, 1.0)
+    change = np.abs((np.array(covariance[:-1]).reshape(-1, *last.shape) - last) / unit / unit[:, None])
+    same = np.flatnonzero(change.max(axis=(1, 2), initial=0.0) <= SAME)
+    return int(same[-1]) if same.size else None
+
+
+def _change(before: Array, after: Array) -> float:
+    scale = np.sqrt(np.maximum(np.diag(after), np.diag(before)))
+    unit = np.where(scale > 0, scale, 1.0)
+    return float(np.abs((after - before) / unit / unit[:, None]).max(initial=0.0))

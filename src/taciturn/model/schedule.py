@@ -1,0 +1,99 @@
+"""A schedule of sensor queries: computed offline, seen, plotted and exported as what it is, a table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array
+from taciturn._figure import Panel, Series, draw
+from taciturn.errors import ProblemError
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False)
+class Schedule:
+    """When a sensor is queried: at the ticks whose query is worth more than its price.
+
+    Tick k of the list is followed by tick k + 1, and the last by tick ``start``: from there on the schedule repeats.
+    A finite horizon has no repetition: ``start`` is None.
+
+    Args:
+        queries: whether the sensor is queried, (ticks,).
+        value: h(Σ), what a query now saves of the optimal cost-to-go, (ticks,).
+        covariance: Σ of the predicted estimate before the query, (ticks, n, n).
+        price: ζ; the sensor is queried where value > price.
+        start: first tick of the part that repeats, or None.
+    """
+
+    queries: npt.NDArray[np.bool_]
+    value: Array
+    covariance: Array
+    price: float
+    start: int | None
+
+    @property
+    def period(self) -> int | None:
+        """Ticks after which the schedule repeats, or None for a finite horizon."""
+        return None if self.start is None else len(self.queries) - self.start
+
+    @property
+    def rate(self) -> float:
+        """Queries per tick: of the part that repeats, or of the whole horizon."""
+        return float(self.queries[self.start or 0 :].mean())
+
+    @property
+    def ticks(self) -> list[int]:
+        """The ticks at which the sensor is queried."""
+        return [int(tick) for tick in np.flatnonzero(self.queries)]
+
+    def repeating(self) -> Schedule:
+        """Return the part that repeats, alone."""
+        kept = slice(self.start or 0, None)
+        covariance = self.covariance[kept]
+        return Schedule(self.queries[kept], self.value[kept], covariance, self.price, None if self.start is None else 0)
+
+    def document(self) -> dict[str, Any]:
+        """Return what JSON holds of it: queried ticks, length, where it repeats, and the value of each query."""
+        return {
+            "queries": self.ticks,
+            "length": len(self.queries),
+            "repeats_from": self.start,
+            "period": self.period,
+            "rate": self.rate,
+            "value": self.value.tolist(),
+            "price": self.price,
+        }
+
+    def plot(self) -> Figure:
+        """Return a figure: the value of a query at each tick, its price, and the queries."""
+        ticks = list(map(float, range(len(self.queries))))
+        values = [
+            Series(ticks, self.value.tolist(), "value of a query, h"),
+            Series([ticks[0], ticks[-1]], [self.price] * 2, "price, ζ", "dashed", color=3),
+        ]
+        asked = [Series(list(map(float, self.ticks)), [1.0] * len(self.ticks), f"queries: {len(self.ticks)}", "stems")]
+        where = "" if self.start is None else f"from tick {self.start} on it repeats every {self.period}"
+        return draw([Panel(values, ylabel="cost", title=where), Panel(asked, xlabel="tick", ylabel="query")])
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a table with one row per tick: value, query, and the diagonal of the covariance.
+
+        Raises:
+            ProblemError: pandas is not installed.
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise ProblemError(
+                "pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'"
+            ) from None
+        columns: dict[str, object] = {"value": self.value, "query": self.queries}
+        columns |= {f"variance{i + 1}": self.covariance[:, i, i] for i in range(self.covariance.shape[1])}
+        return pandas.DataFrame(columns, index=pandas.RangeIndex(len(self.queries), name="tick"))
