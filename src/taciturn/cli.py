@@ -16,6 +16,7 @@ import typer
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from taciturn.model.schedule import Schedule
     from taciturn.simulation.average import Progress
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.reproduce import Reproduction, Table
@@ -292,30 +293,48 @@ def _parse_value(text: str) -> object:
 
 def _print_evaluation(found: Evaluation) -> None:
     lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({found.cost.method})")]
-    lines += [(f"rate, {link}", f"{rate} per {found.unit}") for link, rate in found.rates.items()]
+    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
         above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""
         lines.append(("all-time cost", f"{found.cost_all_time:.6g}{above}"))
     if found.cost_bound is not None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
+    if found.cost_bound_at_rate is not None:
+        lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
+    if found.schedule is not None:
+        lines.append(("sensor queries", _queries(found.schedule)))
     lines += [("note", note) for note in found.notes]
     for name, text in lines:
         typer.echo(f"{name:14s} {text}")
 
 
+def _queries(schedule: Schedule) -> str:
+    """Say when the sensor is queried."""
+    ticks = schedule.ticks
+    if schedule.period == 1:
+        return "at every tick" if ticks else "never"
+    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
+    if schedule.start is None:
+        return f"{len(ticks)} of {len(schedule.queries)} ticks: {listed}"
+    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} ticks, again and again"
+    return once if schedule.start == 0 else f"{once} from tick {schedule.start} on: {listed}"
+
+
 def _print_tradeoff(found: Tradeoff) -> None:
     names = list(found.points[0].values)
-    header = [*names, f"rate per {found.unit}", "saved %", f"cost per {found.unit}", "above all-time %"]
-    header += ["guaranteed ≤", "periodic, same rate"]
+    first = found.points[0].evaluation
+    of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
+    header = [*names, *(f"rate per {first.rate_unit}{text}" for text in of.values()), "saved %"]
+    header += [f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "periodic, same rate"]
     rows: list[list[str]] = []
     for point in found.points:
         e = point.evaluation
-        rate = next(iter(e.rates.values()))
+        rates = list(e.rates.values())
         rows.append(
             [
                 *(str(value) for value in point.values.values()),
-                f"{rate.value:.4f} ± {rate.standard_error:.4f}",
-                f"{100 * (1 - rate.value / e.base_rate):.1f}",
+                *(f"{rate.value:.4f} ± {rate.standard_error:.4f}" for rate in rates),
+                " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates),
                 str(e.cost),
                 _above(e) if e.cost_all_time else "",
                 "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
@@ -323,7 +342,6 @@ def _print_tradeoff(found: Tradeoff) -> None:
             ]
         )
     _print_table(header, rows)
-    first = found.points[0].evaluation
     if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
         guarantee = f"; guarantee: {found.guarantee}" if found.guarantee else ""
         typer.echo(f"all-time cost {first.cost_all_time:.6g}{guarantee}")

@@ -172,9 +172,7 @@ def _steps(
     acknowledged = network.protocol == "tcp"
     subject = ESTIMATE if reference is None else DEVIATION
     deviate: tuple[Step, ...] = ()
-    supply: tuple[Step, ...] = (
-        Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),
-    )
+    supply: tuple[Step, ...] = (Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),)
     silent, sent = {ESTIMATE: plant.A}, {ESTIMATE: plant.A, "command": (1 - network.loss("actuator")) * plant.B}
     if acknowledged:
         sent = {ESTIMATE: plant.A, "command": plant.B}

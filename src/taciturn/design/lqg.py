@@ -77,7 +77,11 @@ def lqg(
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
     threshold = theta * float(np.trace(problem.Q @ certainty.filter.posterior))
-    silent = silence_form(problem, certainty.regulator.H, theta) if trigger == "joint" else _separate(certainty, theta, epsilon)
+    silent = (
+        silence_form(problem, certainty.regulator.H, theta)
+        if trigger == "joint"
+        else _separate(certainty, theta, epsilon)
+    )
     rule = Trigger({"silent": silent, "send": Form(constant=threshold)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
     return Policy(

@@ -215,7 +215,9 @@ class _Prices:
         if start is None:
             return float(total + np.sum(self.K[1:] * plant.W) + errors.sum())
         weights = alpha ** np.arange(len(errors))
-        weights[start:] /= 1 - alpha ** (len(errors) - start)  # each later turn of the cycle counts α^period of the last
+        weights[start:] /= 1 - alpha ** (
+            len(errors) - start
+        )  # each later turn of the cycle counts α^period of the last
         return float(total + weights @ errors + alpha / (1 - alpha) * np.sum(self.K * plant.W))
 
 
@@ -245,13 +247,13 @@ def _parameter(name: str, value: float | None, controller: Controller, place: Co
     return number(name, value, 0.0, closed=True)
 
 
-def _estimate(
-    plant: Plant, controller: Controller, covariance: Array, queries: Array
-) -> tuple[Estimation, float]:
+def _estimate(plant: Plant, controller: Controller, covariance: Array, queries: Array) -> tuple[Estimation, float]:
     """Return the predicting filter along a schedule, and by how much its error shrinks per tick."""
     n, p = plant.states, plant.outputs
     predictor, turn = Predictor(plant), np.eye(n)
-    gains = np.array([predictor.gain(Sigma) if asked else np.zeros((n, p)) for Sigma, asked in zip(covariance, queries)])
+    gains = np.array(
+        [predictor.gain(Sigma) if asked else np.zeros((n, p)) for Sigma, asked in zip(covariance, queries)]
+    )
     for gain in gains:
         turn = (plant.A - gain @ plant.C) @ turn
     watch: tuple[Step, ...] = ()

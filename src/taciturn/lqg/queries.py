@@ -199,7 +199,9 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     return frozen(np.array(covariance)), None
 
 
-def _schedule(plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None) -> Schedule:
+def _schedule(
+    plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None
+) -> Schedule:
     values = frozen(np.array(value))
     found = Schedule(values > price, values, frozen(np.array(covariance)), price, start)
     if start is not None and not found.rate and radius(plant.A) >= 1:

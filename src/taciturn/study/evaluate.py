@@ -10,6 +10,7 @@ from typing import Any, Literal
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
 from taciturn.simulation.average import Averages, Progress, average, check_effort
 
@@ -20,17 +21,18 @@ class Evaluation:
 
     Args:
         policy: its kind.
-        unit: what cost and rates count per: ``"step"`` or ``"second"``, or ``"mission"`` for a finite horizon.
-        base_rate: sends per unit at every tick.
+        unit: what the cost counts per: ``"step"`` or ``"second"``, or ``"mission"`` for a finite horizon or a discount.
+        base_rate: rate of sending at every tick.
         cost: per step or per second, or the total of a finite horizon.
         cost_all_time: exact cost of sending at every tick; None where the simulated plant is not the design's.
         cost_bound: proved bound, or None.
         cost_bound_at_rate: the sharper bound at the measured rate, or None.
-        rates: sends per step or per second, by scheduled link.
+        rates: sends per step or per second, by scheduled link; of a mission the mean fraction of its steps.
         seed: of the draws.
         seconds: wall time.
         steps: simulated steps; 0 where nothing was simulated.
         reached: whether the asked standard error was met.
+        schedule: of sensor queries, computed offline, or None.
         notes: what the reader must know.
     """
 
@@ -46,7 +48,13 @@ class Evaluation:
     seconds: float
     steps: int
     reached: bool
+    schedule: Schedule | None
     notes: tuple[str, ...]
+
+    @property
+    def rate_unit(self) -> Literal["step", "second"]:
+        """What a rate counts per."""
+        return "step" if self.unit == "mission" else self.unit
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn evaluate --json``."""
@@ -66,6 +74,8 @@ class Evaluation:
             "steps": self.steps,
             "reached": self.reached,
         }
+        if self.schedule is not None:
+            result["schedule"] = self.schedule.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
 
 
@@ -121,24 +131,27 @@ def evaluate(
         found = average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
         if form is not None:  # a clock needs no estimate
             found = replace(found, rates={link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()})
+        elif policy.schedule is not None and problem.cost.discount == 1:
+            found = replace(found, rates={**found.rates, "sensor": Estimate(policy.schedule.rate, 0.0, "exact")})
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
+    mission = loop.horizon is not None
+    pace = 1.0 if mission else 1 / policy.tick
     return Evaluation(
         policy=policy.kind,
-        unit="mission" if loop.horizon is not None else unit_of(problem),
-        base_rate=1 / policy.tick,
+        unit="mission" if mission else unit_of(problem),
+        base_rate=pace,
         cost=found.cost,
         cost_all_time=policy.cost_all_time if loop.nominal else None,
         cost_bound=None if guarantee is None else guarantee.cost,
         cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick),
-        rates={link: rate.scaled(1 / policy.tick) for link, rate in found.rates.items()},
+        rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
         seed=seed,
         seconds=time.perf_counter() - began,
         steps=found.steps,
         reached=found.reached,
-        notes=()
-        if loop.nominal
-        else ("the plant is not the one of the design (plant.actual or input_limit): no guarantee holds",),
+        schedule=policy.schedule,
+        notes=policy.notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
 
 

@@ -13,10 +13,11 @@ from taciturn._figure import Panel, Series, draw
 from taciturn.design.certainty import Actuation
 from taciturn.design.periodic import periodic
 from taciturn.errors import ProblemError, TaciturnError
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 from taciturn.simulation.average import Progress
-from taciturn.study.evaluate import Evaluation, evaluate, unit_of
+from taciturn.study.evaluate import Evaluation, evaluate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -40,7 +41,8 @@ class Point:
         values: what was varied.
         evaluation: of the policy.
         actuation: of the policy, and of the periodic controller it is compared with.
-        cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable.
+        cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable,
+            or none is comparable: over lossy links, with scheduled queries, for missions.
     """
 
     values: Mapping[str, Any]
@@ -56,7 +58,7 @@ class Tradeoff:
     Args:
         points: in the order of the grid.
         periodic: the curve of optimal periodic control, by actuation; none where plant or cost differ between points.
-        unit: what a rate counts: ``"step"`` or ``"second"``.
+        unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
         guarantee: the theorem behind the bounds, or None.
     """
 
@@ -111,7 +113,7 @@ class Tradeoff:
                 )
             )
         title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
-        return draw([Panel(series, f"sends per {self.unit}", f"cost per {self.unit}", title)])
+        return draw([Panel(series, f"sends per {self.points[0].evaluation.rate_unit}", f"cost per {self.unit}", title)])
 
 
 def tradeoff(
@@ -150,9 +152,12 @@ def tradeoff(
 
         evaluation = evaluate(changed, seed=seed, standard_error=standard_error, progress=report)
         actuation: Actuation = "model" if changed.parameters.get("actuation") == "model" else "hold"
-        same = periodic_cost_at(changed, next(iter(evaluation.rates.values())).value, actuation)
+        rate = next(iter(evaluation.rates.values())).value
+        same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
         points.append(Point(cell, evaluation, actuation, same))
-    return Tradeoff(tuple(points), _curves(problems, points, over), unit_of(problem), _statement(problems[0], points))
+    return Tradeoff(
+        tuple(points), _curves(problems, points, over), points[0].evaluation.unit, _statement(problems[0], points)
+    )
 
 
 def _grid(over: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
@@ -172,6 +177,8 @@ def _curves(
 ) -> dict[Actuation, tuple[PeriodicPoint, ...]]:
     """Return the periodic curves that all points share: none where a key outside [policy] was varied."""
     if any("." in name and not name.startswith("policy.") for name in over):
+        return {}
+    if any(point.evaluation.schedule for point in points):
         return {}
     used: set[Actuation] = {point.actuation for point in points}
     fastest = max(point.evaluation.base_rate for point in points)
@@ -252,6 +259,8 @@ def _first_stable(problem: Problem, steps: Sequence[int], actuation: Actuation) 
 
 def _cost(problem: Problem, interval: float, actuation: Actuation) -> float | None:
     """The closed form of a periodic policy; sampling that loses a mode and predictions without the state have none."""
+    if problem.network != Network():  # it knows ideal links only
+        return None
     try:
         if isinstance(problem.plant, ContinuousPlant):
             policy = periodic(problem.plant, problem.cost, period=interval, actuation=actuation)

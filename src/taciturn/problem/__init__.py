@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -10,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from taciturn._arrays import Array, quoted
 from taciturn.design.catalogue import CATALOGUE
@@ -20,79 +19,20 @@ from taciturn.model.cost import Cost
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
+from taciturn.model.reference import Reference
+from taciturn.problem.tables import (
+    BurstTable,
+    File,
+    InitialTable,
+    JumpsTable,
+    NetworkTable,
+    PlantTable,
+    first_mistake,
+    ours,
+    suggest,
+)
 
-Rows = list[list[float]]
-BUILT_IN = Path(__file__).parent / "problems"
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True)  # strict: 1 is a number, "1" is none
-
-
-class _Initial(_Table):
-    mean: list[float] | None = None
-    covariance: Rows | None = None
-
-
-class _Jumps(_Table):
-    rate: float
-    covariance: Rows
-    distribution: str = "normal"
-
-
-class _PlantTable(_Table):
-    A: Rows
-    B: Rows
-    C: Rows | None = None
-    W: Rows | None = None
-    V: Rows | None = None
-    dt: float | None = None
-    input_limit: list[float] | None = None
-    function: str | None = None
-    initial: _Initial | None = None
-    jumps: _Jumps | None = None
-
-
-class _NominalPlantTable(_PlantTable):
-    actual: _PlantTable | None = None
-
-
-class _CostTable(_Table):
-    Q: Rows
-    R: Rows
-    N: Rows | None = None
-    horizon: int | None = None
-    terminal: Rows | None = None
-    discount: float | None = None
-
-
-class _BurstTable(_Table):
-    to_bad: float
-    to_good: float
-    loss_good: float
-    loss_bad: float
-
-
-class _NetworkTable(_Table):
-    protocol: str = "ideal"
-    actuator_loss: float = 0.0
-    sensor_loss: float = 0.0
-    delay: int = 0
-    actuator_burst: _BurstTable | None = None
-    sensor_burst: _BurstTable | None = None
-
-
-class _ReferenceTable(_Table):
-    states: Rows
-    inputs: Rows
-
-
-class _File(_Table):
-    plant: _NominalPlantTable
-    cost: _CostTable
-    network: _NetworkTable | None = None
-    reference: _ReferenceTable | None = None
-    policy: dict[str, Any]
+BUILT_IN = Path(__file__).parent.parent / "problems"
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +46,7 @@ class Problem:
         kind: key of the policy in the catalogue.
         parameters: its parameters.
         actual: the plant that is simulated, where it differs.
+        reference: what is tracked.
         source: the tables of the file, for changing single keys.
     """
 
@@ -115,6 +56,7 @@ class Problem:
     kind: str
     parameters: Mapping[str, Any]
     actual: Plant | ContinuousPlant | None = None
+    reference: Reference | None = None
     source: Mapping[str, Any] | None = None
 
     def design(self) -> Policy:
@@ -125,14 +67,7 @@ class Problem:
         """
         parameters = check_parameters(self.kind, self.parameters)
         design = CATALOGUE[self.kind]
-        if "network" in inspect.signature(design).parameters:
-            return design(self.plant, self.cost, network=self.network, **parameters)
-        unused = [key for key in _NetworkTable.model_fields if getattr(self.network, key) != getattr(Network(), key)]
-        if unused:
-            raise ProblemError(
-                f"network.{unused[0]} is given, which {self.kind} does not use; expected ideal links: remove it"
-            )
-        return design(self.plant, self.cost, **parameters)
+        return design(self.plant, self.cost, **_used(self.kind, self.network, self.reference), **parameters)
 
     def close(self, policy: Policy) -> Loop:
         """Close the loop with the plant that is simulated."""
@@ -193,7 +128,7 @@ def load(path: str | Path) -> Problem:
     except FileNotFoundError:
         raise ProblemError(
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
-            f"{', '.join(built_in)}{_suggest(str(path), list(built_in))}"
+            f"{', '.join(built_in)}{suggest(str(path), list(built_in))}"
         ) from None
     except UnicodeDecodeError as error:
         raise ProblemError(f"{str(path)!r} is not a text in UTF-8 ({error.reason}); expected a TOML file") from None
@@ -217,23 +152,24 @@ def parse(tables: Mapping[str, Any], name: str) -> Problem:
         ProblemError: a key is unknown or missing, or data do not fit.
     """
     try:
-        file = _File.model_validate(tables)
+        file = File.model_validate(tables)
     except ValidationError as error:
-        raise ProblemError(f"{name}: {_first_mistake(error, _File)}") from None
+        raise ProblemError(f"{name}: {first_mistake(error, File)}") from None
     kind = file.policy.get("kind")
     if not isinstance(kind, str) or kind not in CATALOGUE:
         got = f"is {quoted(kind)}" if "kind" in file.policy else "is missing"
-        near = _suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
+        near = suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
         raise ProblemError(f"{name}: policy.kind {got}; expected one of {', '.join(CATALOGUE)}{near}")
     parameters = {key: value for key, value in file.policy.items() if key != "kind"}
     try:
         check_parameters(kind, parameters)
         if file.reference is not None:
-            raise ProblemError(f"[reference] is given, which {kind} does not use; expected no reference: remove it")
+            _expect(kind, "reference", "[reference]", "no reference")
         cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
         plant = _plant(file.plant)
         actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant)
-        return Problem(plant, cost, _network(file.network), kind, parameters, actual, _copied(tables))
+        reference = None if file.reference is None else Reference(**file.reference.model_dump())
+        return Problem(plant, cost, _network(file.network), kind, parameters, actual, reference, _copied(tables))
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
@@ -245,20 +181,20 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
         ProblemError: a parameter is unknown, missing, or of the wrong type.
     """
     if kind not in CATALOGUE:
-        near = _suggest(str(kind), list(CATALOGUE))
+        near = suggest(str(kind), list(CATALOGUE))
         raise ProblemError(f"policy.kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
     design = CATALOGUE[kind]
     known = {
         key: value
         for key, value in inspect.signature(design).parameters.items()
-        if value.kind is value.KEYWORD_ONLY and key != "network"
+        if value.kind is value.KEYWORD_ONLY and key not in ("network", "reference")
     }
     hints = get_type_hints(design)
     for key in parameters:
         if key not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameters"
             raise ProblemError(
-                f"policy.{key} is not a parameter of {kind}; expected {expected}{_suggest(key, list(known))}"
+                f"policy.{key} is not a parameter of {kind}; expected {expected}{suggest(key, list(known))}"
             )
     for key, parameter in known.items():
         if parameter.default is parameter.empty and key not in parameters:
@@ -268,16 +204,37 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
         try:
             checked[key] = TypeAdapter(hints[key]).validate_python(value, strict=True)
         except ValidationError as error:
-            raise ProblemError(f"policy.{key} is {quoted(value)}; {_lower(error.errors()[0]['msg'])}") from None
+            raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
     return checked
 
 
-def _plant(table: _PlantTable) -> Plant | ContinuousPlant:
+def _used(kind: str, network: Network, reference: Reference | None) -> dict[str, Any]:
+    """Return what a policy kind is given beside its parameters.
+
+    Raises:
+        ProblemError: a network or a reference that it does not use.
+    """
+    unusual = [key for key in NetworkTable.model_fields if getattr(network, key) != getattr(Network(), key)]
+    if unusual:
+        _expect(kind, "network", f"network.{unusual[0]}", "ideal links")
+    if reference is not None:
+        _expect(kind, "reference", "[reference]", "no reference")
+    offered = {"network": network, "reference": reference}
+    return {key: value for key, value in offered.items() if key in inspect.signature(CATALOGUE[kind]).parameters}
+
+
+def _expect(kind: str, name: str, given: str, expected: str) -> None:
+    """Refuse what was given where the policy kind has no parameter of this name."""
+    if name not in inspect.signature(CATALOGUE[kind]).parameters:
+        raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}: remove it")
+
+
+def _plant(table: PlantTable) -> Plant | ContinuousPlant:
     if table.function is not None:
         raise ProblemError(
             "plant.function is given, and nonlinear plants are not supported yet; expected A and B alone"
         )
-    initial = table.initial or _Initial()
+    initial = table.initial or InitialTable()
     if table.dt is None:
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
@@ -294,7 +251,7 @@ def _plant(table: _PlantTable) -> Plant | ContinuousPlant:
     )
 
 
-def _actual(table: _PlantTable, dt: float | None, design: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
+def _actual(table: PlantTable, dt: float | None, design: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
     """Return the plant that is simulated; it must have the time base and the sizes of the plant of the design."""
     try:
         plant = _plant(table)
@@ -311,11 +268,11 @@ def _actual(table: _PlantTable, dt: float | None, design: Plant | ContinuousPlan
     return plant
 
 
-def _jumps(table: _Jumps) -> Jumps:
+def _jumps(table: JumpsTable) -> Jumps:
     return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
 
 
-def _network(table: _NetworkTable | None) -> Network:
+def _network(table: NetworkTable | None) -> Network:
     if table is None:
         return Network()
     return Network(
@@ -328,52 +285,11 @@ def _network(table: _NetworkTable | None) -> Network:
     )
 
 
-def _burst(link: str, table: _BurstTable | None) -> Burst | None:
+def _burst(link: str, table: BurstTable | None) -> Burst | None:
     try:
         return None if table is None else Burst(**table.model_dump())
     except ProblemError as error:
         raise ProblemError(f"network.{link}_burst: {error}") from None
-
-
-def _first_mistake(error: ValidationError, root: type[BaseModel]) -> str:
-    """Say the first mistake in one clause: where, what, and what was perhaps meant."""
-    mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
-    first = mistakes[0]
-    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).removeprefix(".")
-    if first["type"] == "extra_forbidden":
-        names = _keys_at(root, [str(part) for part in first["loc"][:-1]])
-        return f"{where} is not a known key; expected one of {', '.join(names)}{_suggest(str(first['loc'][-1]), names)}"
-    if first["type"] == "missing":
-        kind = "the table" if len(first["loc"]) == 1 else "the key"
-        shown = f"[{where}]" if len(first["loc"]) == 1 else where
-        return f"{kind} {shown} is missing; expected {_required(root, [str(part) for part in first['loc']])}"
-    return f"{where} is {quoted(first['input'])}; {_lower(first['msg'])}"
-
-
-def _keys_at(root: type[BaseModel], path: Sequence[str]) -> list[str]:
-    model = root
-    for part in path:
-        annotations = str(model.model_fields[part].annotation)
-        model = next(m for m in _MODELS if m.__name__ in annotations.replace("|", " ").replace("'", " ").split(".")[-1])
-    return list(model.model_fields)
-
-
-def _required(root: type[BaseModel], path: Sequence[str]) -> str:
-    return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
-
-
-def _suggest(word: str, names: Sequence[str]) -> str:
-    lowered = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=0.5)
-    return f". Did you mean {lowered[near[0]]!r}?" if near else ""
-
-
-def _lower(message: str) -> str:
-    """Turn a sentence of pydantic into the end of ours: Input should be … → expected …."""
-    message = message.split(" or instance of ")[0]
-    for theirs, ours in _WORDS:
-        message = message.replace(theirs, ours)
-    return message
 
 
 def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
@@ -381,15 +297,3 @@ def _copied(tables: Mapping[str, Any]) -> dict[str, Any]:
         key: _copied(cast("Mapping[str, Any]", value)) if isinstance(value, Mapping) else value
         for key, value in tables.items()
     }
-
-
-_WORDS = (
-    ("Input should be a valid integer", "expected a whole number"),
-    ("Input should be a valid dictionary", "expected a table"),
-    ("Input should be a valid list", "expected a list"),
-    ("Input should be a valid", "expected a"),
-    ("Input should be", "expected"),
-)
-_MODELS: tuple[type[BaseModel], ...] = (
-    _File, _NominalPlantTable, _PlantTable, _Initial, _Jumps, _CostTable, _NetworkTable, _BurstTable, _ReferenceTable,
-)  # fmt: skip

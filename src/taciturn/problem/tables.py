@@ -1,0 +1,157 @@
+"""The tables of a problem file, and mistakes in them as a user can mend them."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from taciturn._arrays import quoted
+
+Rows = list[list[float]]
+
+
+class Table(BaseModel):
+    """What every table shares: unknown keys are mistakes, and text is no number."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True)  # strict: 1 is a number, "1" is none
+
+
+class InitialTable(Table):
+    """``[plant.initial]``."""
+
+    mean: list[float] | None = None
+    covariance: Rows | None = None
+
+
+class JumpsTable(Table):
+    """``[plant.jumps]``."""
+
+    rate: float
+    covariance: Rows
+    distribution: str = "normal"
+
+
+class PlantTable(Table):
+    """``[plant.actual]``, and what ``[plant]`` shares with it."""
+
+    A: Rows
+    B: Rows
+    C: Rows | None = None
+    W: Rows | None = None
+    V: Rows | None = None
+    dt: float | None = None
+    input_limit: list[float] | None = None
+    function: str | None = None
+    initial: InitialTable | None = None
+    jumps: JumpsTable | None = None
+
+
+class NominalPlantTable(PlantTable):
+    """``[plant]``."""
+
+    actual: PlantTable | None = None
+
+
+class CostTable(Table):
+    """``[cost]``."""
+
+    Q: Rows
+    R: Rows
+    N: Rows | None = None
+    horizon: int | None = None
+    terminal: Rows | None = None
+    discount: float | None = None
+
+
+class BurstTable(Table):
+    """``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
+
+    to_bad: float
+    to_good: float
+    loss_good: float
+    loss_bad: float
+
+
+class NetworkTable(Table):
+    """``[network]``."""
+
+    protocol: str = "ideal"
+    actuator_loss: float = 0.0
+    sensor_loss: float = 0.0
+    delay: int = 0
+    actuator_burst: BurstTable | None = None
+    sensor_burst: BurstTable | None = None
+
+
+class ReferenceTable(Table):
+    """``[reference]``."""
+
+    states: Rows
+    inputs: Rows
+
+
+class File(Table):
+    """A whole file."""
+
+    plant: NominalPlantTable
+    cost: CostTable
+    network: NetworkTable | None = None
+    reference: ReferenceTable | None = None
+    policy: dict[str, Any]
+
+
+def first_mistake(error: ValidationError, root: type[BaseModel]) -> str:
+    """Say the first mistake in one clause: where, what, and what was perhaps meant."""
+    mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
+    first = mistakes[0]
+    where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).removeprefix(".")
+    if first["type"] == "extra_forbidden":
+        names = _keys_at(root, [str(part) for part in first["loc"][:-1]])
+        return f"{where} is not a known key; expected one of {', '.join(names)}{suggest(str(first['loc'][-1]), names)}"
+    if first["type"] == "missing":
+        kind = "the table" if len(first["loc"]) == 1 else "the key"
+        shown = f"[{where}]" if len(first["loc"]) == 1 else where
+        return f"{kind} {shown} is missing; expected {_required(root, [str(part) for part in first['loc']])}"
+    return f"{where} is {quoted(first['input'])}; {ours(first['msg'])}"
+
+
+def _keys_at(root: type[BaseModel], path: Sequence[str]) -> list[str]:
+    model = root
+    for part in path:
+        annotations = str(model.model_fields[part].annotation)
+        model = next(m for m in _MODELS if m.__name__ in annotations.replace("|", " ").replace("'", " ").split(".")[-1])
+    return list(model.model_fields)
+
+
+def _required(root: type[BaseModel], path: Sequence[str]) -> str:
+    return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
+
+
+def suggest(word: str, names: Sequence[str]) -> str:
+    """Return the question after a name that was perhaps meant, or nothing."""
+    lowered = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=0.5)
+    return f". Did you mean {lowered[near[0]]!r}?" if near else ""
+
+
+def ours(message: str) -> str:
+    """Turn a sentence of pydantic into the end of ours: Input should be … → expected …."""
+    message = message.split(" or instance of ")[0]
+    for theirs, ours in _WORDS:
+        message = message.replace(theirs, ours)
+    return message
+
+
+_WORDS = (
+    ("Input should be a valid integer", "expected a whole number"),
+    ("Input should be a valid dictionary", "expected a table"),
+    ("Input should be a valid list", "expected a list"),
+    ("Input should be a valid", "expected a"),
+    ("Input should be", "expected"),
+)
+_MODELS: tuple[type[BaseModel], ...] = (
+    File, NominalPlantTable, PlantTable, InitialTable, JumpsTable, CostTable, NetworkTable, BurstTable, ReferenceTable,
+)  # fmt: skip
