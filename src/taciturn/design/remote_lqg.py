@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array, choice, number
 from taciturn._modes import radius
@@ -247,13 +248,13 @@ def _parameter(name: str, value: float | None, controller: Controller, place: Co
     return number(name, value, 0.0, closed=True)
 
 
-def _estimate(plant: Plant, controller: Controller, covariance: Array, queries: Array) -> tuple[Estimation, float]:
+def _estimate(
+    plant: Plant, controller: Controller, covariance: Array, queries: npt.NDArray[np.bool_]
+) -> tuple[Estimation, float]:
     """Return the predicting filter along a schedule, and by how much its error shrinks per tick."""
     n, p = plant.states, plant.outputs
     predictor, turn = Predictor(plant), np.eye(n)
-    gains = np.array(
-        [predictor.gain(Sigma) if asked else np.zeros((n, p)) for Sigma, asked in zip(covariance, queries)]
-    )
+    gains = predictor.gain(covariance) * queries[:, None, None]
     for gain in gains:
         turn = (plant.A - gain @ plant.C) @ turn
     watch: tuple[Step, ...] = ()

@@ -51,12 +51,10 @@ def balancing(A: Array) -> Array:
 
 def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
     """Return (A_u, V) with V A = A_u V: the modes of modulus at least ``edge`` as orthonormal coordinates V x."""
-    upper, basis, count = cast(
-        "tuple[Array, Array, int]", scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
-    )
+    upper, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
     return upper[:count, :count].T, basis[:, :count].T
 
 
 def crossing(function: Callable[[float], float], low: float, high: float) -> float:
     """Return where a function changes its sign, by bisection to 1e-9."""
-    return float(cast(float, scipy.optimize.bisect(function, low, high, xtol=1e-9)))
+    return float(scipy.optimize.bisect(function, low, high, xtol=1e-9))

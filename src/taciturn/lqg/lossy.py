@@ -263,12 +263,8 @@ def _growth_map(A: Array, B: Array, L: Array, channel: Channel) -> Array:
     moved = A + (1 - alpha) * pushed
     spread = alpha * (1 - alpha) * np.kron(pushed.T, pushed.T)
     open_loop = np.kron(A.T, A.T)
-    return np.block(
-        [
-            [np.kron(moved.T, moved.T) + (1 - reach) * spread, reach * spread],
-            [(1 - beta) * open_loop, beta * open_loop],
-        ]
-    )
+    upper = np.hstack([np.kron(moved.T, moved.T) + (1 - reach) * spread, reach * spread])
+    return np.vstack([upper, np.hstack([(1 - beta) * open_loop, beta * open_loop])]).astype(np.float64)
 
 
 def _perron(growth: Array, n: int) -> tuple[float, Array, Array]:
@@ -288,7 +284,7 @@ def _cost_of(A: Array, B: Array, Q: Array, R: Array, L: Array, channel: Channel)
     n = len(A)
     stage = Q + (1 - channel.actuator_loss) * L.T @ R @ L
     right = np.concatenate([stage.ravel(), Q.ravel()])
-    found = np.linalg.solve(np.eye(2 * n * n) - _growth_map(A, B, L, channel), right)
+    found = np.asarray(np.linalg.solve(np.eye(2 * n * n) - _growth_map(A, B, L, channel), right), dtype=np.float64)
     K, total = (symmetrised(part.reshape(n, n)) for part in np.split(found, 2))
     return K, total - K
 

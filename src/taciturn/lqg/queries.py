@@ -54,7 +54,8 @@ class Predictor:
         p = self.plant
         seen = p.C @ Sigma
         if self._noisy:
-            return np.linalg.solve(seen @ p.C.T + p.V, seen @ p.A.T).swapaxes(-1, -2)
+            turned = np.linalg.solve(seen @ p.C.T + p.V, seen @ p.A.T)
+            return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
         inverses = [_dare.price(p.C.T, one, p.V)[1] for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
         return p.A @ seen.swapaxes(-1, -2) @ np.reshape(inverses, (*Sigma.shape[:-2], *p.V.shape))
 
@@ -165,7 +166,8 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
         Sigma = predictor.follow(Sigma, value[-1] > price)
     if weights.horizon is None:
         raise UnstableError(
-            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; expected another zeta"
+            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; "
+            "expected another zeta, or a horizon"
         )
     return _schedule(plant, covariance, value, price, None)
 
@@ -194,7 +196,8 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
             return frozen(np.array(covariance[:-1])), start
     if horizon is None:
         raise UnstableError(
-            f"the error covariance has not converged within {LONGEST} ticks; expected noise W on slow modes, or a horizon"
+            f"the error covariance has not converged within {LONGEST} ticks; "
+            "expected noise W on slow modes, or a horizon"
         )
     return frozen(np.array(covariance)), None
 
@@ -206,8 +209,8 @@ def _schedule(
     found = Schedule(values > price, values, frozen(np.array(covariance)), price, start)
     if start is not None and not found.rate and radius(plant.A) >= 1:
         raise UnstableError(
-            f"with zeta = {price:g} the sensor is never queried, and the plant is unstable: nothing would tell where its "
-            "state drifts; expected a smaller zeta, or noise W on the unstable modes"
+            f"with zeta = {price:g} the sensor is never queried, and the plant is unstable: nothing would tell where "
+            "its state drifts; expected a smaller zeta, or noise W on the unstable modes"
         )
     return found
 
