@@ -3,19 +3,106 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Literal
 
+import numpy as np
 from systems import System
 
-from taciturn import Policy, design
+from taciturn import Cost, Loop, Network, Plant, Policy, close, design
+from taciturn.lqg.lossy import Channel, slowest_growth
 
-POLICIES: Mapping[str, Callable[[System], Policy]] = {
+Build = Callable[[System], Policy]
+
+
+def closed(policy: Policy) -> Loop:
+    """Close the loop of a design with its own plant, network and cost."""
+    return close(policy.model, policy)
+
+
+def started(plant: Plant, seed: int) -> Plant:
+    """Return the plant with an initial distribution."""
+    draws = np.random.default_rng(seed)
+    spread = 0.5 * draws.standard_normal((plant.states, plant.states))
+    C, V = (None, None) if plant.full_state else (plant.C, plant.V)
+    return Plant(
+        plant.A, plant.B, plant.W, C, V, mean=draws.standard_normal(plant.states), covariance=spread @ spread.T
+    )
+
+
+def remote(
+    controller: Literal["remote", "actuator", "sensor"], horizon: int | None = None, discount: float = 1.0
+) -> Build:
+    """Return the design with a controller at a place, θ = 0.3, ζ a fifth of the all-time average."""
+
+    def build(system: System) -> Policy:
+        weights = system.cost
+        cost = Cost(weights.Q, weights.R, weights.N, horizon=horizon, discount=discount)
+        zeta = 0.2 * design.all_time(system.plant, weights).cost_all_time
+        parameters = {"remote": {"theta": 0.3, "zeta": zeta}, "actuator": {"zeta": zeta}, "sensor": {"theta": 0.3}}
+        mission = horizon is not None or discount < 1
+        plant = started(system.plant, system.seed) if mission else system.plant
+        return design.remote_lqg(plant, cost, controller=controller, **parameters[controller])
+
+    return build
+
+
+def bearable(plant: Plant, network: Network) -> Network:
+    """Return the network with its losses halved until the mean square can shrink by a fifth per step."""
+    actuator, sensor = network.actuator_loss, network.sensor_loss
+    while True:
+        channel = Channel(actuator, sensor, network.protocol == "tcp", network.delay == 1)
+        if slowest_growth(plant.A, plant.B, channel)[0] < 0.8:
+            return Network(network.protocol, actuator, sensor, network.delay)
+        actuator, sensor = actuator / 2, sensor / 2
+
+
+def lossy(protocol: Literal["udp", "tcp"], delay: int, horizon: int | None = None) -> Build:
+    """Return the design over links that lose 30 % and 60 %, or less, at a fifth of the all-time average per send."""
+
+    def build(system: System) -> Policy:
+        plant = Plant(system.plant.A, system.plant.B, system.plant.W)
+        plant = plant if horizon is None else started(plant, system.seed)
+        cost = Cost(system.cost.Q, system.cost.R, horizon=horizon)
+        price = 0.2 * design.all_time(plant, Cost(system.cost.Q, system.cost.R)).cost_all_time
+        network = bearable(plant, Network(protocol, 0.3, 0.6, delay))
+        return design.lossy_lqg(plant, cost, price=price, network=network)
+
+    return build
+
+
+BASELINES: Mapping[str, Build] = {
     "all-time": lambda s: design.all_time(s.plant, s.cost),
     "periodic hold": lambda s: design.periodic(s.plant, s.cost, every=2),
     "periodic model": lambda s: design.periodic(s.plant, s.cost, every=3, actuation="model"),
+}
+STATIONARY: Mapping[str, Build] = {
     "lqg joint hold": lambda s: design.lqg(s.plant, s.cost, theta=0.3),
     "lqg joint model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, actuation="model"),
     "lqg separate hold": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate"),
     "lqg separate model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate", actuation="model"),
+    "remote": remote("remote"),
+    "remote, at the actuator": remote("actuator"),
+    "remote, at the sensor": remote("sensor"),
+    "lossy udp": lossy("udp", 0),
+    "lossy tcp": lossy("tcp", 0),
+    "lossy udp, delayed": lossy("udp", 1),
+    "lossy tcp, delayed": lossy("tcp", 1),
 }
-GUARANTEED = tuple(name for name in POLICIES if name.startswith("lqg"))
-CLOSED_FORM = tuple(name for name in POLICIES if name not in GUARANTEED)
+MISSIONS: Mapping[str, Build] = {
+    "remote, 30 steps": remote("remote", horizon=30),
+    "remote at the actuator, 30 steps": remote("actuator", horizon=30),
+    "remote at the sensor, 30 steps": remote("sensor", horizon=30),
+    "remote, discounted": remote("remote", discount=0.9),
+    "remote at the actuator, discounted": remote("actuator", discount=0.9),
+    "remote at the sensor, discounted": remote("sensor", discount=0.9),
+    "lossy udp, 30 steps": lossy("udp", 0, horizon=30),
+    "lossy tcp, 30 steps": lossy("tcp", 0, horizon=30),
+    "lossy udp, delayed, 30 steps": lossy("udp", 1, horizon=30),
+    "lossy tcp, delayed, 30 steps": lossy("tcp", 1, horizon=30),
+}
+POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **MISSIONS}
+GUARANTEED = (*STATIONARY, *MISSIONS)
+CLOSED_FORM = (*BASELINES, *(name for name in GUARANTEED if "at the actuator" in name))
+IDENTITY = tuple(name for name in GUARANTEED if name not in CLOSED_FORM)
+VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name == "remote, at the sensor")
+"""Whose trigger is relative: without noise the state vanishes."""

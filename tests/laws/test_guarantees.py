@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from catalogue import CLOSED_FORM, GUARANTEED, POLICIES
-from hypothesis import HealthCheck, given, settings
+from catalogue import CLOSED_FORM, GUARANTEED, IDENTITY, POLICIES, closed
+from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from systems import System, systems
 
@@ -14,7 +14,7 @@ from taciturn.model.policy import Decide
 from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
 
 STEPS = 1_000_000
-FEW = settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -25,31 +25,37 @@ def settled(loop: Loop, estimator: Estimator | None, seed: int, steps: int) -> A
 
 
 def no_policy_exceeds_its_guarantee(system: System, name: str) -> None:
-    """J ≤ (1+θ) J_all, as simulated with the full plant's law."""
+    """J_all ≤ J ≤ bound, and J ≤ bound at its rate where there is one, as simulated with the full plant's law."""
     policy = POLICIES[name](system)
-    found = settled(close(system.plant, policy), None, system.seed, STEPS)
+    found = settled(closed(policy), None, system.seed, STEPS)
     assert policy.guarantee is not None
     assert found.cost.value - 4 * found.cost.standard_error <= policy.guarantee.cost * (1 + 1e-9)
     assert found.cost.value + 4 * found.cost.standard_error >= policy.cost_all_time * (1 - 1e-9)
+    rate = found.rates[policy.scheduled[0]]
+    sharper = policy.guarantee.at_rate(rate.value + 4 * rate.standard_error)
+    if sharper is not None:
+        slack = 8 * rate.standard_error * policy.guarantee.per_silence
+        assert found.cost.value - 4 * found.cost.standard_error <= sharper * (1 + 1e-9) + slack
 
 
 def both_estimators_agree(system: System, name: str) -> None:
     """Completed squares without the plant and the average of the stage cost with it are one number."""
-    loop = close(system.plant, POLICIES[name](system), cost=system.cost)
+    loop = closed(POLICIES[name](system))
     squares = settled(loop, completed_squares(loop), system.seed, STEPS)
     plain = settled(loop, plain_average(loop), system.seed + 1, 4 * STEPS)
+    assume(squares.reached and plain.reached)  # a loop that keeps its start for 1e8 steps is told, not compared
     combined = np.hypot(squares.cost.standard_error, plain.cost.standard_error)
     assert abs(squares.cost.value - plain.cost.value) <= 4.5 * combined  # 300 comparisons: 4 would fail once in 50 runs
-    link = "actuator"
-    combined = np.hypot(squares.rates[link].standard_error, plain.rates[link].standard_error)
-    rare = 20 / min(squares.steps, plain.steps)  # sends so rare that one run may have seen none
-    assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + rare
+    for link in loop.policy.scheduled:
+        combined = np.hypot(squares.rates[link].standard_error, plain.rates[link].standard_error)
+        rare = 20 / min(squares.steps, plain.steps)  # sends so rare that one run may have seen none
+        assert abs(squares.rates[link].value - plain.rates[link].value) <= 4.5 * combined + rare
 
 
 def closed_forms_are_what_is_simulated(system: System, name: str) -> None:
     """The exact cost of a policy that ignores the state is the average of its stage cost."""
     policy = POLICIES[name](system)
-    loop = close(system.plant, policy, cost=system.cost)
+    loop = closed(policy)
     found = settled(loop, plain_average(loop), system.seed, 2 * STEPS)
     assert policy.closed_form is not None
     assert abs(found.cost.value - policy.closed_form.cost) <= 4.5 * found.cost.standard_error
@@ -57,18 +63,18 @@ def closed_forms_are_what_is_simulated(system: System, name: str) -> None:
 
 @pytest.mark.parametrize("name", GUARANTEED)
 def test_no_policy_exceeds_its_guarantee(name: str) -> None:
-    """J_all ≤ J ≤ (1+θ) J_all."""
+    """J_all ≤ J ≤ bound."""
     FEW(given(system=systems())(lambda system: no_policy_exceeds_its_guarantee(system, name)))()
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", GUARANTEED)
 def test_no_policy_exceeds_its_guarantee_over_300_systems(name: str) -> None:
-    """J_all ≤ J ≤ (1+θ) J_all, 300 systems each."""
+    """J_all ≤ J ≤ bound, 300 systems each."""
     MANY(given(system=systems())(lambda system: no_policy_exceeds_its_guarantee(system, name)))()
 
 
-@pytest.mark.parametrize("name", GUARANTEED)
+@pytest.mark.parametrize("name", IDENTITY)
 def test_reduced_and_plain_estimators_agree(name: str) -> None:
     """One number by two programs."""
     FEW(given(system=systems())(lambda system: both_estimators_agree(system, name)))()

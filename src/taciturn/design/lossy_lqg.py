@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import number
 from taciturn._modes import radius
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
 from taciturn.lqg.lossy import (
     Channel,
@@ -101,11 +102,11 @@ def lossy_lqg(
             notes = (f"{loss_sentence(plant.A, plant.B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
-    silent = Form((ESTIMATE if reference is None else DEVIATION,), _by_clock(gains.Gamma))
+    silent = Form((ESTIMATE if reference is None else DEVIATION,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     return Policy(
         kind="lossy-lqg",
-        steps=_steps(plant, network, _by_clock(gains.L), trigger, reference),
+        steps=_steps(plant, network, by_clock(gains.L), trigger, reference),
         model=plant,
         cost_all_time=cost_all_time,
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
@@ -207,7 +208,3 @@ def _steps(
         order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
     known = Acknowledged("actuator") if acknowledged else SEND
     return (*order, Assign("controller", "prior", (silent, sent), known))
-
-
-def _by_clock(values: Array) -> Matrix:
-    return values if values.ndim == 2 else Scheduled(CLOCK, values)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from taciturn._arrays import Array, choice, number
 from taciturn._modes import radius
@@ -21,11 +20,11 @@ from taciturn.design.certainty import (
     silence_form,
 )
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
-from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.design.prices import Prices, by_clock, price_control
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
-from taciturn.lqg.riccati import regulate_discounted, regulate_finite
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import (
@@ -41,6 +40,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
+from taciturn.model.schedule import Schedule
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Controller = Literal["remote", "actuator", "sensor"]
@@ -102,139 +102,94 @@ def remote_lqg(
     theta = _parameter("theta", theta, controller, "actuator")
     zeta = _parameter("zeta", zeta, controller, "sensor")
     problem = discretise(plant, cost, period)
-    model = problem.plant
-    gains, prices = _regulate(problem)
-    always = follow_every_query(model, prices.initial, cost.horizon)
-    raw_all_time = prices.cost(*always)
-    schedule = None
-    if controller != "sensor":
-        weights = Weights(prices.P, cost.discount)
-        schedule = schedule_queries(model, weights, zeta, prices.initial)
-        schedule = schedule.repeating() if prices.average else schedule
-    covariance, start = always if schedule is None else (schedule.covariance, schedule.start)
-    queries = np.full(len(covariance), True) if schedule is None else schedule.queries
-    constant = prices.in_units(prices.cost(covariance, start))
-    estimation, filtering = _estimate(model, controller, covariance, queries)
+    prices = price_control(problem)
+    all_time, watch = _watch(prices, None), _watch(prices, None if controller == "sensor" else zeta)
+    cost_all_time = prices.total(all_time.covariance, all_time.start)
+    cost_of_watch = prices.in_units(prices.total(watch.covariance, watch.start))
+    estimation = _estimate(problem.plant, watch)
     if controller == "actuator":
-        steps, initial = _at_the_actuator(estimation, gains, model.inputs), estimation.initial
+        steps, initial = _at_the_actuator(problem.plant, estimation, by_clock(prices.L)), estimation.initial
     else:
-        threshold = theta * (problem.Q * covariance).sum(axis=(1, 2))
+        threshold = theta * (problem.Q * watch.covariance).sum(axis=(1, 2))
         rule = {"silent": silence_form(problem, prices.H, theta), SEND: Form(constant=Scheduled(CLOCK, threshold))}
-        steps, initial = control_steps(model, estimation, gains, "hold", Trigger(rule))
-    square = completed_square(constant, prices.form(prices.H))
-    one_tick = prices.average and len(covariance) == 1
+        steps, initial = control_steps(problem.plant, estimation, by_clock(prices.L), "hold", Trigger(rule))
+    queries = prices.ticks - 1 if cost.horizon is not None else prices.ticks  # the last one comes too late to be used
+    closed_form = None
+    if controller == "actuator" and watch.schedule is not None:  # no action looks at the state
+        closed_form = ClosedForm(cost_of_watch, {"sensor": watch.schedule.rate})
     return Policy(
         kind="remote-lqg",
         steps=steps,
-        model=model,
-        cost_all_time=prices.in_units(raw_all_time),
+        model=problem.plant,
+        cost_all_time=prices.in_units(cost_all_time),
         scheduled=LINKS[controller],
         sites=SITES[controller],
-        locations=(count_ticks(len(covariance), start),),
+        locations=(count_ticks(len(watch.covariance), watch.start),),
         initial=initial,
         tick=problem.tick,
         noise_cost=problem.noise_cost,
-        settling=1 / (1 - max(filtering, prices.closed_loop)) if prices.average else 0.0,
+        settling=_settling(prices, watch) if prices.average else 0.0,
         cost=cost,
         guarantee=Guarantee(
-            prices.in_units((1 + theta) * (raw_all_time + zeta * prices.queries_paid)),
-            f"J ≤ (1+θ)(J_all + {prices.queries_text}), mean-square stable",
+            prices.in_units((1 + theta) * (cost_all_time + zeta * queries)),
+            _statement(prices, controller),
             "khashooei2017",
         ),
-        identity=None if controller == "actuator" else square,
-        innovations=estimation.innovations if one_tick else None,
-        closed_form=ClosedForm(constant, {"sensor": schedule.rate})
-        if controller == "actuator" and schedule is not None
-        else None,
-        schedule=schedule,
+        identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
+        innovations=estimation.innovations,
+        closed_form=closed_form,
+        schedule=watch.schedule,
     )
 
 
 @dataclass(frozen=True, eq=False)
-class _Prices:
-    """What inputs and errors cost, at each tick of a finite horizon or always the same.
+class _Watch:
+    """The filter along a schedule of queries, or with the sensor read at every tick.
 
     Args:
-        problem: the problem from tick to tick.
-        K: cost-to-go, (n, n), or (N + 1, n, n).
-        H: price of another input, (m, m), or (N, m, m).
-        P: price of an estimation error, (n, n), or (N, n, n).
-        initial: error covariance from which the schedule starts: that of the initial state, or the steady one of an
-            average.
-        closed_loop: spectral radius of A + BL of an average.
+        covariance: Σ_k of the prediction, (ticks, n, n).
+        gains: of the innovation, zero where nothing is measured, (ticks, n, p).
+        start: tick from which both repeat, or None with a horizon.
+        schedule: of the queries; None where the sensor is read at every tick.
     """
 
-    problem: Discrete
-    K: Array
-    H: Array
-    P: Array
-    initial: Array
-    closed_loop: float
-
-    @property
-    def average(self) -> bool:
-        """Whether the cost is an average, not the total of a mission."""
-        return self.problem.cost.horizon is None and self.problem.cost.discount == 1
-
-    @property
-    def ticks(self) -> float:
-        """Ticks that a total counts, each with its weight."""
-        cost = self.problem.cost
-        return 1 / (1 - cost.discount) if cost.horizon is None else float(cost.horizon)
-
-    @property
-    def queries_paid(self) -> float:
-        """How often the guarantee counts the price of a query."""
-        return 1.0 if self.average else self.ticks - (self.problem.cost.horizon is not None)
-
-    @property
-    def queries_text(self) -> str:
-        """The same, as the theorem writes it."""
-        finite = self.problem.cost.horizon is not None
-        return "ζ" if self.average else "(N−1)ζ" if finite else "ζ/(1−α)"
-
-    def form(self, H: Array) -> Array | Scheduled:
-        """Return the weight of the completed square in the units of the cost."""
-        scaled = H / self.problem.tick if self.average else H
-        return scaled if H.ndim == 2 else Scheduled(CLOCK, scaled)
-
-    def in_units(self, raw: float) -> float:
-        """Return a cost per tick, or a total, with the inter-sample noise cost in the units of the cost."""
-        return self.problem.per_unit(raw) if self.average else raw + self.problem.noise_cost * self.ticks
-
-    def cost(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of sending every input, the error covariances given: per tick, or the total.
-
-        tr(KW) + mean tr(PΣ_k);  Σ tr(P_kΣ_k) + E[x_0'K_0x_0] + Σ tr(K_{k+1}W);  discounted likewise.
-        """
-        plant, alpha = self.problem.plant, self.problem.cost.discount
-        errors = (self.P * covariance).sum(axis=(1, 2))
-        if self.average:
-            return float(np.sum(self.K * plant.W) + errors[start:].mean())
-        first = self.K if self.K.ndim == 2 else self.K[0]
-        total = plant.mean @ first @ plant.mean + np.sum(first * plant.covariance)
-        if start is None:
-            return float(total + np.sum(self.K[1:] * plant.W) + errors.sum())
-        weights = alpha ** np.arange(len(errors))
-        weights[start:] /= 1 - alpha ** (
-            len(errors) - start
-        )  # each later turn of the cycle counts α^period of the last
-        return float(total + weights @ errors + alpha / (1 - alpha) * np.sum(self.K * plant.W))
+    covariance: Array
+    gains: Array
+    start: int | None
+    schedule: Schedule | None
 
 
-def _regulate(problem: Discrete) -> tuple[Matrix, _Prices]:
-    """Return the gain L and the prices of the cost that the problem has."""
-    plant, cost = problem.plant, problem.cost
-    if cost.horizon is not None:
-        assert cost.terminal is not None
-        found = regulate_finite(plant.A, plant.B, problem.Q, problem.R, problem.N, cost.terminal, cost.horizon)
-        P = np.swapaxes(found.L, 1, 2) @ found.H @ found.L
-        return Scheduled(CLOCK, found.L), _Prices(problem, found.K, found.H, P, plant.covariance, 0.0)
-    best = regulate_discounted(plant.A, plant.B, problem.Q, problem.R, problem.N, cost.discount)
-    average = cost.discount == 1
-    initial = steady_filter(plant.A, plant.C, plant.W, plant.V).prior if average else plant.covariance
-    P, slowest = best.L.T @ best.H @ best.L, radius(plant.A + plant.B @ best.L)
-    return best.L, _Prices(problem, best.K, best.H, P, initial, slowest)
+def _watch(prices: Prices, zeta: float | None) -> _Watch:
+    """Return the filter with queries at a price, or without: from the initial state on, or steady for an average."""
+    plant, cost = prices.problem.plant, prices.problem.cost
+    initial, steady = plant.covariance, None
+    if prices.average:
+        steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
+        initial = steady.prior
+    if zeta is not None:
+        found = schedule_queries(plant, Weights(prices.P, cost.discount), zeta, initial)
+        schedule = found.repeating() if prices.average else found
+        gains = Predictor(plant).gain(schedule.covariance) * schedule.queries[:, None, None]
+        return _Watch(schedule.covariance, gains, schedule.start, schedule)
+    if steady is not None:  # its gain is a stable observer's also where nothing is random
+        return _Watch(steady.prior[None], (plant.A @ steady.gain)[None], 0, None)
+    covariance, start = follow_every_query(plant, initial, cost.horizon)
+    return _Watch(covariance, Predictor(plant).gain(covariance), start, None)
+
+
+def _settling(prices: Prices, watch: _Watch) -> float:
+    """Return the ticks in which regulator and filter forget: 1/(1 − |slowest mode per tick|)."""
+    plant = prices.problem.plant
+    turn = np.eye(plant.states)
+    for gain in watch.gains:
+        turn = (plant.A - gain @ plant.C) @ turn
+    filtering = radius(turn) ** (1 / len(watch.gains))
+    if filtering >= 1 - 1e-12:
+        raise UnstableError(
+            "the filter along the schedule does not forget its start: too few queries for what the noise leaves "
+            "undetermined; expected a smaller zeta, or noise V on the measurement"
+        )
+    return 1 / (1 - max(radius(plant.A + plant.B @ prices.L), filtering))
 
 
 def _parameter(name: str, value: float | None, controller: Controller, place: Controller) -> float:
@@ -248,43 +203,45 @@ def _parameter(name: str, value: float | None, controller: Controller, place: Co
     return number(name, value, 0.0, closed=True)
 
 
-def _estimate(
-    plant: Plant, controller: Controller, covariance: Array, queries: npt.NDArray[np.bool_]
-) -> tuple[Estimation, float]:
-    """Return the predicting filter along a schedule, and by how much its error shrinks per tick."""
-    n, p = plant.states, plant.outputs
-    predictor, turn = Predictor(plant), np.eye(n)
-    gains = predictor.gain(covariance) * queries[:, None, None]
-    for gain in gains:
-        turn = (plant.A - gain @ plant.C) @ turn
-    watch: tuple[Step, ...] = ()
-    seen = {"y": np.eye(p), ESTIMATE: -plant.C}
-    innovation = Assign("controller", "innovation", seen)
-    innovations = None
+def _statement(prices: Prices, controller: Controller) -> str:
+    """Return the theorem in one line."""
     if controller == "sensor":
-        S = plant.C @ covariance[0] @ plant.C.T + plant.V
-        innovations = Innovations("innovation", (S + S.T) / 2, ESTIMATE, covariance[0])
+        bound = "(1+θ) J_all"
     else:
-        asked = Form(constant=Scheduled(CLOCK, np.where(queries, -1.0, 1.0)))
-        watch = (
-            Decide("sensor", "query", Trigger({"silent": Form(), "query": asked})),
+        paid = "ζ" if prices.average else "ζ/(1−α)" if prices.problem.cost.horizon is None else "(N−1)ζ"
+        bound = f"J_all + {paid}" if controller == "actuator" else f"(1+θ)(J_all + {paid})"
+    return f"J ≤ {bound}" + (", mean-square stable" if prices.average else "")
+
+
+def _estimate(plant: Plant, watch: _Watch) -> Estimation:
+    """Return the steps that predict: x̂⁺ = Ax̂ + Bû + gain·innovation, the innovation 0 where nothing is measured."""
+    n, p = plant.states, plant.outputs
+    seen = {"y": np.eye(p), ESTIMATE: -plant.C}
+    query: tuple[Step, ...] = ()
+    innovation, innovations = Assign("controller", "innovation", seen), None
+    if watch.schedule is not None:
+        turn = Form(constant=Scheduled(CLOCK, np.where(watch.schedule.queries, -1.0, 1.0)))
+        query = (
+            Decide("sensor", "query", Trigger({"silent": Form(), "query": turn})),
             Send("sensor", "sensor", ("y",), "query"),
         )
         nothing = {ESTIMATE: np.zeros((p, n))}
         innovation = Assign("controller", "innovation", (nothing, seen), Received("sensor"))
-    moved = {ESTIMATE: plant.A, HELD: plant.B, "innovation": Scheduled(CLOCK, gains)}
-    estimation = Estimation(
+    elif len(watch.covariance) == 1:  # steady: white innovations
+        S = plant.C @ watch.covariance[0] @ plant.C.T + plant.V
+        innovations = Innovations("innovation", (S + S.T) / 2, ESTIMATE, watch.covariance[0])
+    moved = {ESTIMATE: plant.A, HELD: plant.B, "innovation": Scheduled(CLOCK, watch.gains)}
+    return Estimation(
         (Assign("controller", ESTIMATE, {"prior": np.eye(n)}),),
-        (*watch, innovation, Assign("controller", "prior", moved)),
+        (*query, innovation, Assign("controller", "prior", moved)),
         {"prior": plant.mean},
         innovations,
     )
-    return estimation, radius(turn) ** (1 / len(gains))
 
 
-def _at_the_actuator(estimation: Estimation, L: Matrix, inputs: int) -> tuple[Step, ...]:
+def _at_the_actuator(plant: Plant, estimation: Estimation, L: Matrix) -> tuple[Step, ...]:
     """Return the steps of a controller that needs no link to the actuator."""
-    command = {"command": np.eye(inputs)}
+    command = {"command": np.eye(plant.inputs)}
     return (
         *estimation.correct,
         Assign("controller", "command", {ESTIMATE: L}),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,7 @@ from taciturn._arrays import Array, frozen, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg.kalman import steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 
@@ -48,16 +50,25 @@ class Predictor:
     def __init__(self, plant: Plant) -> None:
         """Look once at what decides how a gain is computed."""
         self.plant, self._noisy = plant, _dare.is_definite(plant.V)
+        self._observer = np.zeros((plant.states, plant.outputs))
+        if not self._noisy:
+            with suppress(UnstableError):
+                self._observer = plant.A @ steady_filter(plant.A, plant.C, plant.W, plant.V).gain
 
     def gain(self, Sigma: Array) -> Array:
-        """Return AΣC'(CΣC' + V)^{-1}, with the pseudo-inverse where an output is known in advance; (…, n, p)."""
+        """Return AΣC'(CΣC' + V)^{-1}, (…, n, p).
+
+        Where CΣC' + V is singular, outputs are known in advance: in these directions any gain is optimal, and that of a
+        stable observer is taken, which also forgets what rounding and the start have put there.
+        """
         p = self.plant
         seen = p.C @ Sigma
         if self._noisy:
             turned = np.linalg.solve(seen @ p.C.T + p.V, seen @ p.A.T)
             return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
-        inverses = [_dare.price(p.C.T, one, p.V)[1] for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
-        return p.A @ seen.swapaxes(-1, -2) @ np.reshape(inverses, (*Sigma.shape[:-2], *p.V.shape))
+        prices = [_dare.price(p.C.T, one, p.V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
+        S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *p.V.shape)) for part in zip(*prices, strict=True))
+        return p.A @ seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(p.V)) - S @ inverse)
 
     def silent(self, Sigma: Array) -> Array:
         """Return AΣA' + W, the next covariance without a measurement."""
@@ -124,7 +135,7 @@ def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int 
         if factor * float(np.abs(D).max()) * largest <= NEGLIGIBLE * total:
             return total
         before, both = both, predictor.queried(both, gains)
-        if later is None and s % 8 == 7 and max(map(_change, before, both)) <= CONVERGED:
+        if later is None and s % 8 == 7 and max(_change(before[:1], both[0])[0], _change(before[1:], both[1])[0]) <= CONVERGED:
             shrinking = np.sqrt(alpha) * F
             if radius(shrinking) < 1:
                 return total + factor * float(np.sum(P * summed(shrinking, D)))
@@ -217,15 +228,15 @@ def _schedule(
 
 def _repetition(covariance: Sequence[Array]) -> int | None:
     """Return the latest tick whose covariance is that of the last one, or None: then all after it repeats."""
-    last = covariance[-1]
-    scale = np.sqrt(np.diag(last))
-    unit = np.where(scale > 0, scale, 1.0)
-    change = np.abs((np.array(covariance[:-1]).reshape(-1, *last.shape) - last) / unit / unit[:, None])
-    same = np.flatnonzero(change.max(axis=(1, 2), initial=0.0) <= SAME)
+    *earlier, last = covariance
+    if not earlier:
+        return None
+    same = np.flatnonzero(_change(np.array(earlier), last) <= SAME)
     return int(same[-1]) if same.size else None
 
 
-def _change(before: Array, after: Array) -> float:
-    scale = np.sqrt(np.maximum(np.diag(after), np.diag(before)))
-    unit = np.where(scale > 0, scale, 1.0)
-    return float(np.abs((after - before) / unit / unit[:, None]).max(initial=0.0))
+def _change(before: Array, after: Array) -> Array:
+    """Return how much each covariance of a stack differs from another, each state measured by its largest spread."""
+    spread = np.maximum(np.diagonal(before, axis1=-2, axis2=-1).max(axis=0), np.diag(after))
+    unit = np.sqrt(np.where(spread > 0, spread, 1.0))
+    return np.abs((after - before) / unit / unit[:, None]).max(axis=(-2, -1))

@@ -23,6 +23,7 @@ KEEP = 8  # time constants, and mean intervals between sends, that are dropped a
 SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
 BUDGET = 4_000_000_000  # steps of all paths together
 LEAST_STEPS = 1024
+DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
@@ -205,23 +206,24 @@ class _Sampling:
     def _burn_in(self, state: Array, length: int, budget: int) -> tuple[Array, int, bool]:
         """Run until the start is forgotten: return the state, the ticks that took, and whether it was reached.
 
-        Forgotten means: a few time constants, a few mean intervals between sends, and a send on nearly every path.
+        Forgotten means: a few time constants, a few mean intervals between sends, and a late send on nearly every path.
         Where that takes long, fewer paths go on; half of the budget is left for what is kept.
         """
-        least, dropped = length, 0
-        sent = np.zeros((len(self.names) - 1, state.shape[1]))
+        least, dropped = length, length // 2
+        _, state = self._advance(state, dropped)  # what the start itself makes a path send says nothing
+        length -= dropped
         while True:
             sums, state = self._advance(state, length)
-            dropped, sent = dropped + length, sent + sums[1:]
-            pace = self._pace(list(sent.mean(axis=1) / dropped))
-            silent = max((float((row == 0).mean()) for row in sent if row.any()), default=0.0)
+            dropped += length
+            pace = self._pace(list(sums[1:].mean(axis=1) / length))
+            silent = max((float((row == 0).mean()) for row in sums[1:] if row.any()), default=0.0)
             if dropped >= max(least, pace) and silent <= SILENT:
                 return state, dropped, True
             length = max(dropped, int(pace) - dropped + 1)
             paths = min(state.shape[1], (budget - self.steps) // 2 // length // 8 * 8)
             if paths < min(FEWEST_PATHS, state.shape[1]):
                 return state, dropped, False
-            state, sent = state[:, :paths], sent[:, :paths]
+            state = state[:, :paths]
 
     def _pace(self, rates: Sequence[float]) -> float:
         """Return the ticks in which the loop forgets: some of its slowest mode, and some intervals between sends."""
@@ -287,7 +289,11 @@ class _Sampling:
     def _summary(self, kept: list[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         ticks = sum(length for length, _ in kept)
         means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
-        cost = _mean(means[0]).scaled(self.estimator.scale, self.estimator.offset)
+        cost = _mean(means[0])
+        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
+            length, last = kept[-1]
+            cost = Estimate(cost.value, abs(float(last[0].mean()) / length - cost.value), cost.method)
+        cost = cost.scaled(self.estimator.scale, self.estimator.offset)
         seen = ticks * means.shape[1]
         rates = {name.split()[1]: _rate(row, seen) for name, row in zip(self.names[1:], means[1:], strict=True)}
         return cost, rates

@@ -2,83 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Mapping
 
-from taciturn._figure import Panel, Series, draw
 from taciturn.errors import ProblemError
-from taciturn.model.estimate import Estimate
-from taciturn.problem import Problem, load
 from taciturn.simulation.average import Progress
-from taciturn.study.evaluate import evaluate
-from taciturn.study.tradeoff import periodic_cost_at, periodic_curve
+from taciturn.study.chapter2 import chapter2
+from taciturn.study.chapter3 import chapter3
+from taciturn.study.chapter6 import chapter6
+from taciturn.study.chapter7 import chapter7
+from taciturn.study.reproduction import Reproduction as Reproduction
+from taciturn.study.reproduction import Table as Table
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-
-@dataclass(frozen=True)
-class Row:
-    """One line of a table: what was set, what the thesis prints, what is computed.
-
-    Args:
-        setting: names and values that identify the line.
-        printed: numbers of the thesis, by column; a missing column is not printed there.
-        computed: ours, by column.
-    """
-
-    setting: Mapping[str, Any]
-    printed: Mapping[str, float]
-    computed: Mapping[str, Estimate]
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table or figure of the thesis.
-
-    Args:
-        name: as in the thesis.
-        rows: its lines, or the points of a figure.
-        notes: what explains the differences.
-    """
-
-    name: str
-    rows: tuple[Row, ...]
-    notes: tuple[str, ...]
-
-
-@dataclass(frozen=True)
-class Reproduction:
-    """The tables of a chapter and its picture."""
-
-    name: str
-    tables: tuple[Table, ...]
-    picture: Figure | None
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of one reproduction."""
-        return {
-            "name": self.name,
-            "tables": [
-                {
-                    "name": table.name,
-                    "rows": [
-                        {
-                            "setting": dict(row.setting),
-                            "printed": dict(row.printed),
-                            "computed": {
-                                key: {"value": e.value, "standard_error": e.standard_error, "method": e.method}
-                                for key, e in row.computed.items()
-                            },
-                        }
-                        for row in table.rows
-                    ],
-                    "notes": list(table.notes),
-                }
-                for table in self.tables
-            ],
-        }
+CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {
+    "chapter2": chapter2,
+    "chapter3": chapter3,
+    "chapter6": chapter6,
+    "chapter7": chapter7,
+}
 
 
 def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
@@ -90,7 +30,7 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
         progress: called with the fraction done.
 
     Returns:
-        The tables, printed beside computed, and the picture.
+        The tables, printed beside computed, and the pictures.
 
     Raises:
         ProblemError: no such chapter.
@@ -102,119 +42,3 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
             f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(CHAPTERS)}, or all"
         )
     return CHAPTERS[name](seed, progress or (lambda fraction: None))
-
-
-# Table 2.1: θ → J (2.12), J (2.13), rate (2.12) %, rate (2.13) %, (1+θ) J_all
-TABLE_2_1: Mapping[float, tuple[float, float, float, float, float]] = {
-    0.01: (0.7397, 0.7399, 88, 84, 0.7408),
-    0.1: (0.7406, 0.7500, 80, 59, 0.8068),
-    0.5: (0.7408, 0.7924, 78.7, 38, 1.1002),
-    1.0: (0.7409, 0.8292, 78.5, 31, 1.4670),
-    5.0: (0.7409, 0.9058, 78.4, 23, 4.4009),
-    10.0: (0.7409, 0.9244, 78, 22, 8.0683),
-}
-# Table 2.2: actuation → the same four, θ = 0.1
-TABLE_2_2: Mapping[str, tuple[float, float, float, float]] = {
-    "hold": (0.7406, 0.7500, 80, 59),
-    "model": (0.7419, 0.7523, 50, 28),
-}
-FIGURE_2_2 = (0.0, 0.005, 0.02, 0.045, 0.1, 0.2, 0.5, 1.3)  # θ of the points of Figure 2.2
-EPSILON = 0.009  # of Table 2.1
-PRECISION = 5e-5  # standard error of a cost
-_OFFSET = (
-    "every printed cost lies .006–.009 above the exact one: most likely all carry the noise of one shared Monte Carlo "
-    "realisation of 600 runs × 600 steps, whose size and sign fit"
-)
-
-
-def _chapter2(seed: int, progress: Progress) -> Reproduction:
-    problem = load("two-mass")
-    done, total = 0, 2 * len(TABLE_2_1) + 2 * len(TABLE_2_2) + len(FIGURE_2_2)
-
-    def both(values: Mapping[str, object]) -> tuple[dict[str, Estimate], float]:
-        """Cost and rate of the separate and the joint trigger, and the bound."""
-        nonlocal done
-        computed: dict[str, Estimate] = {}
-        bound = 0.0
-        for equation, trigger in (
-            ("2.12", {"trigger": "separate", "epsilon": EPSILON}),
-            ("2.13", {"trigger": "joint"}),
-        ):
-            found = evaluate(problem.changed({**values, **trigger}), seed=seed, standard_error=PRECISION)
-            computed[f"cost ({equation})"] = found.cost
-            computed[f"rate ({equation}) %"] = found.rates["actuator"].scaled(100.0)
-            bound = found.cost_bound or 0.0
-            done += 1
-            progress(done / total)
-        return computed, bound
-
-    columns = ("cost (2.12)", "cost (2.13)", "rate (2.12) %", "rate (2.13) %", "bound")
-    first: list[Row] = []
-    for theta, printed in TABLE_2_1.items():
-        computed, bound = both({"theta": theta})
-        computed["bound"] = Estimate(bound, 0.0, "bound")
-        first.append(Row({"θ": theta}, dict(zip(columns, printed, strict=True)), computed))
-    second = [
-        Row(
-            {"actuation": actuation},
-            dict(zip(columns, printed, strict=False)),
-            both({"theta": 0.1, "actuation": actuation})[0],
-        )
-        for actuation, printed in TABLE_2_2.items()
-    ]
-    continuous = load("two-mass-continuous")
-    third: list[Row] = []
-    for theta in FIGURE_2_2:
-        third.append(_figure_point(continuous, theta, seed))
-        done += 1
-        progress(done / total)
-    tables = (
-        Table(
-            "Table 2.1",
-            tuple(first),
-            (f"J_all: printed 0.7335, computed {problem.design().cost_all_time:.6f}", _OFFSET),
-        ),
-        Table("Table 2.2, θ = 0.1", tuple(second), (_OFFSET,)),
-        Table(
-            "Figure 2.2",
-            tuple(third),
-            ("the thesis prints a picture, no numbers; costs are per second, inter-sample noise cost included",),
-        ),
-    )
-    return Reproduction("chapter2", tables, _figure_2_2(continuous, third))
-
-
-def _figure_point(problem: Problem, theta: float, seed: int) -> Row:
-    found = evaluate(problem.changed({"theta": theta}), seed=seed, standard_error=PRECISION)
-    rate = found.rates["actuator"]
-    interval = Estimate(1 / rate.value, rate.standard_error / rate.value**2, rate.method)
-    computed = {"mean interval": interval, "event-triggered": found.cost}
-    periodic = periodic_cost_at(problem, rate.value, "hold")
-    if periodic is not None:
-        computed["periodic at the same interval"] = Estimate(periodic, 0.0, "exact")
-    if found.cost_bound is not None:
-        computed["bound"] = Estimate(found.cost_bound, 0.0, "bound")
-    return Row({"θ": theta}, {}, computed)
-
-
-def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
-    x = [row.computed["mean interval"].value for row in rows]
-    slowest = 1 / max(x)
-    curve = periodic_curve(problem, 1 / x[0], slowest, "hold")
-    events = [row.computed["event-triggered"] for row in rows]
-    bounds = [
-        (a, row.computed["bound"].value) for a, row in zip(x, rows, strict=True) if row.computed["bound"].value < 0.6
-    ]
-    series = [
-        Series(
-            x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0
-        ),
-        Series([1 / p.rate for p in curve], [p.cost for p in curve], "optimal periodic", "dashed", color=7),
-        Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", "dotted", color=3),
-    ]
-    return draw(
-        [Panel(series, "average transmission period (s)", "cost per second", "Figure 2.2: two masses and a spring")]
-    )
-
-
-CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {"chapter2": _chapter2}

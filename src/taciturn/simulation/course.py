@@ -1,0 +1,78 @@
+"""What a loop costs and sends at each tick, on average over independent paths."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, count
+from taciturn.loop import COST, SENT, Loop
+from taciturn.simulation.engine import prepare
+
+PATHS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Mean stage cost and sends over time.
+
+    An average cost is counted per unit of time, so that the stage cost settles at it. Of a finite horizon or a discount
+    each tick counts whole, with its weight: the stage costs, and the final state's, sum to the total.
+
+    Args:
+        time: in seconds, or ticks where the plant counts steps; (ticks,).
+        cost: mean of x'Qx + û'Rû + 2x'Nû, (ticks,).
+        standard_error: of the cost, (ticks,).
+        sends: fraction of the paths that send, by link, (ticks,).
+        paths: over which the means are taken.
+    """
+
+    time: Array
+    cost: Array
+    standard_error: Array
+    sends: Mapping[str, Array]
+    paths: int
+
+
+def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
+    """Run independent paths of a loop from its initial distribution, and average them at each tick.
+
+    Args:
+        loop: the closed loop.
+        ticks: number of ticks, at least 1.
+        paths: number of paths, at least 2.
+        seed: of the draws.
+
+    Returns:
+        The course of cost and sends.
+
+    Raises:
+        ProblemError: ticks, paths or seed out of range.
+
+    Example:
+        >>> from taciturn import Cost, Plant, close, design
+        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]], mean=[3.0]), Cost([[1.0]], [[1.0]])
+        >>> round(float(course(close(plant, design.all_time(plant, cost)), 20).cost[0]), 3)
+        14.667
+    """
+    ticks, paths, seed = count("ticks", ticks), count("paths", paths, 2), count("seed", seed, 0)
+    names = [f"{SENT} {link}" for link in loop.policy.scheduled]
+    program = loop.program().keep({COST, *names})
+    run, states = prepare(program), loop.start(program, paths, seed)
+    means, errors = np.empty((ticks, 1 + len(names))), np.empty(ticks)
+    for tick in range(ticks):
+        found = run(states, 1, None)
+        states, stage = found.states, found.sums[COST]
+        means[tick] = [found.sums[name].mean() for name in (COST, *names)]
+        errors[tick] = stage.std(ddof=1) / np.sqrt(paths)
+    problem, unit = loop.problem, 1.0 if loop.horizon is not None else loop.problem.tick
+    noise = problem.noise_cost * problem.cost.discount ** np.arange(ticks)
+    return Course(
+        np.arange(ticks, dtype=np.float64) * (problem.plant.dt or 1.0),
+        (means[:, 0] + noise) / unit,
+        errors / unit,
+        dict(zip(loop.policy.scheduled, means[:, 1:].T, strict=True)),
+        paths,
+    )

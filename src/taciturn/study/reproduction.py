@@ -1,0 +1,86 @@
+"""What reproducing a chapter of the thesis gives: tables of numbers, printed beside computed, and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from taciturn.model.estimate import Estimate
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table: what was set, what the thesis prints, what is computed.
+
+    Args:
+        setting: names and values that identify the line.
+        printed: numbers of the thesis, by column; a missing column is not printed there.
+        computed: ours, by column.
+    """
+
+    setting: Mapping[str, Any]
+    printed: Mapping[str, float]
+    computed: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table or figure of the thesis.
+
+    Args:
+        name: as in the thesis.
+        rows: its lines, or the points of a figure.
+        notes: what explains the differences.
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """The tables of a chapter and its pictures.
+
+    Args:
+        name: of the chapter.
+        tables: its tables.
+        pictures: its figures, by the name under which they are saved; figures over one axis share a picture.
+    """
+
+    name: str
+    tables: tuple[Table, ...]
+    pictures: Mapping[str, Figure]
+
+    @property
+    def picture(self) -> Figure | None:
+        """The first of the pictures."""
+        return next(iter(self.pictures.values()), None)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of one reproduction."""
+        return {
+            "name": self.name,
+            "tables": [
+                {
+                    "name": table.name,
+                    "rows": [
+                        {
+                            "setting": dict(row.setting),
+                            "printed": dict(row.printed),
+                            "computed": {
+                                key: {"value": e.value, "standard_error": e.standard_error, "method": e.method}
+                                for key, e in row.computed.items()
+                            },
+                        }
+                        for row in table.rows
+                    ],
+                    "notes": list(table.notes),
+                }
+                for table in self.tables
+            ],
+        }

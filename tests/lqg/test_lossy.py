@@ -1,0 +1,398 @@
+"""Gains over lossy links: optimality, exact costs by propagated moments, limits, and the losses that are too many."""
+
+# ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from taciturn import Cost, Network, Plant, Policy, Reference, Scheduled, UnstableError, design
+from taciturn._modes import radius
+from taciturn.lqg.lossy import (
+    Channel,
+    critical_losses,
+    lossy_step,
+    mean_square_rate,
+    regulate_lossy,
+    regulate_lossy_finite,
+    slowest_growth,
+)
+from taciturn.lqg.riccati import regulate
+from taciturn.model.policy import Assign
+
+SEEDS = st.integers(0, 2**32 - 1)
+LINKS = [Channel(0.0, 0.0, told, late) for told, late in product((False, True), repeat=2)]
+links = pytest.mark.parametrize("link", LINKS, ids=lambda c: f"{'tcp' if c.acknowledged else 'udp'}{int(c.delayed)}")
+
+
+def semidefinite(rng: np.random.Generator, size: int, rank: int | None = None) -> np.ndarray:
+    """Return a random covariance."""
+    root = rng.normal(size=(size, size if rank is None else rank)) / np.sqrt(size)
+    return root @ root.T
+
+
+def system(seed: int, largest: int, low: float = 0.4, high: float = 1.3) -> tuple[np.ndarray, ...]:
+    """Return random A, B, Q, R with a spectral radius in a range, and every slow mode clearly within reach."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, largest + 1))
+    m = int(rng.integers(1, min(n, 2) + 1))
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    A *= rng.uniform(low, high) / radius(A)
+    slow = [value for value in np.linalg.eigvals(A) if abs(value) > 0.9]
+    assume(all(np.linalg.svd(np.hstack([A - s * np.eye(n), B]))[1][n - 1] > 0.2 for s in slow))
+    return A, B, semidefinite(rng, n) + 0.05 * np.eye(n), semidefinite(rng, m) + 0.1 * np.eye(m)
+
+
+def at_losses(link: Channel, actuator: float, sensor: float) -> Channel:
+    """Return the channel with other losses."""
+    return Channel(float(actuator), float(sensor), link.acknowledged, link.delayed)
+
+
+def survivable(A: np.ndarray, B: np.ndarray, link: Channel, seed: int) -> Channel:
+    """Return the channel with random losses, halved until the slowest growth is clearly below 1."""
+    actuator, sensor = np.random.default_rng(seed + 1).uniform(0, 0.7, 2)
+    while slowest_growth(A, B, at_losses(link, actuator, sensor))[0] >= 0.9:
+        actuator, sensor = actuator / 2, sensor / 2
+        assert actuator > 1e-9, "no losses are small enough"
+    return at_losses(link, actuator, sensor)
+
+
+def network(channel: Channel) -> Network:
+    """Return the network that a channel describes."""
+    losses = channel.actuator_loss, channel.sensor_loss
+    return Network("tcp" if channel.acknowledged else "udp", *losses, int(channel.delayed))
+
+
+def cost_to_go(L, X, S, problem, following, channel) -> float:
+    """Return E[x'Qx + û'Rû] + E[x⁺'Kx⁺ + e⁺'Pe⁺] of u = Lx̂ by its four outcomes; E[x̂x̂'] = X, E[ee'] = S, E[x̂e'] = 0."""
+    (A, B, Q, R), (K, P), n = problem, following, len(X)
+    moment = scipy.linalg.block_diag(X, S)  # of (x̂, e)
+    guess, x, u = np.eye(n, 2 * n), np.hstack([np.eye(n), np.eye(n)]), L @ np.eye(n, 2 * n)
+    total = np.trace(x.T @ Q @ x @ moment)
+    for moved, seen in product((0, 1), repeat=2):
+        share = abs(moved - channel.actuator_loss) * abs(seen - channel.sensor_loss)  # 1 − loss, or loss
+        after = A @ x + moved * B @ u
+        told = moved if channel.acknowledged else 1 - channel.actuator_loss
+        if channel.delayed:  # the packet holds the state of before the input
+            estimate = A @ (x if seen else guess) + told * B @ u
+        else:
+            estimate = after if seen else A @ guess + told * B @ u
+        wrong = after - estimate
+        form = moved * u.T @ R @ u + after.T @ K @ after + wrong.T @ P @ wrong
+        total += share * np.trace(form @ moment)
+    return float(total)
+
+
+@links
+@settings(max_examples=40, deadline=None)
+@given(seed=SEEDS)
+def test_one_step_is_the_best_answer_to_the_next(link, seed):
+    """K and P price the step that L makes, every other gain costs its square more, and silence costs x̂'Γx̂ more."""
+    problem = system(seed, 4)
+    rng = np.random.default_rng(seed + 2)
+    n, m = problem[1].shape
+    X, S, K, P = (semidefinite(rng, n, int(rng.integers(1, n + 1))) for _ in range(4))
+    channel = at_losses(link, *rng.uniform(0, 1, 2))
+    before, price, L, Gamma = lossy_step(*problem, K, P, channel)
+    best = cost_to_go(L, X, S, problem, (K, P), channel)
+    assert best == pytest.approx(np.trace(before @ (X + S)) + np.trace(price @ S), rel=1e-11)
+    coupling = 0 if link.acknowledged else channel.actuator_loss * (1 if link.delayed else channel.sensor_loss)
+    M = problem[3] + problem[1].T @ (K + coupling * P) @ problem[1]
+    for size in (1e-3, 1.0, 30.0):
+        D = size * rng.normal(size=(m, n))
+        more, less = (cost_to_go(L + E, X, S, problem, (K, P), channel) for E in (D, -D))
+        square = (1 - channel.actuator_loss) * np.trace(D.T @ M @ D @ X)
+        assert more - best == pytest.approx(square, rel=1e-10, abs=1e-11 * (best + square))
+        assert less - best == pytest.approx(square, rel=1e-10, abs=1e-11 * (best + square))
+    silent = cost_to_go(np.zeros((m, n)), X, S, problem, (K, P), channel)
+    assert silent - best == pytest.approx(np.trace(Gamma @ X), rel=1e-10, abs=1e-11 * silent)
+
+
+class Moments:
+    """E[zz'] of a loop in which everything is sent, tick by tick; z holds 1, x and every signal of the policy."""
+
+    def __init__(self, policy: Policy, cost: Cost) -> None:
+        """Start with the moments of the first tick."""
+        self.policy, self.cost, self.clock, self.plant = policy, cost, 0, policy.model
+        own = {name: size for name, size in policy.sizes.items() if name not in ("one", "y")}
+        self.sizes = {"one": 1, "x": self.plant.states, **own}
+        ends = np.cumsum(list(self.sizes.values()))
+        self.at = {name: slice(e - size, e) for (name, size), e in zip(self.sizes.items(), ends, strict=True)}
+        first, self.new = np.zeros(ends[-1]), np.zeros((ends[-1],) * 2)
+        for name, value in ({"one": [1.0], "x": self.plant.mean} | dict(policy.initial)).items():
+            first[self.at[name]] = value
+        self.z = np.outer(first, first)
+        self.z[self.at["x"], self.at["x"]] += self.plant.covariance
+        self.new[self.at["x"], self.at["x"]] = self.plant.W
+        self.maps: dict[int, list[tuple[float, np.ndarray, np.ndarray]]] = {}
+
+    def tick(self) -> float:
+        """Return the expected stage cost of a tick, and move on."""
+        if self.clock not in self.maps:
+            self.maps[self.clock] = list(self._outcomes())
+        cost, after = 0.0, self.new
+        for share, F, S in self.maps[self.clock]:
+            cost, after = cost + share * float(np.sum(S * self.z)), after + share * F @ self.z @ F.T
+        self.z = after
+        self.clock = int(self.policy.locations[0].table[self.clock]) if self.policy.locations else 0
+        return cost
+
+    def mission(self) -> float:
+        """Return the expected total of a mission, its final state taken relative to the end of a reference."""
+        assert self.cost.terminal is not None
+        assert self.cost.horizon is not None
+        total = sum(self.tick() for _ in range(self.cost.horizon))
+        target = 0 * self.plant.mean if self.policy.tracking is None else self.policy.tracking.final
+        both = slice(0, 1 + len(target))  # 1 and x
+        off = np.hstack([-target[:, None], np.eye(len(target))])
+        return total + float(np.trace(self.cost.terminal @ off @ self.z[both, both] @ off.T))
+
+    def _outcomes(self):
+        loss = self.policy.network.loss
+        for actuator, sensor in product((0, 1), repeat=2):
+            share = abs(actuator - loss("actuator")) * abs(sensor - loss("sensor"))
+            if share:
+                yield share, *self._follow({"actuator": actuator, "sensor": sensor})
+
+    def _follow(self, arrived: dict[str, int]) -> tuple[np.ndarray, np.ndarray]:
+        """Return F and S of z⁺ = F z + noise and the stage cost z'Sz, by following the steps as they are written."""
+        now = {name: np.eye(len(self.z))[where] for name, where in self.at.items()}
+        now["y"] = x = now["x"]
+        for step in self.policy.steps:
+            if isinstance(step, Assign):
+                on = step.on
+                outcome = 0 if on is None else 1 if isinstance(on, str) else arrived[on.link]
+                terms = step.branches[outcome].items()
+                tables = {name: weight.values[self.clock] for name, weight in terms if isinstance(weight, Scheduled)}
+                now[step.signal] = sum(tables.get(name, weight) @ now[name] for name, weight in terms)
+        cost, u = self.cost, now["input"]
+        now["x"] = self.plant.A @ x + self.plant.B @ u
+        if self.policy.tracking is not None:
+            x, u = x - now[self.policy.tracking.state], u - now[self.policy.tracking.input]
+        return np.vstack([now[name] for name in self.sizes]), x.T @ cost.Q @ x + u.T @ cost.R @ u
+
+
+IDEAL = [Network(), Network(delay=1)]
+
+
+@pytest.mark.parametrize("tracked", [False, True], ids=["", "tracking"])
+@pytest.mark.parametrize("link", [*LINKS, *IDEAL], ids=lambda c: str(c)[:90])
+@settings(max_examples=10, deadline=None)
+@given(seed=SEEDS)
+def test_the_all_time_cost_of_a_mission_is_that_of_the_propagated_moments(link, tracked, seed):
+    """Random start, unstable plants, losses on both links, whatever is acknowledged or late, a reference or none."""
+    A, B, Q, R = system(seed, 4)
+    rng = np.random.default_rng(seed + 3)
+    (n, m), steps = B.shape, int(rng.integers(1, 25))
+    start = {"mean": rng.normal(size=n), "covariance": semidefinite(rng, n, int(rng.integers(1, n + 1)))}
+    plant = Plant(A, B, semidefinite(rng, n, int(rng.integers(1, n + 1))), **start)
+    cost = Cost(Q, R, horizon=steps, terminal=semidefinite(rng, n))
+    way = link if isinstance(link, Network) else network(at_losses(link, *rng.uniform(0, 0.8, 2)))
+    inputs, states = rng.normal(size=(steps, m)), [rng.normal(size=n)]
+    for push in inputs:
+        states.append(A @ states[-1] + B @ push)
+    reference = Reference(states, inputs) if tracked else None
+    policy = design.lossy_lqg(plant, cost, price=0.1, network=way, reference=reference)
+    assert policy.cost_all_time == pytest.approx(Moments(policy, cost).mission(), rel=1e-10)
+
+
+@pytest.mark.parametrize("link", [*LINKS, *IDEAL], ids=lambda c: str(c)[:90])
+@settings(max_examples=6, deadline=None)
+@given(seed=SEEDS)
+def test_the_all_time_average_is_that_of_the_stationary_moments(link, seed):
+    """Stable and unstable plants, losses that can be survived."""
+    A, B, Q, R = system(seed, 3)
+    way = link if isinstance(link, Network) else network(survivable(A, B, link, seed))
+    cost = Cost(Q, R)
+    plant = Plant(A, B, semidefinite(np.random.default_rng(seed), len(A)))
+    policy = design.lossy_lqg(plant, cost, price=0, network=way)
+    assume(policy.settling < 50)
+    moments = Moments(policy, cost)
+    for _ in range(int(15 * policy.settling)):
+        moments.tick()
+    assert policy.cost_all_time == pytest.approx(moments.tick(), rel=1e-10)
+
+
+@links
+@settings(max_examples=8, deadline=None)
+@given(seed=SEEDS)
+def test_the_fixed_point_is_the_limit_of_the_recursions(link, seed):
+    """From K = Q and P = 0 the steps tend to the gains of the average."""
+    problem = system(seed, 4)
+    channel = survivable(problem[0], problem[1], link, seed)
+    found = regulate_lossy(*problem, channel)
+    assume(mean_square_rate(*problem[:2], found.L, channel) < 0.95)
+    step = (problem[2], np.zeros_like(problem[2]))
+    for _ in range(800):
+        step = lossy_step(*problem, *step[:2], channel)
+    for limit, part in zip(step, (found.K, found.P, found.L, found.Gamma), strict=True):
+        assert part == pytest.approx(limit, rel=1e-10, abs=1e-10 * np.abs(limit).max(initial=1e-6))
+    assert mean_square_rate(*problem[:2], found.L, channel) < 1
+
+
+TCP, UDP, LATE = Channel(0.0, 0.0, True, False), Channel(0.0, 0.0, False, False), Channel(0.0, 0.0, True, True)
+
+
+@pytest.mark.parametrize(
+    "A",
+    [
+        np.array([[1.05]]),
+        np.array([[-3.0]]),
+        np.diag([1.2, 1.5]),
+        np.diag([1.2, -1.3, 0.7]),
+        1.3 * np.array([[0.6, 0.8], [-0.8, 0.6]]),
+        np.array([[1.25, 1.0], [0.0, 1.25]]),
+        np.array([[1.1, 1.0, 0.0], [0.0, 1.1, 1.0], [0.0, 0.0, 1.1]]),
+    ],
+    ids=["slow", "fast", "two", "two and a stable one", "complex pair", "Jordan block", "Jordan block of three"],
+)
+def test_one_input_survives_losses_below_the_product_of_its_unstable_modes(A):
+    """Actuator 1/Π|λ|², sensor 1/ρ²: one packet moves one direction, one measurement shows all."""
+    grown = [abs(value) for value in np.linalg.eigvals(A) if abs(value) > 1]
+    B = np.ones((len(A), 1)) if np.count_nonzero(A - np.diag(np.diag(A))) == 0 else np.eye(len(A))[:, -1:]
+    for link in (TCP, LATE):
+        actuator, sensor = critical_losses(A, B, link)
+        assert actuator == pytest.approx(np.prod(grown) ** -2, abs=1e-6)
+        assert sensor == pytest.approx(max(grown) ** -2, abs=1e-6)
+
+
+@settings(max_examples=8, deadline=None)
+@given(seed=SEEDS)
+def test_as_many_inputs_as_states_survive_losses_below_one_over_the_squared_radius(seed):
+    """With an invertible B every packet moves everything."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 4))
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, n)) + 2 * np.eye(n)
+    A *= rng.uniform(1.05, 2) / radius(A)
+    assume(np.linalg.cond(B) < 50)
+    assert critical_losses(A, B, TCP) == pytest.approx((radius(A) ** -2,) * 2, abs=1e-6)
+
+
+@links
+@settings(max_examples=5, deadline=None)
+@given(seed=SEEDS)
+def test_a_stable_plant_survives_every_loss(link, seed):
+    """1 and 1, at any loss of the other link."""
+    lost = np.random.default_rng(seed).uniform(0, 1, 2)
+    assert critical_losses(*system(seed, 4, 0.2, 0.97)[:2], at_losses(link, *lost)) == (1.0, 1.0)
+
+
+def diverges(problem: tuple[np.ndarray, ...], channel: Channel) -> bool:
+    """Tell whether the costs of longer and longer missions grow without bound."""
+    K, P = problem[2], np.zeros_like(problem[2])
+    for _ in range(20_000):
+        size = np.trace(K + P)
+        K, P, _, _ = lossy_step(*problem, K, P, channel)
+        if np.trace(K + P) > 1e9 * np.trace(problem[2]):
+            return True
+        if np.trace(K + P) - size <= 1e-10 * size:
+            return False
+    raise AssertionError("neither settles nor diverges")
+
+
+@links
+@settings(max_examples=3, deadline=None)
+@given(seed=SEEDS)
+def test_missions_settle_below_the_critical_losses_and_diverge_above(link, seed):
+    """The recursions themselves, 3 % below and above the critical losses of either link."""
+    A, B, _, _ = system(seed, 3, 1.05, 1.8)
+    problem = (A, B, np.eye(len(A)), np.eye(B.shape[1]))
+    channel = survivable(A, B, link, seed)
+    for index, critical in enumerate(critical_losses(A, B, channel)):
+        for factor in (0.97, 1.03):
+            lost = [channel.actuator_loss, channel.sensor_loss]
+            lost[index] = critical * factor
+            if critical < 1 and lost[index] <= 1:
+                assert diverges(problem, at_losses(link, *lost)) == (factor > 1)
+
+
+@settings(max_examples=5, deadline=None)
+@given(seed=SEEDS)
+def test_less_knowledge_survives_fewer_losses(seed):
+    """Critical losses without acknowledgement or with the delay are at most those with it or without."""
+    A, B, _, _ = system(seed, 3, 1.02, 1.6)
+    lost = np.random.default_rng(seed).uniform(0, 0.3, 2)
+    udp, udp_late, tcp, tcp_late = (critical_losses(A, B, at_losses(link, *lost)) for link in LINKS)
+    for worse, better in ((udp, tcp), (udp_late, tcp_late), (udp_late, udp), (tcp_late, tcp)):
+        assert all(less <= more + 1e-8 for less, more in zip(worse, better, strict=True))
+
+
+@links
+@settings(max_examples=4, deadline=None)
+@given(seed=SEEDS)
+def test_the_units_of_states_and_inputs_decide_nothing(link, seed):
+    """Critical losses and the cost of the average are the same in other units."""
+    A, B, Q, R = system(seed, 3)
+    n, m = B.shape
+    rng = np.random.default_rng(seed + 3)
+    channel = survivable(A, B, link, seed)
+    T, S = np.diag(10.0 ** rng.uniform(-3, 3, n)), np.diag(10.0 ** rng.uniform(-3, 3, m))
+    back = np.linalg.inv(T)
+    other = T @ A @ back, T @ B @ S
+    assert critical_losses(*other, channel) == pytest.approx(critical_losses(A, B, channel), abs=1e-6)
+    plain, scaled = regulate_lossy(A, B, Q, R, channel), regulate_lossy(*other, back @ Q @ back, S @ R @ S, channel)
+    assert S @ scaled.L @ T == pytest.approx(plain.L, rel=1e-6, abs=1e-8 * np.abs(plain.L).max())
+
+
+@links
+@settings(max_examples=10, deadline=None)
+@given(seed=SEEDS)
+def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
+    """The gain that comes with it attains it, and no random gain beats it, near or far."""
+    A, B, _, _ = system(seed, 3, 1.02, 1.6)
+    rng = np.random.default_rng(seed + 3)
+    channel = at_losses(link, *rng.uniform(0, 0.8, 2))
+    rate, best = slowest_growth(A, B, channel)
+    stable = max((abs(value) ** 2 for value in np.linalg.eigvals(A) if abs(value) < 1), default=0.0)
+    assert mean_square_rate(A, B, best, channel) <= max(rate, stable) * (1 + 1e-6)
+    for size in (1e-3, 1e-2, 0.1, 1.0):
+        for _ in range(10):
+            gain = best + size * rng.normal(size=best.shape)
+            assert rate <= mean_square_rate(A, B, gain, channel) * (1 + 1e-9)
+
+
+@links
+def test_two_plants_that_share_nothing_but_the_links_survive_what_the_weaker_survives(link):
+    """Two axes with an input each: growth and critical losses are those of the worse axis."""
+    axes = [
+        (np.array([[1.0, 0.1], [0.0, 1.2]]), np.array([[0.0], [1.0]])),
+        (np.array([[1.3, 0.1], [0.0, 1.0]]), np.array([[0.1], [1.0]])),
+    ]
+    channel = at_losses(link, 0.1, 0.2)
+    A, B = (scipy.linalg.block_diag(*parts) for parts in zip(*axes, strict=True))
+    apart = [critical_losses(*axis, channel) for axis in axes]
+    assert slowest_growth(A, B, channel)[0] == pytest.approx(max(slowest_growth(*axis, channel)[0] for axis in axes))
+    assert critical_losses(A, B, channel) == pytest.approx(tuple(map(min, *apart)), abs=1e-6)
+
+
+def test_a_chain_of_three_integrators_is_not_refused():
+    """Its growth is below 1 at every loss below 1, and without losses the gains are those of the plain regulator."""
+    A, B, weights = np.eye(3) + np.eye(3, k=1), np.eye(3)[:, -1:], (np.eye(3), np.eye(1))
+    assert critical_losses(A, B, TCP) == pytest.approx((1.0, 1.0), abs=1e-3)
+    plain = regulate(A, B, *weights, np.zeros((3, 1)))
+    assert plain.L == pytest.approx(regulate_lossy(A, B, *weights, UDP).L)
+
+
+def test_more_losses_than_can_be_survived_are_refused_with_the_critical_value():
+    """An average names what each lossy link would bear; a mission is designed, and notes the same."""
+    plant, cost, mission = Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]], horizon=20)
+    way = Network("tcp", actuator_loss=0.3)
+    with pytest.raises(UnstableError, match=r"actuator_loss is 0\.3 .*\(largest eigenvalue 2\).*losses below 0\.25 "):
+        design.lossy_lqg(plant, cost, price=0.1, network=way)
+    with pytest.raises(UnstableError, match=r"sensor losses below 0\.25 at this actuator loss"):
+        design.lossy_lqg(plant, cost, price=0.1, network=Network("tcp", sensor_loss=0.26))
+    (note,) = design.lossy_lqg(plant, mission, price=0.1, network=way).notes
+    assert "actuator losses below 0.25 at this sensor loss: over longer horizons the cost grows without bound" in note
+    for fine in (cost, mission):
+        assert design.lossy_lqg(plant, fine, price=0.1, network=Network("tcp", actuator_loss=0.24)).notes == ()
+
+
+def test_a_mission_whose_cost_overflows_is_refused():
+    """A plant that grows beyond all numbers while everything is lost gives a sentence, not inf."""
+    with pytest.raises(UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: too much"):
+        regulate_lossy_finite(1e3 * np.eye(1), *[np.eye(1)] * 4, 200, at_losses(UDP, 1.0, 0.0))

@@ -1,0 +1,250 @@
+"""The chapters as reproduced, against the exact numbers; and the running cost of their figures."""
+
+from __future__ import annotations
+
+import json
+from functools import cache
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+import taciturn
+from taciturn.simulation.course import course
+from taciturn.study.chapter7 import two_circles
+from taciturn.study.reproduce import CHAPTERS, reproduce
+
+if TYPE_CHECKING:
+    from taciturn.study.reproduction import Reproduction, Row
+
+# chapter → for each row its setting, and what its columns must be: to half a unit of the last digit, or ± an error
+EXPECTED: dict[str, list[tuple[dict[str, object], dict[str, str]]]] = {
+    "chapter3": [
+        (
+            {"ζ": 1.65},
+            {"J_all": "0.481486", "J": "1.25325", "sensor %": "50", "actuator %": "93.565", "bound": "2.558"},
+        ),
+        ({"ζ": 1.5}, {"J_all": "0.481486", "J": "0.97771", "sensor %": "66.667", "actuator %": "90.937"}),
+        ({"ζ": 0.5}, {"J_all": "0.45755", "J": "0.70594", "sensor %": "14.286", "actuator %": "35.0"}),
+    ],
+    "chapter6": [
+        ({"x_0": 0.6322}, {"J_all": "103.65", "J": "112.63", "sensor %": "18.333", "actuator %": "7.5"}),
+        ({"x_0": 0.7}, {"J_all": "126.73", "J": "137.74", "sensor %": "18.333"}),
+    ],
+    "chapter7": [
+        ({"links": "udp", "λ": 0.0}, {"J_all": "63.7760", "J": "63.7760", "R_t": "1", "J_all + λN": "63.7760"}),
+        ({"links": "tcp", "λ": 0.0}, {"J_all": "63.4150", "J": "63.4150", "R_t": "1"}),
+        ({"links": "ideal", "λ": 0.0}, {"J_all": "49.9359", "J": "49.9359", "R_t": "1"}),
+        ({"links": "udp", "λ": 0.1}, {"J": "65.520 ± 0.004", "R_t": "0.502", "J_all + λN": "73.7760"}),
+        ({"links": "tcp", "λ": 0.1}, {"J": "65.187 ± 0.004", "R_t": "0.494"}),
+        ({"links": "ideal", "λ": 0.1}, {"J": "51.553 ± 0.004", "R_t": "0.466"}),
+        ({"links": "udp", "λ": 1.0}, {"J": "95.03 ± 0.03", "R_t": "0.1474 ± 0.0002", "J_all + λN": "163.7760"}),
+        ({"links": "tcp", "λ": 1.0}, {"J": "94.29 ± 0.03", "R_t": "0.1452 ± 0.0002"}),
+        ({"links": "ideal", "λ": 1.0}, {"J": "78.15 ± 0.03", "R_t": "0.1340 ± 0.0002"}),
+        ({"λ": 0.0}, {"J": "0.9058", "R_t": "0.991", "J_all + λN": "0.906"}),
+        ({"λ": 0.001}, {"J": "0.9541", "R_t": "0.655", "J_all + λN": "1.156"}),
+        ({"λ": 0.002}, {"J": "1.0565", "R_t": "0.460", "J_all + λN": "1.406"}),
+        ({"λ": 0.01}, {"J": "2.0549 ± 0.0001", "R_t": "0.124", "J_all + λN": "3.406"}),
+    ],
+}
+
+
+@cache
+def chapter(name: str) -> Reproduction:
+    """Compute each chapter once."""
+    return reproduce(name, progress=lambda fraction: None)
+
+
+def rows(name: str) -> list[Row]:
+    """Return all rows of a chapter."""
+    return [row for table in chapter(name).tables for row in table.rows]
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_chapter_agrees_with_the_exact_numbers(name: str) -> None:
+    """Within 4 standard errors and half a digit; costs between the all-time cost and the guarantee."""
+    for setting, expected in EXPECTED[name]:
+        (row,) = (row for row in rows(name) if dict(row.setting) == setting)
+        for column, text in expected.items():
+            number, _, error = text.partition(" ± ")
+            found, half = row.computed[column], 0.5 * 10.0 ** -len(number.partition(".")[2])
+            allowed = 4 * np.hypot(found.standard_error, float(error or 0.0)) + half
+            assert abs(found.value - float(number)) <= allowed, f"{setting} {column}: {found}, expected {text}"
+    for row in rows(name):
+        if "J" not in row.computed:
+            continue
+        cost = row.computed["J"]
+        assert row.computed["J_all"].value - 4 * cost.standard_error - 1e-9 <= cost.value
+        bounds = [e.value for e in row.computed.values() if e.method == "bound"]
+        assert len(bounds) == len(set(row.computed) & {"bound", "J_all + λN", "J_all + λN(1−R_t)"})
+        assert all(cost.value <= bound + 4 * cost.standard_error + 1e-9 for bound in bounds)
+
+
+@pytest.mark.parametrize("name", EXPECTED)
+def test_a_chapter_is_a_document_with_a_report_of_its_progress(name: str) -> None:
+    """JSON without NaN, with every printed number beside a computed one, and a fraction that ends at 1."""
+    document = json.loads(json.dumps(chapter(name).document(), allow_nan=False))
+    assert document["name"] == name
+    for table in document["tables"]:
+        assert table["notes"]
+        for row in table["rows"]:
+            assert set(row["printed"]) <= set(row["computed"])
+            assert all(set(e) == {"value", "standard_error", "method"} for e in row["computed"].values())
+    with pytest.raises(taciturn.ProblemError, match="expected one of chapter2, chapter3, chapter6, chapter7, or all"):
+        reproduce("chapter5")
+    assert set(EXPECTED) | {"chapter2"} == set(CHAPTERS)
+
+
+def test_progress_only_grows_and_ends_at_one() -> None:
+    """Of the quickest chapter."""
+    seen: list[float] = []
+    reproduce("chapter6", seed=1, progress=seen.append)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
+
+
+def test_the_pictures_have_the_panels_of_the_figures() -> None:
+    """Figures over one axis share a picture; each panel is titled by its figure."""
+
+    def panels(name: str) -> dict[str, list[str]]:
+        return {key: [a.get_title().partition(":")[0] for a in f.axes] for key, f in chapter(name).pictures.items()}
+
+    assert panels("chapter3") == {"chapter3": ["Figure 3.4", "Figure 3.5", "Figure 3.6"]}
+    assert panels("chapter6") == {"chapter6": ["Figure 6.5", "Figure 6.6", "", "Figure 6.7"]}
+    assert panels("chapter7") == {
+        "chapter7": ["Figure 7.2"] * 3,
+        "chapter7-path": ["Figure 7.5"],
+        "chapter7-cost": ["Figure 7.6"],
+    }
+    sizes = [len(a.lines) for f in (chapter("chapter3"), chapter("chapter6")) for a in f.pictures[f.name].axes]
+    assert sizes == [5, 5, 2, 2, 2, 0, 2]
+
+
+def test_the_notes_of_chapter_3_are_true() -> None:
+    """Which ζ share the printed rate of 66 %, that 1.63 and 1.65 query alike, and the printed bound."""
+    problem = taciturn.load("remote-scalar")
+
+    def rate(zeta: float) -> float:
+        schedule = problem.changed({"zeta": zeta}).design().schedule
+        assert schedule is not None
+        return schedule.rate
+
+    assert [round(rate(zeta), 6) for zeta in (1.4755, 1.5, 1.53979)] == [round(2 / 3, 6)] * 3
+    assert rate(1.4754) > 0.67 > 2 / 3 > 0.61 > rate(1.5398)
+    assert rate(1.63) == rate(1.65) == 0.5
+    assert any("2.53 = 1.2 (J_all + 1.63)" in note for table in chapter("chapter3").tables for note in table.notes)
+
+
+def test_the_camera_of_chapter_6_is_asked_when_it_pays() -> None:
+    """Figure 6.7: the steps of the queries, each worth more than its price; and the largest input of the notes."""
+    table = chapter("chapter6").tables[1]
+    assert [row.setting["k"] for row in table.rows] == [*range(5, 50, 5), 51, 58]
+    assert all(row.computed["h"].value > 0.004 for row in table.rows)
+    assert any(note.startswith("|u| reaches 36 ") for note in chapter("chapter6").tables[0].notes)
+
+
+@pytest.mark.parametrize("name", ["remote-double-integrator", "rover"])
+def test_both_cases_of_one_realisation_have_the_same_noise(name: str) -> None:
+    """Figures 3.6 and 6.6: the disturbances are the same, step by step."""
+    problem = taciturn.load(name)
+    plant: Any = problem.plant
+    noises: list[np.ndarray] = []
+    for case in (problem, problem.changed({"theta": 0.0, "zeta": 0.0})):
+        path = taciturn.simulate(case.close(case.design()), 40, seed=4)
+        noises.append(path.state[1:] - path.state[:-1] @ plant.A.T - path.input[:-1] @ plant.B.T)
+    np.testing.assert_allclose(noises[0], noises[1], rtol=0, atol=1e-12)
+    assert np.abs(noises[0]).max() > 0
+
+
+def test_tracking_without_a_price_is_silent_until_the_first_measurement_that_tells() -> None:
+    """R_t at λ = 0: two steps that cannot know of any deviation, and a third of a step of lost measurements."""
+    (row,) = (row for row in rows("chapter7") if dict(row.setting) == {"λ": 0.0})
+    rate = row.computed["R_t"]
+    assert abs(rate.value - (1 - (2 + 1 / 3) / 250)) <= 4 * rate.standard_error
+
+
+def test_the_reference_is_two_tangent_circles() -> None:
+    """Of 1 m radius around (±1, 0), met at the origin, once around, at one speed."""
+    states = two_circles().states
+    circles = np.minimum(*(np.abs(np.hypot(states[:, 0] - centre, states[:, 1]) - 1) for centre in (-1, 1)))
+    assert circles.max() < 1e-12
+    np.testing.assert_allclose(states[[0, 125, 250]], 0.0, atol=1e-12)
+    steps = np.linalg.norm(np.diff(states, axis=0), axis=1)
+    np.testing.assert_allclose(steps, steps[0], rtol=1e-9)
+    assert (states[:, 0].min(), states[:, 0].max()) == pytest.approx((-2, 2), abs=1e-3)
+
+
+def test_the_course_of_all_time_control_is_its_exact_transient() -> None:
+    """E[x'Qx + û'Rû] by propagating the moments of state and predicted estimate, at every tick."""
+    start = {"plant.initial.mean": [3.0, -1.0], "theta": 0.0, "zeta": 0.0}
+    problem = taciturn.load("remote-double-integrator").changed(start)
+    found = course(problem.close(problem.design()), 40, paths=20_000, seed=3)
+    p, cost = problem.plant, problem.cost
+    K = solve_discrete_are(p.A, p.B, cost.Q, cost.R)
+    L = -np.linalg.solve(cost.R + p.B.T @ K @ p.B, p.B.T @ K @ p.A)
+    Sigma = solve_discrete_are(p.A.T, p.C.T, p.W, p.V)
+    G = p.A @ Sigma @ p.C.T @ np.linalg.inv(p.C @ Sigma @ p.C.T + p.V)
+    F = np.block([[p.A, p.B @ L], [G @ p.C, p.A + p.B @ L - G @ p.C]])
+    noise = np.block([[p.W, np.zeros((2, 2))], [np.zeros((2, 2)), G @ p.V @ G.T]])
+    z = np.concatenate([p.mean, p.mean])
+    moment, exact = np.outer(z, z), []
+    for _ in range(40):
+        exact.append(np.sum(cost.Q * moment[:2, :2]) + np.sum(L.T @ cost.R @ L * moment[2:, 2:]))
+        moment = F @ moment @ F.T + noise
+    assert (np.abs(found.cost - exact) <= 4 * found.standard_error + 1e-9).all()
+    assert (found.standard_error[5:] > 0).all()
+    assert found.time[-1] == pytest.approx(3.9)
+    assert all((found.sends[link] == 1).all() for link in ("actuator", "sensor"))
+
+
+def test_the_course_of_a_mission_sums_to_its_cost() -> None:
+    """But for the final state's; the sends average to the rates, the queries are the schedule's."""
+    problem = taciturn.load("rover")
+    policy = problem.design()
+    unfinished = taciturn.Cost(problem.cost.Q, problem.cost.R, horizon=60, terminal=[[0.0]])
+    loop = taciturn.close(problem.plant, policy, cost=unfinished)
+    whole = taciturn.average(loop, seed=1, standard_error=0.01)
+    found = course(loop, 60, paths=20_000, seed=2)
+    error = float(found.standard_error.sum())  # at most: the ticks of a path are correlated
+    assert abs(found.cost.sum() - whole.cost.value) <= 3 * error + 4 * whole.cost.standard_error
+    assert error < 0.002 * whole.cost.value
+    assert policy.schedule is not None
+    assert (found.sends["sensor"] == policy.schedule.queries).all()
+    assert found.sends["actuator"].mean() == pytest.approx(whole.rates["actuator"].value, abs=5e-4)
+
+
+def test_the_course_of_a_discount_carries_its_weights() -> None:
+    """Sending everything, it sums to the discounted cost."""
+    plant = taciturn.Plant([[1.1]], [[1.0]], [[0.1]], [[1.0]], [[0.2]], mean=[2.0])
+    cost = taciturn.Cost([[1.0]], [[1.0]], discount=0.8)
+    loop = taciturn.close(plant, taciturn.design.remote_lqg(plant, cost, theta=0.0, zeta=0.0))
+    found = course(loop, 120, paths=20_000, seed=1)
+    error = float(found.standard_error.sum())  # at most: the ticks of a path are correlated
+    assert abs(found.cost.sum() - loop.policy.cost_all_time) <= 3 * error
+    assert error < 0.02 * loop.policy.cost_all_time
+
+
+def test_the_course_of_a_sampled_plant_settles_at_its_cost_per_second() -> None:
+    """Noise between the samples included."""
+    plant = taciturn.ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.eye(2))
+    cost = taciturn.Cost(np.eye(2), [[0.1]])
+    policy = taciturn.design.periodic(plant, cost, period=0.5)
+    found = course(taciturn.close(plant, policy), 60, paths=20_000, seed=2)
+    assert (found.sends["actuator"] == 1).all()
+    assert policy.closed_form is not None
+    assert (np.abs(found.cost[40:] - policy.closed_form.cost) <= 4.5 * found.standard_error[40:]).all()
+
+
+def test_a_course_is_what_its_seed_says_and_refuses_nonsense() -> None:
+    """The same bits again; other draws from another seed; a clock's sends exactly."""
+    problem = taciturn.load("two-mass")
+    clocked = taciturn.Problem(problem.plant, problem.cost, problem.network, "periodic", {"every": 3})
+    loop = clocked.close(clocked.design())
+    one, again, other = (course(loop, 7, paths=16, seed=seed) for seed in (5, 5, 6))
+    assert (one.cost == again.cost).all()
+    assert (one.cost[1:] != other.cost[1:]).any()
+    assert one.sends["actuator"].tolist() == [1, 0, 0, 1, 0, 0, 1]
+    for wrong in ({"ticks": 0}, {"paths": 1}, {"seed": -1}):
+        with pytest.raises(taciturn.ProblemError, match=f"{next(iter(wrong))} is "):
+            course(loop, **{"ticks": 7, **wrong})
