@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
     from taciturn.simulation.average import average as average
+    from taciturn.simulation.course import Course as Course
+    from taciturn.simulation.course import course as course
     from taciturn.simulation.trajectory import Trajectory as Trajectory
     from taciturn.simulation.trajectory import simulate as simulate
     from taciturn.study.evaluate import Evaluation as Evaluation
@@ -44,6 +46,7 @@ _HOME = {
     "Burst": "model.network",
     "ContinuousPlant": "model.plant",
     "Cost": "model.cost",
+    "Course": "simulation.course",
     "Estimate": "model.estimate",
     "Evaluation": "study.evaluate",
     "Form": "model.trigger",
@@ -66,6 +69,7 @@ _HOME = {
     "UnstableError": "errors",
     "average": "simulation.average",
     "close": "loop",
+    "course": "simulation.course",
     "evaluate": "study.evaluate",
     "load": "problem",
     "plant_from": "model.plant",

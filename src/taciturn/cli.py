@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.simulation.average import Progress
     from taciturn.study.evaluate import Evaluation
-    from taciturn.study.reproduce import Reproduction, Table
+    from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
 
 app = typer.Typer(
@@ -31,7 +31,7 @@ app = typer.Typer(
 )
 
 File = Annotated[
-    str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem (two-mass).")
+    str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem, as two-mass.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
@@ -132,7 +132,8 @@ def tradeoff(
 @app.command()
 def reproduce(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="[NAME…]", help="chapter2, or all (the default).")
+        list[str] | None,
+        typer.Argument(metavar="[NAME…]", help="chapter2, 3, 6 or 7, or all (the default)."),
     ] = None,
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
@@ -158,18 +159,18 @@ def reproduce(
             f"the folder {str(folder)!r} cannot be made ({error.strerror}); expected one that can be written to"
         ) from None
     documents: list[dict[str, Any]] = []
-    pictures: dict[Path, Figure | None] = {}
+    pictures: dict[Path, Figure] = {}
     for name in chosen:
         with _progress(name) as progress:
             found = taciturn.reproduce(name, seed=seed, progress=progress)
         documents.append(found.document())
-        pictures[folder / f"{name}.svg"] = found.picture
+        pictures |= {folder / f"{file}.svg": picture for file, picture in found.pictures.items()}
         if not as_json:
             _print_reproduction(found)
     if as_json:
         _print_json(documents)
     for path, picture in pictures.items():  # after the numbers, which must not be lost with a picture
-        if picture is not None and (out is not None or not as_json):
+        if out is not None or not as_json:
             save(picture, path)
             if not as_json:
                 typer.echo(f"picture: {path}")

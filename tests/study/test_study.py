@@ -115,4 +115,4 @@ def test_chapter_2_is_reproduced() -> None:
                 assert abs(printed - computed.value) <= 1.0
             else:
                 assert computed.value == pytest.approx(printed, abs=5e-5)
-    assert found.picture is not None
+    assert set(found.pictures) == {"chapter2"}

@@ -135,7 +135,9 @@ def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int 
         if factor * float(np.abs(D).max()) * largest <= NEGLIGIBLE * total:
             return total
         before, both = both, predictor.queried(both, gains)
-        if later is None and s % 8 == 7 and max(_change(before[:1], both[0])[0], _change(before[1:], both[1])[0]) <= CONVERGED:
+        if later is not None or s % 8 < 7:  # the test costs as much as a term
+            continue
+        if max(_change(before[:1], both[0])[0], _change(before[1:], both[1])[0]) <= CONVERGED:
             shrinking = np.sqrt(alpha) * F
             if radius(shrinking) < 1:
                 return total + factor * float(np.sum(P * summed(shrinking, D)))

@@ -35,7 +35,7 @@ class Burst:
     def __post_init__(self) -> None:
         """Check the ranges."""
         for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
-            number(name, getattr(self, name), 0.0, 1.0, closed=True)
+            object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
 
     @property
     def share_bad(self) -> float:
@@ -79,6 +79,7 @@ class Network:
         count("network.delay", self.delay, 0)
         for link in ("actuator", "sensor"):
             loss = number(f"network.{link}_loss", getattr(self, f"{link}_loss"), 0.0, 1.0, closed=True)
+            object.__setattr__(self, f"{link}_loss", loss)  # a float also where 0 was given
             burst = getattr(self, f"{link}_burst")
             if burst is not None and loss > 0:
                 raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")

@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+SHOWN = 30  # ticks of a picture, at least
+
+
 @dataclass(frozen=True, eq=False)
 class Schedule:
     """When a sensor is queried: at the ticks whose query is worth more than its price.
@@ -72,15 +75,19 @@ class Schedule:
         }
 
     def plot(self) -> Figure:
-        """Return a figure: the value of a query at each tick, its price, and the queries."""
-        ticks = list(map(float, range(len(self.queries))))
+        """Return a figure: the value of a query, its price, and the queries; a short cycle several times."""
+        shown = list(range(len(self.queries)))
+        while self.start is not None and len(shown) < SHOWN:
+            shown += range(self.start, len(self.queries))
+        ticks = [float(k) for k in range(len(shown))]
+        asked = [k for k, tick in zip(ticks, shown, strict=True) if self.queries[tick]]
         values = [
-            Series(ticks, self.value.tolist(), "value of a query, h"),
+            Series(ticks, self.value[shown].tolist(), "value of a query, h"),
             Series([ticks[0], ticks[-1]], [self.price] * 2, "price, ζ", "dashed", color=3),
         ]
-        asked = [Series(list(map(float, self.ticks)), [1.0] * len(self.ticks), f"queries: {len(self.ticks)}", "stems")]
+        marks = [Series(asked, [1.0] * len(asked), f"queries: {len(asked)} of {len(shown)}", "stems")]
         where = "" if self.start is None else f"from tick {self.start} on it repeats every {self.period}"
-        return draw([Panel(values, ylabel="cost", title=where), Panel(asked, xlabel="tick", ylabel="query")])
+        return draw([Panel(values, ylabel="cost", title=where), Panel(marks, xlabel="tick", ylabel="query")])
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a table with one row per tick: value, query, and the diagonal of the covariance.

@@ -74,7 +74,7 @@ class Problem:
         return close(self.actual or self.plant, policy, self.network, self.cost)
 
     def changed(self, values: Mapping[str, object]) -> Problem:
-        """Return the problem with other values: keys of ``[policy]``, or dotted (``plant.dt``, ``cost.R``).
+        """Return the problem with other values: keys of ``[policy]``, or dotted (``plant.dt``); None removes a key.
 
         Raises:
             ProblemError: no such key, or a value that does not fit.
@@ -84,6 +84,8 @@ class Problem:
             *path, key = name.split(".")
             if not path or path == ["policy"]:
                 parameters[key] = value
+                if value is None:
+                    del parameters[key]
             elif self.source is None:
                 raise ProblemError(
                     f"{name} cannot be changed in a problem that was not read from a file; expected a key of [policy]"
@@ -96,6 +98,8 @@ class Problem:
                         raise ProblemError(f"{name} is no key: {part} is {quoted(found)}; expected a key, as plant.dt")
                     table = cast("dict[str, Any]", found)
                 table[key] = value
+                if value is None:
+                    del table[key]
         if self.source is None:
             return replace(self, parameters=parameters)
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}

@@ -28,7 +28,7 @@ class Trajectory:
         state: of the plant, (ticks, n).
         estimate: x̂, (ticks, n); empty where the policy has none.
         input: applied to the plant, (ticks, m).
-        trigger_value: value of staying silent, (ticks,); empty where nothing is decided.
+        trigger_value: value of staying silent, (ticks,); empty where no decision looks at the signals.
         threshold: least value of the other actions; silence is kept while trigger_value ≤ threshold.
         sends: whether a packet was sent, by link, (ticks,).
     """
@@ -119,7 +119,8 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         rows = [records[key] for key in sorted((k for k in records if k.rpartition(" ")[0] == name), key=_entry)]
         return np.array(rows).T if rows else np.empty((ticks, 0))
 
-    options = [values for name, values in records.items() if name.startswith("option ")]
+    weighed = [name for name, trigger in loop.policy.decisions.items() if trigger.reads]  # a clock weighs nothing
+    options = [values for key, values in records.items() if weighed and key.startswith(f"option {weighed[0]} ")]
     silent, others = (options[0], np.min(options[1:], axis=0)) if options else (np.empty(0), np.empty(0))
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
     time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)

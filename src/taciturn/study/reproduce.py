@@ -10,8 +10,7 @@ from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
 from taciturn.study.chapter6 import chapter6
 from taciturn.study.chapter7 import chapter7
-from taciturn.study.reproduction import Reproduction as Reproduction
-from taciturn.study.reproduction import Table as Table
+from taciturn.study.reproduction import Reproduction
 
 CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {
     "chapter2": chapter2,

@@ -56,11 +56,6 @@ class Reproduction:
     tables: tuple[Table, ...]
     pictures: Mapping[str, Figure]
 
-    @property
-    def picture(self) -> Figure | None:
-        """The first of the pictures."""
-        return next(iter(self.pictures.values()), None)
-
     def document(self) -> dict[str, Any]:
         """Return the JSON document of one reproduction."""
         return {

@@ -1,0 +1,259 @@
+"""References: what fits a plant, and that tracking one is controlling the deviation from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taciturn import Cost, Form, Network, Plant, Policy, ProblemError, Reference, average, close, design
+from taciturn.loop import Loop
+from taciturn.model.policy import ONE, Assign, Draw, Evaluate, Received, Send
+from taciturn.program import numpy as interpreter
+from taciturn.program.numpy import Run
+from taciturn.simulation.average import plain_average
+
+SEEDS = st.integers(0, 2**32 - 1)
+A, B = np.array([[1.0, 0.1], [0.0, 1.02]]), np.array([[0.005], [0.1]])
+STEPS = 30
+COST = Cost(np.diag([1.0, 0.3]), [[0.2]], horizon=STEPS, terminal=np.diag([40.0, 5.0]))
+NETWORKS = [Network("udp", 0.3, 0.2), Network("udp", 0.3, 0.2, 1), Network("tcp", 0.3, 0.2), Network()]
+networks = pytest.mark.parametrize("network", NETWORKS, ids=["udp", "udp late", "tcp", "ideal"])
+
+
+def refusal(action: Callable[[], object]) -> str:
+    """Return the sentence with which an action is refused."""
+    with pytest.raises(ProblemError) as found:
+        action()
+    return str(found.value)
+
+
+def motion(seed: int, steps: int = STEPS, size: float = 3.0) -> Reference:
+    """Return a random motion of the plant."""
+    draws = np.random.default_rng(seed)
+    inputs, states = size * draws.normal(size=(steps, 1)), [size * draws.normal(size=2)]
+    for push in inputs:
+        states.append(A @ states[-1] + B @ push)
+    return Reference(states, inputs)
+
+
+def plant(mean: np.ndarray | None = None, noise: float = 0.02) -> Plant:
+    """Return the plant of these tests with an uncertain start."""
+    return Plant(A, B, noise * np.eye(2), mean=mean, covariance=0.1 * np.eye(2))
+
+
+def test_a_reference_is_frozen_and_its_own() -> None:
+    """States at N + 1 times, inputs at N; neither can be written to, or changed from outside."""
+    inputs, states = np.zeros((3, 1)), np.zeros((4, 2))
+    reference = Reference(states, inputs)
+    for held, given_ in ((reference.states, states), (reference.inputs, inputs)):
+        assert held.shape == given_.shape
+        assert not np.shares_memory(held, given_)
+        with pytest.raises(ValueError, match="read-only"):
+            held[...] = 7
+
+
+SIZES = "expected (4, any) = (steps + 1, states)"
+SHORT, PUSH = np.zeros((4, 2)), np.zeros((3, 1))
+
+
+@pytest.mark.parametrize(
+    ("states", "inputs", "sentence"),
+    [
+        (np.zeros((3, 2)), PUSH, "reference.states has shape (3, 2); " + SIZES),
+        (np.zeros((5, 2)), PUSH, "reference.states has shape (5, 2); " + SIZES),
+        (np.zeros(4), PUSH, "reference.states has shape (4,); " + SIZES),
+        (SHORT, np.zeros(3), "reference.inputs has shape (3,); expected (any, any) = (steps, inputs)"),
+        (SHORT * np.nan, PUSH, "reference.states holds nan at index (0, 0); expected finite numbers"),
+        (SHORT, [[0], [np.inf], [0]], "reference.inputs holds inf at index (1, 0); expected finite numbers"),
+        ([[0, 0], [0]], [[0]], "reference.states is ragged: its rows differ in length; expected the shape (2, any) = "),
+        (
+            "abc",
+            [[0]],
+            "reference.states is not an array of numbers (it holds str values); expected the shape (2, any)",
+        ),
+    ],
+    ids=["too few", "too many", "flat", "flat inputs", "nan", "inf", "ragged", "text"],
+)
+def test_what_is_no_reference_is_refused(states: Any, inputs: Any, sentence: str) -> None:
+    """Lengths that do not fit, and entries that are no numbers."""
+    assert refusal(lambda: Reference(states, inputs)).startswith(sentence)
+
+
+@pytest.mark.parametrize(
+    ("reference", "sentence"),
+    [
+        (
+            Reference(SHORT, PUSH),
+            "reference.inputs has shape (3, 1); expected (30, 1): the horizon and the sizes of the",
+        ),
+        (Reference(np.zeros((32, 2)), np.zeros((31, 1))), "reference.inputs has shape (31, 1); expected (30, 1): the"),
+        (Reference(np.zeros((31, 2)), np.zeros((30, 2))), "reference.inputs has shape (30, 2); expected (30, 1): the"),
+        (Reference(np.zeros((31, 3)), np.zeros((30, 1))), "reference.states has shape (31, 3); expected (31, 2): the"),
+    ],
+    ids=["short", "long", "two inputs", "three states"],
+)
+def test_a_reference_of_another_size_is_refused(reference: Reference, sentence: str) -> None:
+    """Horizon, states and inputs are those of the mission, for the plant and for the design."""
+    assert refusal(lambda: reference.of(plant(), STEPS)).startswith(sentence)
+    assert refusal(lambda: design.lossy_lqg(plant(), COST, price=1, reference=reference)).startswith(sentence)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=SEEDS, size=st.floats(1e-6, 1e6))
+def test_a_written_reference_is_taken_for_the_motion_that_its_inputs_cause(seed: int, size: float) -> None:
+    """States rounded to eight digits are replaced by those that the inputs cause from the same start, exactly."""
+    exact = motion(seed, size=size)
+    spread = np.abs(exact.states).max()
+    rounded = np.round(exact.states / spread, 8) * spread
+    rounded[0] = exact.states[0]
+    found = Reference(rounded, exact.inputs).of(plant(), STEPS)
+    assert np.array_equal(found.inputs, exact.inputs)
+    assert np.array_equal(found.states[0], rounded[0])
+    for k in range(STEPS):
+        assert np.array_equal(found.states[k + 1], A @ found.states[k] + B @ exact.inputs[k])
+    again = found.of(plant(), STEPS)
+    assert np.array_equal(again.states, found.states)
+
+
+def test_a_reference_that_stands_still_at_zero_fits() -> None:
+    """Zero states and zero inputs: nothing to compare with, and nothing missed."""
+    still = Reference(np.zeros((STEPS + 1, 2)), np.zeros((STEPS, 1)))
+    assert not still.of(plant(), STEPS).states.any()
+
+
+def test_a_reference_that_the_plant_cannot_follow_is_refused_at_the_step_that_misses_most() -> None:
+    """A single wrong state is named by its step and by how much it is off."""
+    exact = motion(1)
+    for step in (1, 17, STEPS):
+        wrong = np.array(exact.states)
+        wrong[step, 1] += 0.5
+        told = refusal(
+            lambda wrong=wrong: design.lossy_lqg(plant(), COST, price=1, reference=Reference(wrong, exact.inputs))
+        )
+        assert told.startswith(f"reference.states misses by 0.5 at step {step} what reference.inputs cause; expected ")
+    late = np.roll(exact.inputs, 1)
+    assert "misses by" in refusal(lambda: Reference(exact.states, late).of(plant(), STEPS))
+
+
+def test_a_reference_without_an_end_is_refused() -> None:
+    """An average has no last step."""
+    endless = Cost(COST.Q, COST.R)
+    told = refusal(lambda: design.lossy_lqg(plant(), endless, price=1, reference=motion(1)))
+    assert told == "a reference is given without cost.horizon; expected both: the reference has an end"
+
+
+def tracked(reference: Reference | None, network: Network, off: np.ndarray, price: float = 0.5) -> Loop:
+    """Return the loop that follows a reference, its mean start off by so much; None: one that regulates to zero."""
+    start = off if reference is None else reference.states[0] + off
+    policy = design.lossy_lqg(plant(start), COST, price=price, network=network, reference=reference)
+    return close(plant(start), policy)
+
+
+def ran(loop: Loop, seed: int = 3, paths: int = 300) -> tuple[Run, np.ndarray]:
+    """Return a mission of many paths, and the states from first to last, (ticks + 1, n, paths)."""
+    program = loop.program()
+    run = interpreter.run(program, loop.start(program, paths, seed), STEPS)
+    last = [row for row, state in zip(run.states, program.states, strict=True) if state.name == "x"]
+    path = np.stack([run.outputs["x 0"], run.outputs["x 1"]], axis=1)
+    return run, np.concatenate([path, np.array(last)[None]])
+
+
+OFF = np.array([0.5, -0.3])
+
+
+@networks
+def test_the_law_of_the_deviation_does_not_depend_on_the_reference(network: Network) -> None:
+    """On the same draws the same packets are sent and lost, and the states differ by the reference."""
+    zero, x = ran(tracked(None, network, OFF))
+    assert 0.1 < zero.outputs["sent actuator"].mean() < 0.95
+    for seed in (1, 2):
+        reference = motion(seed)
+        run, y = ran(tracked(reference, network, OFF))
+        for name in ("sent actuator", "arrived actuator", "arrived sensor"):
+            assert np.array_equal(run.outputs[name], zero.outputs[name]), name
+        assert y - reference.states[:, :, None] == pytest.approx(x, abs=1e-11)
+        pushed = run.outputs["applied 0"] - reference.inputs
+        assert pushed == pytest.approx(zero.outputs["applied 0"], abs=1e-10)
+        for name in ("cost", "excess"):
+            assert run.sums[name] == pytest.approx(zero.sums[name], rel=1e-9, abs=1e-9)
+
+
+@networks
+def test_tracking_costs_what_regulating_costs(network: Network) -> None:
+    """All-time cost and guarantees are those of the deviation."""
+    zero, other = tracked(None, network, OFF).policy, tracked(motion(1), network, OFF).policy
+    assert other.cost_all_time == pytest.approx(zero.cost_all_time, rel=1e-12)
+    assert other.guarantee.cost == pytest.approx(zero.guarantee.cost, rel=1e-12)
+    assert other.guarantee.at_rate(0.3) == pytest.approx(zero.guarantee.at_rate(0.3), rel=1e-12)
+
+
+@networks
+def test_the_final_weight_counts_from_the_end_of_the_reference(network: Network) -> None:
+    """The plain total with its terminal weight is that of the paths, and its mean that of the exact identity."""
+    loop, reference = tracked(motion(4, size=10.0), network, OFF), motion(4, size=10.0)
+    assert loop.policy.tracking.final == pytest.approx(reference.states[-1], rel=1e-12)
+    plain = average(loop, plain_average(loop), seed=5, steps=4096 * STEPS)
+    exact = average(loop, seed=6, steps=4096 * STEPS)
+    spread = np.hypot(plain.cost.standard_error, exact.cost.standard_error)
+    assert abs(plain.cost.value - exact.cost.value) <= 4 * spread
+    run, x = ran(loop, seed=5, paths=4096)
+    e = x - reference.states[:, :, None]
+    v = run.outputs["applied 0"] - reference.inputs
+    total = np.einsum("kip,ij,kjp->p", e[:-1], COST.Q, e[:-1]) + COST.R[0, 0] * (v * v).sum(axis=0)
+    total += np.einsum("ip,ij,jp->p", e[-1], COST.terminal, e[-1])
+    assert plain.cost.value == pytest.approx(total.mean(), rel=1e-9)
+    assert exact.cost.value <= loop.policy.guarantee.cost
+
+
+def test_another_plant_follows_the_reference_by_its_own_dynamics() -> None:
+    """Closed with the plant that is there, x⁺ = A x + B u is that plant's, and no theory is claimed."""
+    reference = motion(1)
+    policy = tracked(reference, NETWORKS[0], OFF).policy
+    actual = Plant(A + np.array([[0.0, 0.02], [-0.03, 0.0]]), 0.9 * B, np.zeros((2, 2)), mean=reference.states[0] + OFF)
+    loop = close(actual, policy)
+    assert not loop.nominal
+    assert set(loop.departures) >= {"the plant is not the one of the design"}
+    run, x = ran(loop)
+    u = run.outputs["applied 0"][:, None]
+    assert x[1:] == pytest.approx(np.einsum("ij,kjp->kip", actual.A, x[:-1]) + actual.B[None] * u, abs=1e-10)
+    assert "excess" not in run.sums
+    e = x[:-1] - reference.states[:-1, :, None]
+    v = u[:, 0] - reference.inputs
+    stage = np.einsum("kip,ij,kjp->p", e, COST.Q, e) + COST.R[0, 0] * (v * v).sum(axis=0)
+    assert run.sums["cost"] == pytest.approx(stage, rel=1e-10)
+    assert np.abs(e[-1]).max() < 20
+
+
+def test_a_mission_of_another_length_is_refused() -> None:
+    """The reference ends where the mission ends."""
+    policy = tracked(motion(1), NETWORKS[0], OFF).policy
+    told = refusal(lambda: close(plant(), policy, cost=Cost(COST.Q, COST.R, horizon=STEPS + 1)))
+    assert told == "cost.horizon is 31, and the reference has 30 steps; expected the same"
+    other = Cost(2 * COST.Q, COST.R, horizon=STEPS)
+    assert "the cost is not the one of the design" in close(policy.model, policy, cost=other).departures
+
+
+SITES = (frozenset({"sensor", "controller"}),)
+WRONG = [
+    Assign("controller", ONE, {"y": np.eye(1, 2)}),
+    Draw("controller", ONE),
+    Evaluate("controller", ONE, (Form(),)),
+]
+
+
+@pytest.mark.parametrize("step", WRONG, ids=lambda step: type(step).__name__)
+def test_the_number_one_cannot_be_assigned(step: Any) -> None:
+    """It is known at every node, and no step may make it another."""
+    steps = (
+        Assign("controller", "command", {"y": np.zeros((1, 2))}),
+        Send("controller", "actuator", ("command",)),
+        Assign("actuator", "input", ({"input": [[1.0]]}, {"command": [[1.0]], ONE: [[0.5]]}), Received("actuator")),
+    )
+    assert close(plant(), Policy("pushes", steps, plant(), 1.0, sites=SITES), cost=COST).policy.sizes[ONE] == 1
+    told = refusal(lambda: Policy("wrong", (*steps, step), plant(), 1.0))
+    assert told == "'one' is assigned; it is the number 1: expected another name"
