@@ -316,7 +316,7 @@ def _queries(schedule: Schedule) -> str:
         return "at every tick" if ticks else "never"
     listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
     if schedule.start is None:
-        return f"{len(ticks)} of {len(schedule.queries)} ticks: {listed}"
+        return f"{len(ticks)} of {len(schedule.queries)} ticks" + (f": {listed}" if ticks else "")
     once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} ticks, again and again"
     return once if schedule.start == 0 else f"{once} from tick {schedule.start} on: {listed}"
 

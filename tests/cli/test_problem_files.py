@@ -37,7 +37,7 @@ def actual(**entries: str) -> dict[str, str]:
 
 def test_a_file_that_is_not_there_is_told_with_the_built_in_problems(run: Run) -> None:
     """And with the one that was perhaps meant."""
-    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems lossy-double-integrator, "
+    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems lossy-double"
     assert run("evaluate", "xyzzy").sentence.startswith(told)
     assert run("evaluate", "twomass").sentence.endswith("Did you mean 'two-mass'?")
     assert run("evaluate", "two-mass.toml").sentence.startswith("there is no file 'two-mass.toml'")
@@ -186,7 +186,10 @@ def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) 
         ({"policy": LQG + "theta = 1\nactuation = 'held'"}, "policy.actuation is 'held'; expected 'hold' or 'model'"),
         ({"policy": PERIODIC + "every = 2.0"}, "policy.every is 2.0; expected a whole number"),
         ({"policy": PERIODIC + "every = true"}, "policy.every is True; expected a whole number"),
-        ({"policy": "[policy]\nkind = 1"}, "policy.kind is 1; expected one of all-time, periodic, lqg, remote-lqg, lossy-lqg"),
+        (
+            {"policy": "[policy]\nkind = 1"},
+            "policy.kind is 1; expected one of all-time, periodic, lqg, remote-lqg, lossy-lqg",
+        ),
         ({"plant": "policy = 1\n" + plant()["plant"], "policy": ""}, "policy is 1; expected a table"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",

@@ -24,6 +24,7 @@ SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
 BUDGET = 4_000_000_000  # steps of all paths together
 LEAST_STEPS = 1024
 DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
+RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
@@ -183,6 +184,7 @@ class _Sampling:
             left = (budget - self.steps) // state.shape[1]
             window = self._whole(max(1, min(window, left)))
             sums, state = self._advance(state, window)
+            self._refuse_runaways(sums[0], window)
             kept.append((window, sums))
             if len(kept) > 1 and not self._settled(kept):
                 dropped += sum(length for length, _ in kept[:-1])
@@ -267,6 +269,14 @@ class _Sampling:
             if not np.abs(sums).max() < HUGE:  # or not a number
                 raise self._diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
         return sums, state
+
+    def _refuse_runaways(self, costs: Array, ticks: int) -> None:
+        """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
+        size = np.abs(costs)
+        largest, typical = float(size.max()), float(np.median(size))
+        all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
+        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
+            raise self._diverges(f"one path costs {largest / typical:.1g} times as much as another")
 
     def _settled(self, kept: list[tuple[int, Array]]) -> bool:
         """Compare the last window with what came before it, path by path."""
