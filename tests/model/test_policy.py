@@ -67,7 +67,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         {},
         "the weight of y in command has shape (1, 1); expected 2",
     ),
-    ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'y']"),
+    ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'one', 'y']"),
     ((COMMAND, SEND, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
     ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
     ((COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE), {}, "the condition 'send' is not"),
@@ -101,7 +101,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, DECIDE, Send("controller", "actuator", ("comand",), "send"), INPUT),
         {},
-        "the signal 'comand' is never assigned; expected one of ['command', 'input', 'y']",
+        "the signal 'comand' is never assigned; expected one of ['command', 'input', 'one', 'y']",
     ),
     (
         (COMMAND, DECIDE, Send("controller", "actuator", ("command",), "send", ("sent",)), INPUT),

@@ -81,6 +81,16 @@ class Predictor:
         following = F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W
         return (following + following.swapaxes(-1, -2)) / 2
 
+    def change(self, before: Array, after: Array) -> Array:
+        """Return by how much covariances (…, n, n) differ from another, each state measured by its own spread.
+
+        A variance that is small beside the products it is the sum of is measured by these: it may be their rounding.
+        """
+        spread = np.sqrt(np.maximum(np.diag(after), 0.0))
+        unit = np.maximum(spread, 1e-2 * np.abs(self.plant.A) @ spread)
+        unit = np.where(unit > 0, unit, 1.0)
+        return np.abs((after - before) / unit / unit[:, None]).max(axis=(-2, -1))
+
     def follow(self, Sigma: Array, query: bool) -> Array:
         """Return the next covariance.
 
@@ -137,7 +147,7 @@ def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int 
         before, both = both, predictor.queried(both, gains)
         if later is not None or s % 8 < 7:  # the test costs as much as a term
             continue
-        if max(_change(before[:1], both[0])[0], _change(before[1:], both[1])[0]) <= CONVERGED:
+        if max(predictor.change(b, a) for b, a in zip(before, both, strict=True)) <= CONVERGED:
             shrinking = np.sqrt(alpha) * F
             if radius(shrinking) < 1:
                 return total + factor * float(np.sum(P * summed(shrinking, D)))
@@ -173,7 +183,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     for tick in range(weights.horizon or LONGEST):
         covariance.append(Sigma)
         value.append(query_value(predictor, Sigma, weights, tick))
-        start = None if weights.horizon is not None else _repetition(covariance)
+        start = None if weights.horizon is not None else _repetition(predictor, covariance)
         if start is not None:
             return _schedule(plant, covariance[:-1], value[:-1], price, start)
         Sigma = predictor.follow(Sigma, value[-1] > price)
@@ -204,7 +214,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     predictor, covariance = Predictor(plant), [initial]
     for _ in range((horizon or LONGEST) - 1):
         covariance.append(predictor.follow(covariance[-1], True))
-        start = None if horizon is not None else _repetition(covariance)
+        start = None if horizon is not None else _repetition(predictor, covariance)
         if start is not None:
             return frozen(np.array(covariance[:-1])), start
     if horizon is None:
@@ -228,17 +238,10 @@ def _schedule(
     return found
 
 
-def _repetition(covariance: Sequence[Array]) -> int | None:
+def _repetition(predictor: Predictor, covariance: Sequence[Array]) -> int | None:
     """Return the latest tick whose covariance is that of the last one, or None: then all after it repeats."""
     *earlier, last = covariance
     if not earlier:
         return None
-    same = np.flatnonzero(_change(np.array(earlier), last) <= SAME)
+    same = np.flatnonzero(predictor.change(np.array(earlier), last) <= SAME)
     return int(same[-1]) if same.size else None
-
-
-def _change(before: Array, after: Array) -> Array:
-    """Return how much each covariance of a stack differs from another, each state measured by its largest spread."""
-    spread = np.maximum(np.diagonal(before, axis1=-2, axis2=-1).max(axis=0), np.diag(after))
-    unit = np.sqrt(np.where(spread > 0, spread, 1.0))
-    return np.abs((after - before) / unit / unit[:, None]).max(axis=(-2, -1))
