@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from catalogue import GUARANTEED, POLICIES
+from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import assert_parity, every_feature, programs, same
@@ -54,7 +54,7 @@ def test_the_loops_of_the_two_masses_agree_bit_for_bit(name: str) -> None:
 def close_random(system: System, name: str) -> Loop | None:
     """Return the loop of a policy of the catalogue, or None where the system has none."""
     try:
-        return taciturn.close(system.plant, POLICIES[name](system), cost=system.cost)
+        return closed(POLICIES[name](system))
     except TaciturnError:
         return None
 
@@ -126,7 +126,7 @@ def test_the_fast_build_decides_as_the_parity_build(monkeypatch: pytest.MonkeyPa
 
 
 @settings(max_examples=8)
-@given(system=systems(), name=st.sampled_from(sorted(GUARANTEED)), seed=SEEDS)
+@given(system=systems(), name=st.sampled_from(sorted(set(STATIONARY) - set(CLOSED_FORM))), seed=SEEDS)
 def test_the_fast_build_decides_as_the_parity_build_on_random_systems(system: System, name: str, seed: int) -> None:
     """Over 1e5 steps of each."""
     loop = close_random(system, name)

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from catalogue import POLICIES
+from catalogue import POLICIES, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature
 from systems import System, systems
 
-import taciturn
 from taciturn import Form, Scheduled, Trigger
 from taciturn._modes import factor
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
-from taciturn.model.policy import Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
+from taciturn.model.policy import ONE, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
 from taciturn.program.numpy import run
@@ -30,7 +29,7 @@ class Told:
         """Start before the first tick."""
         self.loop, self.policy = loop, loop.policy
         self.signals = {name: np.zeros(size) for name, size in self.policy.sizes.items()} | dict(self.policy.initial)
-        self.signals["x"] = loop.problem.plant.mean
+        self.signals |= {"x": loop.problem.plant.mean, ONE: np.ones(1)}
         self.locations = {location.name: location.initial for location in self.policy.locations}
         self.outcome: dict[str, int] = {}
         self.sent: dict[str, bool] = {}
@@ -115,7 +114,7 @@ def assert_told(loop: Loop, seed: int, ticks: int = 30, paths: int = 4) -> None:
         told, total = Told(loop), 0.0
         for tick in range(ticks):
             v, drawn, w = np.split(values[tick, :, path], [before, before + uniforms])
-            total += told.tick(v, drawn, w)
+            total += loop.problem.cost.discount**tick * told.tick(v, drawn, w)
             for link, sent in told.sent.items():
                 assert result.outputs[f"sent {link}"][tick, path] == sent
             for i, value in enumerate(told.signals["input"]):
@@ -133,9 +132,9 @@ def test_losses_schedules_memories_draws_and_three_labels_mean_what_they_say(sys
 @settings(max_examples=40)
 @given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
 def test_the_policies_of_the_catalogue_mean_what_they_say(system: System, name: str, seed: int) -> None:
-    """Hold and model, joint and separate, by the clock and by the trigger."""
+    """Hold and model, by the clock and by the trigger, remote and lossy, averages and missions."""
     try:
-        loop = taciturn.close(system.plant, POLICIES[name](system), cost=system.cost)
+        loop = closed(POLICIES[name](system))
     except TaciturnError:
         return
     assert_told(loop, seed)
