@@ -183,7 +183,7 @@ def propagated(plant: Plant, cost: Cost, steps: int, asked: list[bool], cycle: i
 
 
 @times
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(seed=SEEDS)
 def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, seed):
     """J_all and what the exact identity starts from: average, discount and mission, N ≠ 0, a random start."""
