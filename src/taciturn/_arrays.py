@@ -134,8 +134,8 @@ def frozen(value: Array) -> Array:
 
 
 def symmetrised(matrix: Array) -> Array:
-    """Return the symmetric part, which rounding has blurred."""
-    return (matrix + matrix.T) / 2
+    """Return the symmetric part, which rounding has blurred; of one matrix or of a stack of them."""
+    return (matrix + matrix.swapaxes(-1, -2)) / 2
 
 
 def quoted(value: object) -> str:

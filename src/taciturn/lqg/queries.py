@@ -19,7 +19,8 @@ from taciturn.model.schedule import Schedule
 NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
-LONGEST = 20_000  # ticks within which a schedule must repeat
+LONGEST = 100_000  # ticks within which a schedule must repeat
+BATCH = 64  # values of queries that are summed at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +79,7 @@ class Predictor:
         """Return the next covariance with a measurement, in Joseph's form; (…, n, n)."""
         p = self.plant
         F, turned = p.A - gain @ p.C, gain.swapaxes(-1, -2)
-        following = F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W
-        return (following + following.swapaxes(-1, -2)) / 2
+        return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W)
 
     def change(self, before: Array, after: Array) -> Array:
         """Return by how much covariances (…, n, n) differ from another, each state measured by its own spread.
@@ -128,30 +128,38 @@ def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int 
 
     Source: khashooei2017
     """
+    return float(_query_values(predictor, Sigma[None], weights, tick)[0])
+
+
+def _query_values(predictor: Predictor, Sigma: Array, weights: Weights, tick: int) -> Array:
+    """Return h of the covariances of ticks that follow one another, (ticks, n, n), all sums at once."""
     A, C = predictor.plant.A, predictor.plant.C
     gain = predictor.gain(Sigma)
     both = np.stack([predictor.silent(Sigma), predictor.queried(Sigma, gain)])  # X and Y
-    D = symmetrised(gain @ C @ Sigma @ A.T)
-    alpha, total, factor = weights.discount, 0.0, weights.discount
-    later = None if weights.horizon is None else weights.P[tick + 1 :]
-    largest = float(np.trace(weights.P, axis1=-2, axis2=-1).max())
-    for s in range(LONGEST if later is None else len(later)):
-        P = weights.P if later is None else later[s]
-        total += factor * float(np.sum(P * D))
+    D = gain @ C @ Sigma @ A.T
+    alpha, total, factor = weights.discount, np.zeros(len(Sigma)), weights.discount
+    horizon, n = weights.horizon, len(A)
+    prices = weights.P[None] if horizon is None else np.concatenate([weights.P, np.zeros((1, n, n))])
+    largest = float(np.trace(prices, axis1=-2, axis2=-1).max())
+    now = tick + 1 + np.arange(len(Sigma))
+    for s in range(LONGEST if horizon is None else horizon - tick):
+        P = prices[0] if horizon is None else prices[np.minimum(now + s, horizon)]
+        total += factor * (P * D).sum(axis=(1, 2))
         gains = predictor.gain(both)
         F, G = A - gains @ C
-        D = symmetrised(F @ D @ G.T)
+        D = symmetrised(F @ D @ G.swapaxes(-1, -2))
         factor *= alpha
-        if factor * float(np.abs(D).max()) * largest <= NEGLIGIBLE * total:
+        if (factor * np.abs(D).max(axis=(1, 2)) * largest <= NEGLIGIBLE * total).all():
             return total
         before, both = both, predictor.queried(both, gains)
-        if later is not None or s % 8 < 7:  # the test costs as much as a term
+        if horizon is not None or s % 8 < 7:  # the test costs as much as a term
             continue
-        if max(predictor.change(b, a) for b, a in zip(before, both, strict=True)) <= CONVERGED:
-            shrinking = np.sqrt(alpha) * F
-            if radius(shrinking) < 1:
-                return total + factor * float(np.sum(P * summed(shrinking, D)))
-    if later is not None:
+        if max(predictor.change(*pair).max() for pair in zip(before[:, -1:], both[:, -1], strict=True)) <= CONVERGED:
+            shrinking = np.sqrt(alpha) * F[-1]
+            others = max(float(np.abs(part - F[-1]).max()) for part in (F, G)) <= CONVERGED * max(1.0, np.abs(F).max())
+            if others and radius(shrinking) < 1:
+                return total + factor * np.array([np.sum(P * summed(shrinking, part)) for part in D])
+    if horizon is not None:
         return total
     raise UnstableError(
         "the value of a query is not finite: an error that no later query removes; expected a detectable plant whose "
@@ -172,27 +180,34 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
         The schedule, with the tick from which it repeats.
 
     Raises:
-        UnstableError: it does not repeat within 20,000 ticks, or never queries an unstable plant.
+        UnstableError: it does not repeat within 100,000 ticks, or never queries an unstable plant.
 
     Source: khashooei2017
     """
-    predictor = Predictor(plant)
-    covariance: list[Array] = []
-    value: list[float] = []
-    Sigma = initial
-    for tick in range(weights.horizon or LONGEST):
-        covariance.append(Sigma)
-        value.append(query_value(predictor, Sigma, weights, tick))
-        start = None if weights.horizon is not None else _repetition(predictor, covariance)
-        if start is not None:
-            return _schedule(plant, covariance[:-1], value[:-1], price, start)
-        Sigma = predictor.follow(Sigma, value[-1] > price)
-    if weights.horizon is None:
+    predictor, horizon = Predictor(plant), weights.horizon
+    covariance, value = [initial], list[float]()
+    last, batch = horizon or LONGEST, 1
+    while len(value) < last:
+        # The covariances of a silence are known before the values that may end it: many sums at once are faster.
+        silence = [covariance[-1]]
+        while len(silence) < min(batch, last - len(value)):
+            silence.append(predictor.follow(silence[-1], False))
+        batch = min(2 * batch, BATCH)
+        for Sigma, found in zip(silence, _query_values(predictor, np.array(silence), weights, len(value)), strict=True):
+            value.append(float(found))
+            covariance.append(predictor.follow(Sigma, value[-1] > price))
+            cycle = None if horizon is not None else _cycle(predictor, covariance)
+            if cycle is not None:
+                return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0])
+            if value[-1] > price:
+                batch = 1
+                break
+    if horizon is None:
         raise UnstableError(
             f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; "
             "expected another zeta, or a horizon"
         )
-    return _schedule(plant, covariance, value, price, None)
+    return _schedule(plant, covariance[:-1], value, price, None)
 
 
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
@@ -207,16 +222,16 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
         (ticks, n, n), and the tick from which on they repeat, or None with a horizon.
 
     Raises:
-        UnstableError: the covariance does not converge within 20,000 ticks.
+        UnstableError: the covariance does not converge within 100,000 ticks.
 
     Source: khashooei2017
     """
     predictor, covariance = Predictor(plant), [initial]
     for _ in range((horizon or LONGEST) - 1):
         covariance.append(predictor.follow(covariance[-1], True))
-        start = None if horizon is not None else _repetition(predictor, covariance)
-        if start is not None:
-            return frozen(np.array(covariance[:-1])), start
+        cycle = None if horizon is not None else _cycle(predictor, covariance)
+        if cycle is not None:
+            return frozen(np.array(covariance[: cycle[1]])), cycle[0]
     if horizon is None:
         raise UnstableError(
             f"the error covariance has not converged within {LONGEST} ticks; "
@@ -238,10 +253,16 @@ def _schedule(
     return found
 
 
-def _repetition(predictor: Predictor, covariance: Sequence[Array]) -> int | None:
-    """Return the latest tick whose covariance is that of the last one, or None: then all after it repeats."""
-    *earlier, last = covariance
-    if not earlier:
+def _cycle(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
+    """Return the first tick of the cycle and the one after its last, or None while the last tick is not the mark again.
+
+    The marks are the ticks 0, 1, 3, 7, …: as Brent finds cycles, with one comparison per tick.
+    """
+    last = len(covariance) - 1
+    mark = (1 << last.bit_length() - 1) - 1
+    if last == 0 or predictor.change(covariance[mark], covariance[last]) > SAME:
         return None
-    same = np.flatnonzero(predictor.change(np.array(earlier), last) <= SAME)
-    return int(same[-1]) if same.size else None
+    period, start = last - mark, mark
+    while start > 0 and predictor.change(covariance[start - 1], covariance[start - 1 + period]) <= SAME:
+        start -= 1
+    return start, start + period
