@@ -179,7 +179,7 @@ class _Sampling:
         state = self.loop.start(self.estimator.program, paths, self.seed)
         state, dropped, forgotten = self._burn_in(state, min(least, budget // paths // 2), budget)
         kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
-        window = dropped
+        window = min(dropped, (budget - self.steps) // state.shape[1] // 2)  # two windows, to compare them
         while True:
             left = (budget - self.steps) // state.shape[1]
             window = self._whole(max(1, min(window, left)))
