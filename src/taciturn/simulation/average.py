@@ -182,7 +182,9 @@ class _Sampling:
         window = min(dropped, (budget - self.steps) // state.shape[1] // 2)  # two windows, to compare them
         while True:
             left = (budget - self.steps) // state.shape[1]
-            window = self._whole(max(1, min(window, left)))
+            if left < 1.5 * window:  # no crumb is left over, whose mean would be compared with all before it
+                window = left
+            window = self._whole(max(1, window))
             sums, state = self._advance(state, window)
             self._refuse_runaways(sums[0], window)
             kept.append((window, sums))
