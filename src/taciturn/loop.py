@@ -257,7 +257,7 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
         "the initial state is not the one of the design": mission and not same_start,
         "inputs are clipped (input_limit)": plant.input_limit is not None,
         "losses come in bursts, and the design knows their mean only": bursts,
-        "the network is not the one of the design": not bursts and network != policy.network,
+        "the network is not the one of the design": not bursts and network != policy.network.without_bursts(),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
     return tuple(text for text, departs in found.items() if departs)

@@ -116,3 +116,19 @@ def test_chapter_2_is_reproduced() -> None:
             else:
                 assert computed.value == pytest.approx(printed, abs=5e-5)
     assert set(found.pictures) == {"chapter2"}
+
+
+def test_averages_and_missions_are_not_traded_off_in_one_table() -> None:
+    """Their costs count differently: per step, and in all."""
+    problem = taciturn.load("remote-scalar")
+    with pytest.raises(taciturn.ProblemError, match="mixes averages and missions"):
+        taciturn.tradeoff(problem, {"cost.discount": [1.0, 0.9]})
+
+
+def test_a_discount_too_near_to_1_for_its_paths_is_told() -> None:
+    """Not run for ever: a path would be longer than all steps together."""
+    problem = taciturn.load("remote-scalar").changed({"cost.discount": 0.99999999})
+    with pytest.raises(taciturn.ProblemError, match="a discount further from 1"):
+        taciturn.evaluate(problem)
+    with pytest.raises(taciturn.ProblemError, match="expected more steps"):
+        taciturn.evaluate(taciturn.load("remote-scalar").changed({"cost.discount": 0.999}), steps=10_000)

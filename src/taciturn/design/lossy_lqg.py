@@ -85,7 +85,8 @@ def lossy_lqg(
         0.1
     """
     price = number("price", price, 0.0, closed=True)
-    network = (network or Network()).without_bursts()
+    given = network or Network()
+    network = given.without_bursts()
     plant = _refuse_what_is_not_covered(plant, cost, network, reference)
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
@@ -111,7 +112,7 @@ def lossy_lqg(
         cost_all_time=cost_all_time,
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
-        network=network,
+        network=given,
         settling=float(settling),
         cost=cost,
         guarantee=Guarantee(

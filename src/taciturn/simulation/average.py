@@ -17,6 +17,7 @@ from taciturn.simulation.engine import prepare
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
 FEWEST_PATHS = 64  # where a slow loop makes every path long
+FEWEST_MISSIONS = 8
 BURN_IN = 512  # ticks, at least
 SETTLE = 12  # time constants of the loop that are dropped: e^-12 is left of the start
 KEEP = 8  # time constants, and mean intervals between sends, that are dropped and that are kept at least
@@ -91,7 +92,8 @@ def plain_average(loop: Loop) -> Estimator:
     problem, program = loop.problem, loop.program().keep({COST, *_rates(loop)}, states=final)
     if loop.horizon is None:
         return Estimator(program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
-    ticks = sum(problem.cost.discount**k for k in range(loop.horizon))
+    alpha = problem.cost.discount
+    ticks = loop.horizon if alpha == 1 else (1 - alpha**loop.horizon) / (1 - alpha)
     return Estimator(program, COST, problem.noise_cost * ticks, 1.0)
 
 
@@ -235,7 +237,12 @@ class _Sampling:
 
     def missions(self, horizon: int, target: Callable[[Estimate], float], steps: int | None) -> Averages:
         budget = steps or BUDGET
-        paths = min(PATHS, max(8, budget // horizon))
+        if FEWEST_MISSIONS * horizon > budget:
+            raise ProblemError(
+                f"a mission has {horizon} ticks, and {budget} steps are for fewer than {FEWEST_MISSIONS} of them; "
+                "expected more steps, a shorter horizon, or a discount further from 1"
+            )
+        paths = min(PATHS, budget // horizon)
         moments = [_Moments() for _ in self.names]
         terminal = self.loop.problem.cost.terminal
         program = self.estimator.program

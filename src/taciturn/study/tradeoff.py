@@ -143,6 +143,9 @@ def tradeoff(
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
         changed.design()  # a mistake in the last cell is told before the first one runs
+    units = {(changed.cost.horizon is None and changed.cost.discount == 1) for changed in problems}
+    if len(units) > 1:
+        raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
     points: list[Point] = []
     for index, (cell, changed) in enumerate(zip(grid, problems, strict=True)):
 
