@@ -10,6 +10,7 @@ from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.lossy import (
     Channel,
     LossyRegulator,
@@ -148,13 +149,7 @@ def _refuse_what_is_not_covered(
         raise ProblemError(f"network.delay is {network.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None and cost.horizon is None:
         raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
-    n, m = cost.N.shape
-    if (n, m) != (plant.states, plant.inputs):
-        raise ProblemError(
-            f"Q is {(n, n)} and R is {(m, m)}; expected {(plant.states,) * 2} and {(plant.inputs,) * 2} = the states "
-            "and inputs of the plant"
-        )
-    return plant
+    return discretise(plant, cost, None).plant
 
 
 def _cost_all_time(plant: Plant, gains: LossyRegulator, channel: Channel, reference: Reference | None) -> float:

@@ -98,7 +98,7 @@ def remote_lqg(
         >>> remote_lqg(plant, Cost([[1.0]], [[2.0]]), theta=0.2, zeta=1.5).schedule.period
         3
     """
-    choice("controller", controller, ("remote", "actuator", "sensor"))
+    choice("controller", controller, LINKS)
     theta = _parameter("theta", theta, controller, "actuator")
     zeta = _parameter("zeta", zeta, controller, "sensor")
     problem = discretise(plant, cost, period)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn._figure import Panel, Series, draw
-from taciturn.errors import ProblemError
+from taciturn._table import data_frame
 
 if TYPE_CHECKING:
     import pandas
@@ -95,12 +95,6 @@ class Schedule:
         Raises:
             ProblemError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise ProblemError(
-                "pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'"
-            ) from None
         columns: dict[str, object] = {"value": self.value, "query": self.queries}
         columns |= {f"variance{i + 1}": self.covariance[:, i, i] for i in range(self.covariance.shape[1])}
-        return pandas.DataFrame(columns, index=pandas.RangeIndex(len(self.queries), name="tick"))
+        return data_frame(columns, "tick", range(len(self.queries)))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, count
 from taciturn._figure import Panel, Series, draw
-from taciturn.errors import ProblemError
+from taciturn._table import data_frame
 from taciturn.loop import SENT, Loop
 from taciturn.simulation.engine import prepare
 
@@ -73,19 +73,13 @@ class Trajectory:
         Raises:
             ProblemError: pandas is not installed.
         """
-        try:
-            import pandas
-        except ImportError:
-            raise ProblemError(
-                "pandas is not installed; expected it for to_pandas: pip install 'taciturn[pandas]'"
-            ) from None
         columns: dict[str, object] = {}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
         if self.trigger_value.size:
             columns |= {"trigger": self.trigger_value, "threshold": self.threshold}
         columns |= {f"sent_{link}": sent for link, sent in self.sends.items()}
-        return pandas.DataFrame(columns, index=pandas.Index(self.time, name="time"))
+        return data_frame(columns, "time", self.time)
 
 
 def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
