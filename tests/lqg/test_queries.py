@@ -1,121 +1,17 @@
-"""The value of a query against its definition in sixty digits, and the schedules it leads to."""
+"""Schedules of queries: what they cost, when they query, how they repeat, and what is refused."""
 
 from __future__ import annotations
 
 import json
-from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
 from taciturn import Cost, Plant, Schedule, UnstableError, design
-from taciturn._modes import radius
 from taciturn.lqg import queries
-from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.queries import Predictor, Weights, follow_every_query, query_value, schedule_queries
-
-SEEDS = st.integers(0, 2**32 - 1)
-
-
-def semidefinite(rng: np.random.Generator, size: int, rank: int | None = None) -> np.ndarray:
-    """Return a random covariance without rounding errors: one of less than full rank is so exactly."""
-    root = np.round(16 * rng.normal(size=(size, size if rank is None else rank))) / 32
-    return root @ root.T
-
-
-def random_plant(seed: int, kind: str = "output", largest: int = 3) -> Plant:
-    """Return a plant whose steady filter forgets within a few dozen ticks; the noises of its outputs are separate."""
-    rng = np.random.default_rng(seed)
-    n = int(rng.integers(1, largest + 1))
-    m, p = int(rng.integers(1, n + 1)), int(rng.integers(1, n + 1))
-    A, B, C = rng.normal(size=(n, n)), rng.normal(size=(n, m)), rng.normal(size=(p, n))
-    A *= rng.uniform(0.3, 1.2) / radius(A)
-    for block in (np.vstack([A, C]), np.hstack([A, B]).T):
-        slow = [value for value in np.linalg.eigvals(A) if abs(value) > 0.9]
-        M, rest = block[:n], block[n:]
-        assume(all(np.linalg.svd(np.vstack([M - s * np.eye(n), rest]))[1][n - 1] > 0.2 for s in slow))
-    start = {"mean": rng.normal(size=n), "covariance": semidefinite(rng, n, int(rng.integers(0, n + 1)))}
-    if kind == "full state":
-        return Plant(A, B, semidefinite(rng, n, int(rng.integers(1, n + 1))), **start)
-    W = semidefinite(rng, n, int(rng.integers(0, n)) if kind == "singular W" else None)
-    V = np.diag(rng.uniform(0.05, 1, p))
-    if kind == "some outputs without noise":
-        V = V * (rng.random(p) < 0.5)
-    plant = Plant(A, B, W, C, V, **start)
-    try:
-        found = steady_filter(A, C, W, V)
-    except UnstableError:
-        assume(False)
-    assume(radius(A - A @ found.gain @ C) < (0.75 if kind == "some outputs without noise" else 0.9))
-    return plant
-
-
-def digits(matrix) -> np.ndarray:
-    """Return the entries with as many digits as are asked."""
-    return np.vectorize(Decimal, otypes=[object])(np.asarray(matrix, dtype=float))
-
-
-def sixty_digits(plant: Plant, Sigma, P, discount: float = 1.0, terms: int | None = None) -> float:
-    """Return Σ_s α^{s+1} tr(P_s (Ric^s(AΣA' + W) − Ric^{s+1}(Σ))), subtracting what was iterated, as it is written.
-
-    Outputs are taken one after the other, which is the same where their noises are separate. Rounding errors of what is
-    known exactly grow from tick to tick, so noise-free outputs take more digits.
-    """
-    size, usual = (60, 300) if (np.diag(plant.V) > 0).all() else (600, 80)
-    A, C, W = (digits(getattr(plant, name)) for name in "ACW")
-    noise, alpha = digits(np.diag(plant.V)), Decimal(discount)
-
-    def silent(X):
-        return A @ X @ A.T + W
-
-    def queried(X):
-        for row, variance in zip(C, noise, strict=True):
-            seen = X @ row
-            spread = row @ seen + variance
-            X = X - np.outer(seen, seen) / spread if spread > Decimal(10) ** (-size // 2) else X
-        return silent(X)
-
-    with localcontext() as context:
-        context.prec = size
-        Sigma, total = digits(Sigma), Decimal(0)
-        late, early = silent(Sigma), queried(Sigma)
-        for s in range((terms or usual) if np.ndim(P) == 2 else len(P)):
-            weight = digits(P if np.ndim(P) == 2 else P[s])
-            total += alpha ** (s + 1) * np.sum(weight * (late - early))
-            late, early = queried(late), queried(early)
-        return float(total)
-
-
-KINDS = ["output", "full state", "singular W", "some outputs without noise"]
-
-
-@pytest.mark.parametrize("discount", [1.0, 0.7])
-@pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8, deadline=None)
-@given(seed=SEEDS)
-def test_the_value_of_a_query_is_the_sum_of_what_every_later_error_costs_less(kind, discount, seed):
-    """Average and discount, errors and weights of any rank, against sixty digits of plain subtraction."""
-    plant = random_plant(seed, kind)
-    rng, n = np.random.default_rng(seed + 1), plant.states
-    Sigma, P = (semidefinite(rng, n, int(rng.integers(1, n + 1))) for _ in range(2))
-    found = query_value(Predictor(plant), Sigma, Weights(P, discount))
-    assert found == pytest.approx(sixty_digits(plant, Sigma, P, discount), rel=1e-9, abs=1e-13 * np.trace(P))
-    assert found >= 0
-
-
-@pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8, deadline=None)
-@given(seed=SEEDS)
-def test_of_a_mission_only_the_errors_until_its_end_count(kind, seed):
-    """At tick k the weights of k + 1 … N − 1 are summed, each with its own error; the last query is worth nothing."""
-    plant = random_plant(seed, kind)
-    rng, n = np.random.default_rng(seed + 1), plant.states
-    Sigma, P = semidefinite(rng, n), np.array([semidefinite(rng, n) for _ in range(9)])
-    for tick in (0, 4, 7, 8):
-        plain = sixty_digits(plant, Sigma, P[tick + 1 :]) if tick < 8 else 0.0
-        assert query_value(Predictor(plant), Sigma, Weights(P), tick) == pytest.approx(plain, rel=1e-9, abs=1e-12)
+from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
 
 
 def with_cross_term(plant: Plant, seed: int, **time) -> Cost:
@@ -138,7 +34,6 @@ def optimal(plant: Plant, cost: Cost, steps: int) -> tuple[list[np.ndarray], lis
     return gains, prices
 
 
-TIMES = [{}, {"discount": 0.8}, {"discount": 0.5}, {"horizon": 1}, {"horizon": 17}]
 times = pytest.mark.parametrize("time", TIMES, ids=str)
 
 
@@ -206,33 +101,6 @@ def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, s
     assert policy.identity.constant == pytest.approx(found, rel=1e-10)
 
 
-@pytest.mark.parametrize(
-    "A", [np.array([[0.99]]), np.diag([0.99, 0.985]), np.array([[0.99, 1.0], [0.0, 0.99]])], ids=str
-)
-def test_the_tail_of_a_slow_filter_is_summed_at_once(monkeypatch, A):
-    """An error that fades by 1 % a tick: the rest of the sum is one Lyapunov equation, and agrees with every term."""
-    called = []
-    monkeypatch.setattr(queries, "summed", lambda F, W, summed=queries.summed: called.append(1) or summed(F, W))
-    n = len(A)
-    plant = Plant(A, np.eye(n), 1e-6 * np.eye(n), np.eye(1, n) + np.eye(1, n, n - 1), [[10.0]])
-    steady = steady_filter(A, plant.C, plant.W, plant.V)
-    assert 0.98 < radius(A - A @ steady.gain @ plant.C) < 1
-    value = query_value(Predictor(plant), 1.01 * steady.prior, Weights(np.eye(n)))
-    assert value == pytest.approx(sixty_digits(plant, 1.01 * steady.prior, np.eye(n), terms=2500), rel=1e-9)
-    assert called
-
-
-@settings(max_examples=60, deadline=None)
-@given(seed=SEEDS, discount=st.sampled_from([1.0, 0.6]))
-def test_a_state_that_is_read_exactly_is_worth_the_error_it_ends(seed, discount):
-    """C = I and V = 0: h(Σ) = α tr(PAΣA'), whatever the ranks of noise, error and weight."""
-    plant, rng = random_plant(seed, "full state", 4), np.random.default_rng(seed + 1)
-    n = plant.states
-    Sigma, P = (semidefinite(rng, n, int(rng.integers(1, n + 1))) for _ in range(2))
-    worth = discount * np.trace(P @ plant.A @ Sigma @ plant.A.T)
-    assert query_value(Predictor(plant), Sigma, Weights(P, discount)) == pytest.approx(worth, rel=1e-9, abs=1e-12)
-
-
 def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:
     """A double integrator that is measured exactly: its position is known in advance, and still has to be followed."""
     plant = Plant([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], np.diag([0.0, 0.01]))
@@ -240,28 +108,6 @@ def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:
         policy = design.remote_lqg(plant, Cost(np.eye(2), [[1.0]]), theta=0.1, zeta=zeta)
         assert policy.schedule.rate == pytest.approx(rate)
         assert 1 <= policy.settling < 100
-
-
-def test_a_query_that_tells_nothing_is_worth_nothing() -> None:
-    """Where the output shows nothing, where nothing is uncertain, and where no error costs anything."""
-    blind = Plant(np.diag([0.5, 0.9]), np.eye(2), np.eye(2), np.zeros((1, 2)), [[1.0]])
-    seen = Plant(np.diag([0.5, 1.1]), np.eye(2), np.eye(2), [[1.0, 1.0]], [[1.0]])
-    for plant, Sigma, P in (
-        (blind, np.eye(2), np.eye(2)),
-        (seen, np.zeros((2, 2)), np.eye(2)),
-        (seen, np.eye(2), np.zeros((2, 2))),
-    ):
-        for weights in (Weights(P), Weights(P, 0.5), Weights(np.array([P] * 5))):
-            assert query_value(Predictor(plant), Sigma, weights) == 0.0
-
-
-def follow(plant: Plant, Sigma: np.ndarray, query: bool) -> np.ndarray:
-    """Return the next covariance, by the formula."""
-    following = plant.A @ Sigma @ plant.A.T + plant.W
-    if query:
-        cross = plant.A @ Sigma @ plant.C.T
-        following = following - cross @ np.linalg.solve(plant.C @ Sigma @ plant.C.T + plant.V, cross.T)
-    return (following + following.T) / 2
 
 
 @pytest.mark.parametrize("time", [{}, {"discount": 0.8}, {"horizon": 30}], ids=str)
@@ -279,11 +125,12 @@ def test_a_schedule_queries_where_it_is_worth_its_price_and_repeats_for_ever(tim
     assert schedule.price == price
     prices = optimal(plant, cost, cost.horizon or 400)[1]
     weights = Weights(prices[0], cost.discount) if cost.horizon is None else Weights(np.array(prices))
+    worth = QueryValue(predictor, weights)
     Sigma, here = schedule.covariance[0], 0
     if time:
         assert np.array_equal(Sigma, plant.covariance)
     for tick in range(len(schedule.queries) + 5 * (schedule.period or 0)):
-        value = query_value(predictor, Sigma, weights, tick)
+        value = worth(Sigma, tick)
         assert schedule.value[here] == pytest.approx(value, rel=1e-6, abs=1e-9)
         assert schedule.covariance[here] == pytest.approx(Sigma, rel=1e-8, abs=1e-9 * np.abs(Sigma).max())
         assert schedule.queries[here] == (value > price) or abs(value - price) < 1e-7 * price

@@ -12,6 +12,7 @@ from taciturn._arrays import Array, frozen, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._flow import flow
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
@@ -20,7 +21,7 @@ NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
 LONGEST = 100_000  # ticks within which a schedule must repeat
-BATCH = 64  # values of queries that are summed at once
+APART = 1e-6  # distance from the unit circle that computed eigenvalues of a double one can have
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,65 +107,82 @@ class Predictor:
         return following
 
 
-def query_value(predictor: Predictor, Sigma: Array, weights: Weights, tick: int = 0) -> float:
-    """Return h(Σ): what a query now saves of the optimal cost-to-go if the sensor is queried at every later tick.
+class QueryValue:
+    """h(Σ): what a query now saves of the optimal cost-to-go if the sensor is queried at every later tick.
 
-    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). The differences are never subtracted: they
-    obey D_{s+1} = F(X_s) D_s F(Y_s)' with F(X) = A − AXC'(CXC' + V)^{-1}C, X_s and Y_s the two covariances. Once these
-    have converged the rest is the solution of a Lyapunov equation. Of a finite horizon, P is P_{tick+1+s} and the sum
-    ends with it.
+    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). Of a finite horizon, P is P_{tick+1+s} and
+    the sum ends with it. Nothing is subtracted: the first difference is G(CΣC' + V)G' with the gain G of Σ, and the
+    others follow in closed form, of which all that does not depend on Σ is computed once. Where V is singular, or the
+    steady covariance does not attract Σ, they are followed tick by tick: D_{s+1} = F(X_s) D_s F(Y_s)' with
+    F(X) = A − AXC'(CXC' + V)^{-1}C and X_s and Y_s the two covariances.
 
     Args:
         predictor: the filter.
-        Sigma: covariance of the predicted estimate, (n, n).
         weights: of the estimation error.
-        tick: of a finite horizon.
-
-    Returns:
-        h(Σ) ≥ 0.
-
-    Raises:
-        UnstableError: the sum does not converge: a difference that no later query removes.
 
     Source: khashooei2017
     """
-    return float(_query_values(predictor, Sigma[None], weights, tick)[0])
 
+    def __init__(self, predictor: Predictor, weights: Weights) -> None:
+        """Compute what is the same for all covariances."""
+        self._predictor, self._weights = predictor, weights
+        self._flow = flow(predictor.plant, weights.discount, weights.horizon)
+        if self._flow is not None and weights.horizon is None:
+            self._weighed = self._flow.weighed(weights.P, weights.discount)
 
-def _query_values(predictor: Predictor, Sigma: Array, weights: Weights, tick: int) -> Array:
-    """Return h of the covariances of ticks that follow one another, (ticks, n, n), all sums at once."""
-    A, C = predictor.plant.A, predictor.plant.C
-    gain = predictor.gain(Sigma)
-    both = np.stack([predictor.silent(Sigma), predictor.queried(Sigma, gain)])  # X and Y
-    D = gain @ C @ Sigma @ A.T
-    alpha, total, factor = weights.discount, np.zeros(len(Sigma)), weights.discount
-    horizon, n = weights.horizon, len(A)
-    prices = weights.P[None] if horizon is None else np.concatenate([weights.P, np.zeros((1, n, n))])
-    largest = float(np.trace(prices, axis1=-2, axis2=-1).max())
-    now = tick + 1 + np.arange(len(Sigma))
-    for s in range(LONGEST if horizon is None else horizon - tick):
-        P = prices[0] if horizon is None else prices[np.minimum(now + s, horizon)]
-        total += factor * (P * D).sum(axis=(1, 2))
-        gains = predictor.gain(both)
-        F, G = A - gains @ C
-        D = symmetrised(F @ D @ G.swapaxes(-1, -2))
-        factor *= alpha
-        if (factor * np.abs(D).max(axis=(1, 2)) * largest <= NEGLIGIBLE * total).all():
+    def __call__(self, Sigma: Array, tick: int = 0) -> float:
+        """Return h ≥ 0.
+
+        Args:
+            Sigma: covariance of the predicted estimate, (n, n).
+            tick: of a finite horizon.
+
+        Raises:
+            UnstableError: the sum does not converge: a difference that no later query removes.
+        """
+        plant, flow = self._predictor.plant, self._flow
+        gain = self._predictor.gain(Sigma)
+        X, Y = self._predictor.silent(Sigma), self._predictor.queried(Sigma, gain)
+        if flow is None or not flow.attracts(np.stack([X, Y])):
+            return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
+        ahead = self._weights.horizon is not None
+        weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
+        left, right = (flow.faded(part, gain, len(weighed)) for part in (X, Y))
+        return float((weighed @ left @ (plant.C @ Sigma @ plant.C.T + plant.V) * right).sum())
+
+    def _follow(self, both: Array, D: Array, tick: int) -> float:
+        """Return h from X, Y and X − Y on, tick by tick."""
+        predictor, alpha, horizon = self._predictor, self._weights.discount, self._weights.horizon
+        A, C = predictor.plant.A, predictor.plant.C
+        prices = self._weights.P[None] if horizon is None else self._weights.P[tick + 1 :]
+        largest = float(np.trace(prices, axis1=-2, axis2=-1).max(initial=0.0))
+        total, factor = 0.0, alpha
+        for s in range(LONGEST if horizon is None else len(prices)):
+            P = prices[0 if horizon is None else s]
+            total += factor * float((P * D).sum())
+            gains = predictor.gain(both)
+            F, G = A - gains @ C
+            D = symmetrised(F @ D @ G.T)
+            factor *= alpha
+            if factor * np.abs(D).max() * largest <= NEGLIGIBLE * total:
+                return total
+            before, both = both, predictor.queried(both, gains)
+            if horizon is not None or s % 8 < 7:  # the test costs as much as a term
+                continue
+            if max(float(predictor.change(*pair)) for pair in zip(before, both, strict=True)) > CONVERGED:
+                continue
+            if np.abs(F - G).max() <= CONVERGED * max(1.0, float(np.abs(F).max())):
+                shrinking = np.sqrt(alpha) * F
+                if radius(shrinking) < 1:
+                    return total + factor * float((P * summed(shrinking, D)).sum())
+            elif alpha * radius(F) * radius(G) >= 1 - APART:  # both stay where they are, and apart
+                break
+        if horizon is not None:
             return total
-        before, both = both, predictor.queried(both, gains)
-        if horizon is not None or s % 8 < 7:  # the test costs as much as a term
-            continue
-        if max(predictor.change(*pair).max() for pair in zip(before[:, -1:], both[:, -1], strict=True)) <= CONVERGED:
-            shrinking = np.sqrt(alpha) * F[-1]
-            others = max(float(np.abs(part - F[-1]).max()) for part in (F, G)) <= CONVERGED * max(1.0, np.abs(F).max())
-            if others and radius(shrinking) < 1:
-                return total + factor * np.array([np.sum(P * summed(shrinking, part)) for part in D])
-    if horizon is not None:
-        return total
-    raise UnstableError(
-        "the value of a query is not finite: an error that no later query removes; expected a detectable plant whose "
-        "noise reaches every mode on the unit circle, or a discount"
-    )
+        raise UnstableError(
+            "the value of a query is not finite: an error that no later query removes; expected a detectable plant, "
+            "noise W on every mode on the unit circle or beyond it and noise V on every output, or a discount"
+        )
 
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
@@ -185,23 +203,13 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     Source: khashooei2017
     """
     predictor, horizon = Predictor(plant), weights.horizon
-    covariance, value = [initial], list[float]()
-    last, batch = horizon or LONGEST, 1
-    while len(value) < last:
-        # The covariances of a silence are known before the values that may end it: many sums at once are faster.
-        silence = [covariance[-1]]
-        while len(silence) < min(batch, last - len(value)):
-            silence.append(predictor.follow(silence[-1], False))
-        batch = min(2 * batch, BATCH)
-        for Sigma, found in zip(silence, _query_values(predictor, np.array(silence), weights, len(value)), strict=True):
-            value.append(float(found))
-            covariance.append(predictor.follow(Sigma, value[-1] > price))
-            cycle = None if horizon is not None else _cycle(predictor, covariance)
-            if cycle is not None:
-                return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0])
-            if value[-1] > price:
-                batch = 1
-                break
+    worth, covariance, value = QueryValue(predictor, weights), [initial], list[float]()
+    for tick in range(horizon or LONGEST):
+        value.append(worth(covariance[-1], tick))
+        covariance.append(predictor.follow(covariance[-1], value[-1] > price))
+        cycle = None if horizon is not None else _cycle(predictor, covariance)
+        if cycle is not None:
+            return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0])
     if horizon is None:
         raise UnstableError(
             f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; "
