@@ -40,20 +40,21 @@ class Panel:
 
 
 def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
-    """Return a figure of panels under one another."""
+    """Return a figure of panels under one another, over one axis unless more than the last name their own."""
     from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
 
     figure: Any = Figure(figsize=(width, height), layout="constrained")
-    axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=len(panels) > 1)
+    shared = not any(panel.xlabel for panel in panels[:-1])
+    axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=shared)
     for axis, panel in zip(axes[:, 0], panels, strict=True):
         for series in panel.series:
             _plot(axis, series)
+        axis.set_xlabel(panel.xlabel)
         axis.set_ylabel(panel.ylabel)
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
-    axes[-1, 0].set_xlabel(panels[-1].xlabel)
     return figure
 
 

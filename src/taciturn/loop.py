@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, count
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -132,6 +132,33 @@ class Loop:
                 rows.append(np.full(paths, state.start))
         return np.array(rows).reshape(len(rows), paths)
 
+    def final_cost(self, program: Program, states: Array) -> Array | None:
+        """Return what the final state of each path costs, (paths,); None where the cost has no terminal weight.
+
+        Args:
+            program: one that keeps the state ``x``.
+            states: its states after the last tick, (states, paths).
+        """
+        terminal, tracking = self.problem.cost.terminal, self.policy.tracking
+        if terminal is None:
+            return None
+        x = np.array([row for row, state in zip(states, program.states, strict=True) if state.name == "x"])
+        x -= 0.0 if tracking is None else tracking.final[:, None]
+        return np.einsum("ip,ij,jp->p", x, terminal, x)
+
+    def ticks(self, ticks: object) -> int:
+        """Return a number of ticks to run, at least 1 and not beyond the end of a mission.
+
+        Raises:
+            ProblemError: it is not.
+        """
+        wanted, horizon = count("ticks", ticks), self.problem.cost.horizon
+        if horizon is not None and wanted > horizon:
+            raise ProblemError(
+                f"ticks is {wanted}, and the mission ends after {horizon}; expected at most {horizon}, its horizon"
+            )
+        return wanted
+
     def _tick(self, extra: Mapping[str, int]) -> Tick:
         policy, plant = self.policy, self.problem.plant
         sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1, **{_bad(link): 1 for link in ENDS}}
@@ -183,12 +210,13 @@ class Loop:
         identity = self.policy.identity
         if identity is not None and self.nominal:
             sums[EXCESS] = tick.pick(identity.on, [tick.form(form) for form in identity.forms])
+        sums |= {f"{SENT} {link}": tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
         discount = self.problem.cost.discount
         if discount < 1:
             (weight,) = tick.read(WEIGHT)
             tick.signals[WEIGHT] = [tick.builder.scale(discount, weight)]
             sums = {name: tick.builder.emit("mul", weight, value) for name, value in sums.items()}
-        return sums | {f"{SENT} {link}": tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
+        return sums
 
     def _outputs(self, tick: Tick, more: tuple[str, ...]) -> dict[str, int]:
         shown = [*more, *(name for name in ("y", "estimate", "applied") if name in tick.signals)]

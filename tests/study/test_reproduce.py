@@ -199,23 +199,28 @@ def test_the_course_of_all_time_control_is_its_exact_transient() -> None:
 
 
 def test_the_course_of_a_mission_sums_to_its_cost() -> None:
-    """But for the final state's; the sends average to the rates, the queries are the schedule's."""
+    """The final state's included; the sends average to the rates, the queries are the schedule's; no tick follows."""
     problem = taciturn.load("rover")
     policy = problem.design()
-    unfinished = taciturn.Cost(problem.cost.Q, problem.cost.R, horizon=60, terminal=[[0.0]])
-    loop = taciturn.close(problem.plant, policy, cost=unfinished)
+    dear = taciturn.Cost(problem.cost.Q, problem.cost.R, horizon=60, terminal=[[20_000.0]])
+    loop = taciturn.close(problem.plant, policy, cost=dear)
     whole = taciturn.average(loop, seed=1, standard_error=0.01)
     found = course(loop, 60, paths=20_000, seed=2)
-    error = float(found.standard_error.sum())  # at most: the ticks of a path are correlated
-    assert abs(found.cost.sum() - whole.cost.value) <= 3 * error + 4 * whole.cost.standard_error
-    assert error < 0.002 * whole.cost.value
+    assert found.final is not None
+    error = float(found.standard_error.sum()) + found.final.standard_error  # at most: the ticks are correlated
+    assert abs(found.cost.sum() + found.final.value - whole.cost.value) <= 3 * error + 4 * whole.cost.standard_error
+    assert 10 * error < found.final.value < whole.cost.value
     assert policy.schedule is not None
     assert (found.sends["sensor"] == policy.schedule.queries).all()
     assert found.sends["actuator"].mean() == pytest.approx(whole.rates["actuator"].value, abs=5e-4)
+    assert course(loop, 59, paths=2).final is None
+    for run in (course, taciturn.simulate):
+        with pytest.raises(taciturn.ProblemError, match=r"ticks is 61, and the mission ends after 60; .*at most 60"):
+            run(loop, 61)
 
 
 def test_the_course_of_a_discount_carries_its_weights() -> None:
-    """Sending everything, it sums to the discounted cost."""
+    """Sending everything, it sums to the discounted cost; a send counts as one, however late."""
     plant = taciturn.Plant([[1.1]], [[1.0]], [[0.1]], [[1.0]], [[0.2]], mean=[2.0])
     cost = taciturn.Cost([[1.0]], [[1.0]], discount=0.8)
     loop = taciturn.close(plant, taciturn.design.remote_lqg(plant, cost, theta=0.0, zeta=0.0))
@@ -223,6 +228,7 @@ def test_the_course_of_a_discount_carries_its_weights() -> None:
     error = float(found.standard_error.sum())  # at most: the ticks of a path are correlated
     assert abs(found.cost.sum() - loop.policy.cost_all_time) <= 3 * error
     assert error < 0.02 * loop.policy.cost_all_time
+    assert (found.sends["actuator"] == 1).all()
 
 
 def test_the_course_of_a_sampled_plant_settles_at_its_cost_per_second() -> None:

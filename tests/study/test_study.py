@@ -125,6 +125,31 @@ def test_averages_and_missions_are_not_traded_off_in_one_table() -> None:
         taciturn.tradeoff(problem, {"cost.discount": [1.0, 0.9]})
 
 
+def test_a_picture_shows_the_rate_of_every_link() -> None:
+    """Two scheduled links, two panels with their own axes; the points of each lie at the rates of its link."""
+    problem = taciturn.load("remote-scalar").changed({"zeta": 1.65})
+    found = taciturn.tradeoff(problem, {"theta": [0.1, 1.0]}, standard_error=0.05)
+    panels = found.plot().axes
+    for axis, link in zip(panels, ("actuator", "sensor"), strict=True):
+        assert axis.get_xlabel() == f"sends of the {link} link per step"
+        rates = sorted(point.evaluation.rates[link].value for point in found.points)
+        assert sorted(axis.containers[0].lines[0].get_xdata()) == rates
+    assert not panels[0].get_shared_x_axes().joined(*panels)
+
+
+def test_a_discounted_rate_weighs_each_send_as_its_cost() -> None:
+    """(1−α)Σα^kσ_k, exactly from the schedule and by simulation: queries at the ticks 2, 4, 6, …."""
+    plant = taciturn.Plant([[2.0]], [[1.0]], [[0.01]], [[3.0]], [[0.02]], mean=[1.0])
+    cost = taciturn.Cost([[1.0]], [[2.0]], discount=0.8)
+    problem = taciturn.Problem(plant, cost, taciturn.Network(), "remote-lqg", {"theta": 0.2, "zeta": 1.6})
+    found = taciturn.evaluate(problem, standard_error=0.01)
+    assert found.schedule is not None
+    assert found.schedule.ticks[:4] == [2, 4, 6, 8]
+    assert found.rates["sensor"].value == pytest.approx(0.2 * 0.64 / (1 - 0.64), rel=1e-12)
+    simulated = taciturn.average(problem.close(problem.design()), standard_error=0.01)
+    assert simulated.rates["sensor"].value == pytest.approx(found.rates["sensor"].value, rel=1e-10)
+
+
 def test_a_discount_too_near_to_1_for_its_paths_is_told() -> None:
     """Not run for ever: a path would be longer than all steps together."""
     problem = taciturn.load("remote-scalar").changed({"cost.discount": 0.99999999})

@@ -99,7 +99,8 @@ def lossy_lqg(
     else:
         assert cost.terminal is not None
         gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
-        reference = None if reference is None else reference.of(plant, cost.horizon)
+        if reference is not None:
+            reference.check(plant, cost.horizon)
         if radius(plant.A) > 1 and slowest_growth(plant.A, plant.B, channel)[0] >= 1:
             notes = (f"{loss_sentence(plant.A, plant.B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon

@@ -56,18 +56,18 @@ class Flow:
             discount: α.
         """
         powers = self.powers if P.ndim == 2 else self.powers[: len(P)]
-        factors = discount ** np.arange(1, len(powers) + 2)[:, None, None]
-        weights = factors[:-1] * (powers.swapaxes(-1, -2) @ (P if P.ndim == 2 else P[: len(powers)]) @ powers)
+        factors: Array = np.power(discount, np.arange(1.0, len(powers) + 2))[:, None, None]
+        each: Array = factors[:-1] * (powers.swapaxes(-1, -2) @ (P if P.ndim == 2 else P[: len(powers)]) @ powers)
         if P.ndim == 3:
-            return weights
+            return each
         last = powers[-1] @ self.step
         rest = summed(np.sqrt(discount) * self.step.T, symmetrised(last.T @ P @ last))
-        return np.concatenate([weights, factors[-1:] * rest])
+        return np.concatenate([each, factors[-1:] * rest])
 
     def faded(self, covariance: Array, parts: Array, ticks: int) -> Array:
         """Return (I + (X − Σ̄)O_s)^{-1} parts for so many s, (ticks, n, columns)."""
         off = np.eye(len(self.unit)) + (covariance - self.steady) @ self.observed[:ticks]
-        return np.linalg.solve(off, np.broadcast_to(parts, (ticks, *parts.shape)))
+        return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (ticks, *parts.shape))), dtype=np.float64)
 
 
 def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:

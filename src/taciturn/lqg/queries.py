@@ -209,13 +209,13 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
         covariance.append(predictor.follow(covariance[-1], value[-1] > price))
         cycle = None if horizon is not None else _cycle(predictor, covariance)
         if cycle is not None:
-            return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0])
+            return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
     if horizon is None:
         raise UnstableError(
             f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; "
             "expected another zeta, or a horizon"
         )
-    return _schedule(plant, covariance[:-1], value, price, None)
+    return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
 
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
@@ -249,11 +249,11 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
 
 
 def _schedule(
-    plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None
+    plant: Plant, covariance: Sequence[Array], value: Sequence[float], price: float, start: int | None, discount: float
 ) -> Schedule:
     values = frozen(np.array(value))
-    found = Schedule(values > price, values, frozen(np.array(covariance)), price, start)
-    if start is not None and not found.rate and radius(plant.A) >= 1:
+    found = Schedule(values > price, values, frozen(np.array(covariance)), price, start, discount)
+    if start is not None and not found.queries[start:].any() and radius(plant.A) >= 1:
         raise UnstableError(
             f"with zeta = {price:g} the sensor is never queried, and the plant is unstable: nothing would tell where "
             "its state drifts; expected a smaller zeta, or noise W on the unstable modes"

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, frozen
+from taciturn._arrays import Array, ArrayLike, array
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Plant
 
-FOLLOWS = 1e-6  # of the largest state: how far a written reference may miss the plant's own steps
+FOLLOWS = 1e-9  # of the largest state: how far a written state may miss the one its step leads to
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,11 +34,11 @@ class Reference:
         shape, meaning = (len(self.inputs) + 1, None), "(steps + 1, states)"
         object.__setattr__(self, "states", array("reference.states", states, shape, meaning))
 
-    def of(self, plant: Plant, horizon: int) -> Reference:
-        """Return the reference as the plant's own motion: the inputs as they are, the states exactly those they cause.
+    def check(self, plant: Plant, horizon: int) -> None:
+        """Check that this is a motion of the plant over so many ticks: each step is the one that its input causes.
 
         Raises:
-            ProblemError: sizes or length differ, or the states are not those that the inputs cause.
+            ProblemError: sizes or length differ, or a state is not the one that the step before it leads to.
         """
         for name, found, wanted in (
             ("inputs", self.inputs.shape, (horizon, plant.inputs)),
@@ -48,17 +48,15 @@ class Reference:
                 raise ProblemError(
                     f"reference.{name} has shape {found}; expected {wanted}: the horizon and the sizes of the plant"
                 )
-        exact = [self.states[0]]
-        for feedforward in self.inputs:
-            exact.append(plant.A @ exact[-1] + plant.B @ feedforward)
-        miss = np.abs(np.array(exact) - self.states).max(axis=1)
-        worst = int(np.argmax(miss))
-        if not miss[worst] <= FOLLOWS * max(float(np.abs(self.states).max()), 1e-300):
+        caused, pushes = self.states[:-1] @ plant.A.T, self.inputs @ plant.B.T
+        miss = np.abs(caused + pushes - self.states[1:]).max(axis=1)
+        allowed = FOLLOWS * max(float(np.abs(part).max()) for part in (self.states, caused, pushes))
+        if (miss > allowed).any():
+            step = int(np.argmax(miss > allowed))
             raise ProblemError(
-                f"reference.states misses by {miss[worst]:.3g} at step {worst} what reference.inputs cause; "
-                "expected states with r⁺ = A r + B f: compute the inputs from the states, or the states from the inputs"
+                f"reference.states misses by {miss[step]:.3g} at step {step + 1} what step {step} and its input cause; "
+                f"expected r⁺ = A r + B f within {allowed:.3g}: compute the states from the inputs with all digits"
             )
-        return Reference(frozen(np.array(exact)), self.inputs)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,6 +33,7 @@ class Schedule:
         covariance: Σ of the predicted estimate before the query, (ticks, n, n).
         price: ζ; the sensor is queried where value > price.
         start: first tick of the part that repeats, or None.
+        discount: α of a discounted sum, whose ticks count less the later they are.
     """
 
     queries: npt.NDArray[np.bool_]
@@ -40,6 +41,7 @@ class Schedule:
     covariance: Array
     price: float
     start: int | None
+    discount: float = 1.0
 
     @property
     def period(self) -> int | None:
@@ -48,8 +50,12 @@ class Schedule:
 
     @property
     def rate(self) -> float:
-        """Queries per tick: of the part that repeats, or of the whole horizon."""
-        return float(self.queries[self.start or 0 :].mean())
+        """Queries per tick: of the part that repeats, of the whole horizon, or (1−α)Σα^k of a discounted sum."""
+        if self.discount == 1 or self.start is None:
+            return float(self.queries[self.start or 0 :].mean())
+        weights = self.discount ** np.arange(len(self.queries)) * self.queries
+        turns = 1 - self.discount ** (len(self.queries) - self.start)
+        return float((1 - self.discount) * (weights[: self.start].sum() + weights[self.start :].sum() / turns))
 
     @property
     def ticks(self) -> list[int]:
@@ -59,8 +65,8 @@ class Schedule:
     def repeating(self) -> Schedule:
         """Return the part that repeats, alone."""
         kept = slice(self.start or 0, None)
-        covariance = self.covariance[kept]
-        return Schedule(self.queries[kept], self.value[kept], covariance, self.price, None if self.start is None else 0)
+        start = None if self.start is None else 0
+        return Schedule(self.queries[kept], self.value[kept], self.covariance[kept], self.price, start, self.discount)
 
     def document(self) -> dict[str, Any]:
         """Return what JSON holds of it: queried ticks, length, where it repeats, and the value of each query."""

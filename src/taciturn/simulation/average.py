@@ -38,7 +38,7 @@ class Averages:
 
     Args:
         cost: per unit of time, or the total of a finite horizon.
-        rates: sends per tick (finite horizon or discount: mean fraction of the steps), by link.
+        rates: sends per tick (finite horizon: mean fraction of the steps; discount: (1−α)Σα^k of them), by link.
         steps: simulated steps of all paths together, burn-in included.
         burn_in: ticks dropped at the start of each path.
         reached: whether the asked standard error was met.
@@ -242,23 +242,21 @@ class _Sampling:
                 f"a mission has {horizon} ticks, and {budget} steps are for fewer than {FEWEST_MISSIONS} of them; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
-        paths = min(PATHS, budget // horizon)
+        paths, discount = min(PATHS, budget // horizon), self.loop.problem.cost.discount
+        share = 1 / horizon if discount == 1 else 1 - discount  # of a tick in a rate
         moments = [_Moments() for _ in self.names]
-        terminal = self.loop.problem.cost.terminal
         program = self.estimator.program
         while True:
             state = self.loop.start(program, paths, self.seed, first=self.steps // horizon)
             sums, state = self._advance(state, horizon)
-            if self.estimator.sum == COST and terminal is not None:
-                x = np.array([row for row, s in zip(state, program.states, strict=True) if s.name == "x"])
-                tracking = self.loop.policy.tracking
-                x -= 0.0 if tracking is None else tracking.final[:, None]
-                sums[0] += np.einsum("ip,ij,jp->p", x, terminal, x)
+            if self.estimator.sum == COST:
+                final = self.loop.final_cost(program, state)
+                sums[0] += 0.0 if final is None else final
             for moment, row in zip(moments, sums, strict=True):
                 moment.add(row)
             cost, *sent = [moment.mean() for moment in moments]
             cost = cost.scaled(self.estimator.scale, self.estimator.offset)
-            rates = {name.split()[1]: rate.scaled(1 / horizon) for name, rate in zip(self.names[1:], sent, strict=True)}
+            rates = {name.split()[1]: rate.scaled(share) for name, rate in zip(self.names[1:], sent, strict=True)}
             reached = steps is None and cost.standard_error <= target(cost)
             if reached or self.steps + paths * horizon > budget:
                 return Averages(cost, rates, self.steps, 0, reached or steps is not None)
@@ -308,7 +306,7 @@ class _Sampling:
     def _summary(self, kept: list[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         ticks = sum(length for length, _ in kept)
         means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
-        cost = _mean(means[0])
+        cost = mean(means[0])
         if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
             length, last = kept[-1]
             cost = Estimate(cost.value, abs(float(last[0].mean()) / length - cost.value), cost.method)
@@ -353,7 +351,8 @@ def _missing(measured: int, error: float, wanted: float) -> int:
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
 
 
-def _mean(values: Array) -> Estimate:
+def mean(values: Array) -> Estimate:
+    """Return the mean over independent paths, with its standard error."""
     moments = _Moments()
     moments.add(values)
     return moments.mean()
@@ -361,5 +360,5 @@ def _mean(values: Array) -> Estimate:
 
 def _rate(values: Array, seen: int) -> Estimate:
     """Return a mean rate; a send that never or always came in so many steps may still be as rare as one in them."""
-    found = _mean(values)
+    found = mean(values)
     return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)

@@ -9,6 +9,8 @@ import numpy as np
 
 from taciturn._arrays import Array, count
 from taciturn.loop import COST, SENT, Loop
+from taciturn.model.estimate import Estimate
+from taciturn.simulation.average import mean
 from taciturn.simulation.engine import prepare
 
 PATHS = 4096
@@ -19,13 +21,14 @@ class Course:
     """Mean stage cost and sends over time.
 
     An average cost is counted per unit of time, so that the stage cost settles at it. Of a finite horizon or a discount
-    each tick counts whole, with its weight: the stage costs, and the final state's, sum to the total.
+    each tick counts whole, with its weight: the stage costs and the final state's sum to the total.
 
     Args:
         time: in seconds, or ticks where the plant counts steps; (ticks,).
         cost: mean of x'Qx + û'Rû + 2x'Nû, (ticks,).
         standard_error: of the cost, (ticks,).
         sends: fraction of the paths that send, by link, (ticks,).
+        final: mean cost of the final state; None before the end of a mission, and where it costs nothing.
         paths: over which the means are taken.
     """
 
@@ -33,6 +36,7 @@ class Course:
     cost: Array
     standard_error: Array
     sends: Mapping[str, Array]
+    final: Estimate | None
     paths: int
 
 
@@ -41,7 +45,7 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
 
     Args:
         loop: the closed loop.
-        ticks: number of ticks, at least 1.
+        ticks: number of ticks, at least 1, and not beyond the end of a mission.
         paths: number of paths, at least 2.
         seed: of the draws.
 
@@ -57,22 +61,24 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
         >>> round(float(course(close(plant, design.all_time(plant, cost)), 20).cost[0]), 3)
         14.667
     """
-    ticks, paths, seed = count("ticks", ticks), count("paths", paths, 2), count("seed", seed, 0)
+    ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)
     names = [f"{SENT} {link}" for link in loop.policy.scheduled]
-    program = loop.program().keep({COST, *names})
+    program = loop.program().keep({COST}, {*names}, {"x"})
     run, states = prepare(program), loop.start(program, paths, seed)
-    means, errors = np.empty((ticks, 1 + len(names))), np.empty(ticks)
-    for tick in range(ticks):
+    cost, sends = list[Estimate](), list[list[float]]()
+    for _ in range(ticks):
         found = run(states, 1, None)
-        states, stage = found.states, found.sums[COST]
-        means[tick] = [found.sums[name].mean() for name in (COST, *names)]
-        errors[tick] = stage.std(ddof=1) / np.sqrt(paths)
+        states = found.states
+        cost.append(mean(found.sums[COST]))
+        sends.append([float(found.outputs[name].mean()) for name in names])
+    final = loop.final_cost(program, states) if ticks == loop.problem.cost.horizon else None
     problem, unit = loop.problem, 1.0 if loop.horizon is not None else loop.problem.tick
-    noise = problem.noise_cost * problem.cost.discount ** np.arange(ticks)
+    noise: Array = problem.noise_cost * np.power(problem.cost.discount, np.arange(float(ticks)))
     return Course(
         np.arange(ticks, dtype=np.float64) * (problem.plant.dt or 1.0),
-        (means[:, 0] + noise) / unit,
-        errors / unit,
-        dict(zip(loop.policy.scheduled, means[:, 1:].T, strict=True)),
+        (np.array([stage.value for stage in cost]) + noise) / unit,
+        np.array([stage.standard_error for stage in cost]) / unit,
+        dict(zip(loop.policy.scheduled, np.array(sends).T, strict=True)),
+        None if final is None else mean(final),
         paths,
     )

@@ -87,14 +87,14 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
 
     Args:
         loop: the closed loop.
-        ticks: number of ticks, at least 1.
+        ticks: number of ticks, at least 1, and not beyond the end of a mission.
         seed: of the draws.
 
     Returns:
         The trajectory.
 
     Raises:
-        ProblemError: ticks below 1.
+        ProblemError: ticks or seed out of range.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design
@@ -102,7 +102,7 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         >>> simulate(close(plant, design.lqg(plant, cost, theta=0.5), cost=cost), 50).state.shape
         (50, 1)
     """
-    ticks = count("ticks", ticks)
+    ticks = loop.ticks(ticks)
     count("seed", seed, 0)
     program = loop.program()
     program = program.keep(outputs=set(program.outputs))

@@ -27,7 +27,8 @@ class Evaluation:
         cost_all_time: exact cost of sending at every tick; None where the simulated plant is not the design's.
         cost_bound: proved bound, or None.
         cost_bound_at_rate: the sharper bound at the measured rate, or None.
-        rates: sends per step or per second, by scheduled link; of a mission the mean fraction of its steps.
+        rates: sends per step or per second, by scheduled link; of a mission the mean fraction of its steps,
+            those of a discounted sum weighed as their costs.
         seed: of the draws.
         seconds: wall time.
         steps: simulated steps; 0 where nothing was simulated.
@@ -131,7 +132,7 @@ def evaluate(
         found = average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
         if form is not None:  # a clock needs no estimate
             found = replace(found, rates={link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()})
-        elif policy.schedule is not None and problem.cost.discount == 1:
+        elif policy.schedule is not None:
             found = replace(found, rates={**found.rates, "sensor": Estimate(policy.schedule.rate, 0.0, "exact")})
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value

@@ -84,36 +84,37 @@ class Tradeoff:
         }
 
     def plot(self) -> Figure:
-        """Return a figure of cost against rate: the policy with standard errors, periodic control, the guarantee."""
+        """Return a figure of cost against the rate of each link: the policy, periodic control, the guarantee."""
+        links = list(self.points[0].evaluation.rates)
+        panels = [self._panel(link, f"of the {link} link " if len(links) > 1 else "") for link in links]
+        return draw(panels, height=4.2 * len(panels))
+
+    def _panel(self, link: str, named: str) -> Panel:
         series: list[Series] = []
         families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
-        lead = _lead([point.values for point in self.points])
+        lead, top = (
+            _lead([point.values for point in self.points]),
+            1.6 * max(p.evaluation.cost.value for p in self.points),
+        )
         for point in self.points:
             families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
         for index, (family, points) in enumerate(families.items()):
-            ordered = sorted(points, key=_rate)
-            label = ", ".join([ordered[0].evaluation.policy, *(_name(key, value) for key, value in family)])
-            x, y = [_rate(p) for p in ordered], [p.evaluation.cost.value for p in ordered]
-            series.append(Series(x, y, label, error=[p.evaluation.cost.standard_error for p in ordered], color=index))
-            bounds = [p.evaluation.cost_bound for p in ordered]
-            top = 1.6 * max(y)
+            found = sorted((point.evaluation for point in points), key=lambda one: one.rates[link].value)
+            label = ", ".join([found[0].policy, *(_name(key, value) for key, value in family)])
+            x, y = [one.rates[link].value for one in found], [one.cost.value for one in found]
+            series.append(Series(x, y, label, error=[one.cost.standard_error for one in found], color=index))
+            bounds = [one.cost_bound for one in found]
             inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None and b <= top]
             if len(inside) > 1:
                 series.append(Series([a for a, _ in inside], [b for _, b in inside], "", "dotted", color=index))
         for actuation, curve in self.periodic.items():
-            shown = [p for p in curve if p.cost <= 1.6 * max(point.evaluation.cost.value for point in self.points)]
             style = "dashed" if len(self.periodic) == 1 or actuation == "hold" else "line"
-            series.append(
-                Series(
-                    [p.rate for p in shown],
-                    [p.cost for p in shown],
-                    f"periodic, {actuation}",
-                    style,
-                    color=7 if actuation == "hold" else 5,
-                )
-            )
+            shown, color = [p for p in curve if p.cost <= top], 7 if actuation == "hold" else 5
+            x, y = [p.rate for p in shown], [p.cost for p in shown]
+            series.append(Series(x, y, f"periodic, {actuation}", style, color=color))
         title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
-        return draw([Panel(series, f"sends per {self.points[0].evaluation.rate_unit}", f"cost per {self.unit}", title)])
+        rate_unit = self.points[0].evaluation.rate_unit
+        return Panel(series, f"sends {named}per {rate_unit}", f"cost per {self.unit}", title)
 
 
 def tradeoff(
