@@ -126,6 +126,16 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
     return value
 
 
+def instance(name: str, value: object, *kinds: type) -> None:
+    """Refuse a value that is none of these types.
+
+    Raises:
+        ProblemError: it is not.
+    """
+    if not isinstance(value, kinds):
+        raise ProblemError(f"{name} is {quoted(value)}; expected a {' or a '.join(kind.__name__ for kind in kinds)}")
+
+
 def frozen(value: Array) -> Array:
     """Return a read-only copy."""
     result = np.array(value, dtype=np.float64)

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from taciturn import _arrays
+from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike
 from taciturn.errors import UnstableError
 
@@ -63,7 +63,8 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     A = _arrays.array("A", A, (None, None), "states × states")
     A = _arrays.array("A", A, (A.shape[0], A.shape[0]), "states × states")
     reach = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
-    rest = np.array(A)
+    scale = _scipy.balancing(A)  # the units of the states decide nothing
+    rest, reach = A / scale[:, None] * scale, reach / scale[:, None]
     lengths = np.linalg.norm(reach, axis=0)
     reach = reach[:, lengths > 0] / lengths[lengths > 0]  # the unit of an input decides nothing
     size = float(np.linalg.norm(reach, 2)) if reach.size else 0.0

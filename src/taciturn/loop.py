@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -15,7 +15,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Policy, Send
+from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send
 from taciturn.model.trigger import Form
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
@@ -46,6 +46,11 @@ class Loop:
     def nominal(self) -> bool:
         """Whether plant, network and cost are those the policy was designed for, so that its theory holds."""
         return not self.departures
+
+    @property
+    def identity(self) -> Identity | None:
+        """What the cost is exactly, by the policy's theory; None where that does not hold."""
+        return self.policy.identity if self.nominal else None
 
     @property
     def horizon(self) -> int | None:
@@ -207,9 +212,8 @@ class Loop:
 
     def _sums(self, tick: Tick, stage: int) -> dict[str, int]:
         sums = {COST: stage}
-        identity = self.policy.identity
-        if identity is not None and self.nominal:
-            sums[EXCESS] = tick.pick(identity.on, [tick.form(form) for form in identity.forms])
+        if self.identity is not None:
+            sums[EXCESS] = tick.pick(self.identity.on, [tick.form(form) for form in self.identity.forms])
         sums |= {f"{SENT} {link}": tick.as_number(tick.sent[link]) for link in self.policy.scheduled}
         discount = self.problem.cost.discount
         if discount < 1:
@@ -247,10 +251,12 @@ def close(
 
     Source: khashooei2017
     """
+    instance("policy", policy, Policy)
     cost = policy.cost if cost is None else cost
     if cost is None:
         raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
-    network = network or policy.network
+    network = policy.network if network is None else network
+    instance("network", network, Network)
     if isinstance(plant, ContinuousPlant) and plant.jumps is not None:
         raise ProblemError(
             f"the plant has Poisson jumps, which {policy.kind} does not sample; expected Wiener noise: "

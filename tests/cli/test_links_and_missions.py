@@ -68,7 +68,7 @@ def ask(run: Run, tmp_path: Path) -> Run:
         ),
         (
             PLANT + COST + "horizon = 2\n" + UDP + REFERENCE.replace("[1.0], [1.0]]", "[1.0], [3.0]]") + LOSSY,
-            "reference.states misses by 2 at step 2 what reference.inputs cause",
+            "reference.states misses by 2 at step 2 what step 1 and its input cause",
         ),
         (PLANT + COST + REFERENCE + REMOTE, "[reference] is given, which remote-lqg does not use"),
         (PLANT.replace("[[0.1]]", "[[0.0]]") + COST + REMOTE, "the sensor is never queried, and the plant is unstable"),

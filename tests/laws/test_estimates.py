@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 import taciturn
-from taciturn import Cost, Network, Plant, close, design
+from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
 from taciturn.simulation import average as module
 from taciturn.simulation.average import average, completed_squares, plain_average
 
@@ -63,6 +65,51 @@ def test_a_discounted_cost_is_a_discounted_sum() -> None:
     found = average(loop, seed=8, standard_error=2e-3 * exact)
     assert found.reached
     assert abs(found.cost.value - exact) <= 4 * found.cost.standard_error
+
+
+PENDULUM = ContinuousPlant([[0.0, 1.0], [9.8, -0.1]], [[0.0], [1.0]], np.diag([0.0, 0.2]), C=[[1.0, 0.0]], V=[[1e-3]])
+UNUSUAL = {
+    "an exact measurement of some states": (Plant(PLANT.A, PLANT.B, PLANT.W, [[1.0, 0.0]]), None),
+    "one exact output and one that is not": (Plant(PLANT.A, PLANT.B, PLANT.W, np.eye(2), np.diag([0.0, 0.3])), None),
+    "noise on one state": (Plant(PLANT.A, PLANT.B, np.diag([0.0, 0.4]), [[1.0, 0.0]], [[0.1]]), None),
+    "a sampled pendulum": (PENDULUM, 0.05),
+}
+
+
+@pytest.mark.parametrize("name", UNUSUAL)
+def test_the_exact_identity_holds_for_unusual_noise_and_for_sampled_plants(name: str) -> None:
+    """Completed squares and the plain average with its plant, on draws of their own, agree within their errors."""
+    plant, period = UNUSUAL[name]
+    cost = Cost(np.diag([1.0, 0.2]), [[0.1]], [[0.05], [0.02]])
+    loop = close(plant, design.lqg(plant, cost, theta=0.4, period=period))
+    exact, plain = (
+        average(loop, make(loop), seed=s, steps=8_000_000) for s, make in ((1, completed_squares), (2, plain_average))
+    )
+    spread = np.hypot(exact.cost.standard_error, plain.cost.standard_error)
+    assert abs(exact.cost.value - plain.cost.value) <= 4 * spread
+    assert spread < 0.01 * exact.cost.value
+    assert exact.cost.value > 1.02 * loop.policy.cost_all_time
+    assert exact.rates["actuator"].value < 0.95
+
+
+WRONG: dict[str, Callable[[], object]] = {
+    "plant is None; expected a Plant or a ContinuousPlant": lambda: design.lqg(None, COST, theta=0.1),
+    "cost is 7; expected a Cost": lambda: design.remote_lqg(PLANT, 7, theta=0.1, zeta=0.1),
+    "plant is [[1.0]]; expected a Plant or a ContinuousPlant": lambda: design.lossy_lqg([[1.0]], COST, price=1),
+    "network is 'udp'; expected a Network": lambda: design.lossy_lqg(PLANT, COST, price=1, network="udp"),
+    "network is 'tcp'; expected a Network": lambda: close(PLANT, design.all_time(PLANT, COST), "tcp"),
+    "policy is 'lqg'; expected a Policy": lambda: close(PLANT, "lqg"),
+    "reference is [[0.0]]; expected a Reference": lambda: design.lossy_lqg(PLANT, COST, price=1, reference=[[0.0]]),
+    "network.sensor_burst is 0.1; expected a Burst": lambda: Network("udp", sensor_burst=0.1),
+}
+
+
+@pytest.mark.parametrize("sentence", WRONG)
+def test_what_is_no_plant_no_cost_and_no_network_is_told(sentence: str) -> None:
+    """One sentence for a value of another type."""
+    with pytest.raises(taciturn.ProblemError) as told:
+        WRONG[sentence]()
+    assert str(told.value) == sentence
 
 
 def test_threads_change_nothing() -> None:

@@ -47,6 +47,17 @@ def test_units_of_the_input_do_not_decide_what_is_reached(scale):
     assert uncontrollable_modes(A, B) == pytest.approx([4.0])
 
 
+@given(seed=seeds, fixed=st.integers(0, 2))
+def test_units_of_the_states_do_not_decide_what_is_reached(seed, fixed):
+    """Micrometres beside megametres: the modes beyond reach are those of the same plant in metres."""
+    rng = np.random.default_rng(seed)
+    A, B = rng.normal(size=(4, 4)), rng.normal(size=(4, 1))
+    A[4 - fixed :, : 4 - fixed], B[4 - fixed :] = 0, 0
+    T, units = np.linalg.qr(rng.normal(size=(4, 4)))[0], 10.0 ** rng.integers(-6, 7, size=4)
+    A, B = T @ A @ T.T, T @ B
+    assert uncontrollable_modes(A / units[:, None] * units, B / units[:, None]).size == fixed
+
+
 def test_without_any_input_every_mode_is_fixed():
     """A zero input matrix, or none, moves nothing."""
     assert uncontrollable_modes([[0.0, 1], [-1, 0]], [[0.0], [0]]) == pytest.approx([1j, -1j])

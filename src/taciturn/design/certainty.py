@@ -50,10 +50,6 @@ class Certainty:
     cost_all_time: float
     settling: float
 
-    def per_unit(self, cost: float) -> float:
-        """Return a cost per tick in the units of the cost."""
-        return self.problem.per_unit(cost)
-
 
 def design_certainty(kind: str, problem: Discrete) -> Certainty:
     """Return regulator, filter and all-time cost J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) of an average cost.

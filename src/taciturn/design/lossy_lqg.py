@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import number
+from taciturn._arrays import instance, number
 from taciturn._modes import radius
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
@@ -86,12 +86,12 @@ def lossy_lqg(
         0.1
     """
     price = number("price", price, 0.0, closed=True)
-    given = network or Network()
+    given = Network() if network is None else network
+    plant = _refuse_what_is_not_covered(plant, cost, given, reference)
     network = given.without_bursts()
-    plant = _refuse_what_is_not_covered(plant, cost, network, reference)
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
-    settling = 0.0
+    settling, times = 0.0, "" if cost.horizon is None else "N"
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
         settling = 1 / (1 - np.sqrt(mean_square_rate(plant.A, plant.B, gains.L, channel)))
@@ -119,7 +119,7 @@ def lossy_lqg(
         cost=cost,
         guarantee=Guarantee(
             cost_all_time + price * ticks,
-            "J ≤ J_all + λ, and J ≤ J_all + λ(1−R)" if ticks == 1 else "J ≤ J_all + λN, and J ≤ J_all + λN(1−R)",
+            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1−R)",
             "khashooei2017",
             cost_all_time,
             price * ticks,
@@ -133,6 +133,11 @@ def lossy_lqg(
 def _refuse_what_is_not_covered(
     plant: Plant | ContinuousPlant, cost: Cost, network: Network, reference: Reference | None
 ) -> Plant:
+    instance("plant", plant, Plant, ContinuousPlant)
+    instance("cost", cost, Cost)
+    instance("network", network, Network)
+    if reference is not None:
+        instance("reference", reference, Reference)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
             "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; "

@@ -88,7 +88,7 @@ def lqg(
         kind="lqg",
         steps=steps,
         model=problem.plant,
-        cost_all_time=certainty.per_unit(certainty.cost_all_time),
+        cost_all_time=problem.per_unit(certainty.cost_all_time),
         sites=COLLOCATED,
         initial=initial,
         tick=problem.tick,
@@ -96,11 +96,11 @@ def lqg(
         settling=certainty.settling,
         cost=cost,
         guarantee=Guarantee(
-            certainty.per_unit((1 + theta) * certainty.cost_all_time),
+            problem.per_unit((1 + theta) * certainty.cost_all_time),
             "J ≤ (1+θ) J_all, mean-square stable",
             "khashooei2017",
         ),
-        identity=completed_square(certainty.per_unit(certainty.cost_all_time), certainty.regulator.H / problem.tick),
+        identity=completed_square(problem.per_unit(certainty.cost_all_time), certainty.regulator.H / problem.tick),
         innovations=certainty.estimation.innovations,
     )
 

@@ -124,7 +124,7 @@ def _blind(
         kind=kind,
         steps=steps,
         model=problem.plant,
-        cost_all_time=certainty.per_unit(certainty.cost_all_time),
+        cost_all_time=problem.per_unit(certainty.cost_all_time),
         sites=COLLOCATED,
         locations=(count_ticks(every, 0),),
         initial=initial,
@@ -133,7 +133,7 @@ def _blind(
         settling=every * certainty.settling,
         cost=problem.cost,
         innovations=certainty.estimation.innovations,
-        closed_form=ClosedForm(certainty.per_unit(average), {"actuator": 1.0 / every}),
+        closed_form=ClosedForm(problem.per_unit(average), {"actuator": 1.0 / every}),
     )
 
 

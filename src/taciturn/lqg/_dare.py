@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import DEFINITENESS_TOLERANCE, Array
 from taciturn._modes import TINY, radius, summed
-from taciturn.lqg import _scipy
 
 Solution = tuple[Array, Array, Array]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array, instance, number
 from taciturn.errors import ProblemError
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
@@ -51,10 +51,12 @@ def discretise(
         The discrete plant with the weights of one tick.
 
     Raises:
-        ProblemError: sizes of plant and cost differ, period missing or out of place.
+        ProblemError: no plant or no cost, their sizes differ, period missing or out of place.
 
     Source: vanloan1978
     """
+    instance("plant", plant, Plant, ContinuousPlant)
+    instance("cost", cost, Cost)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q is {cost.Q.shape} and R is {cost.R.shape}; expected {(plant.states, plant.states)} and "

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import Array, frozen, symmetrised
 from taciturn._modes import mode_text, radius, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _dare, _scipy
+from taciturn.lqg import _dare
 from taciturn.lqg.riccati import regulate
 
 LARGEST = 60  # states for which the fixed point is solved: its linear equations have 2n² unknowns
@@ -222,6 +223,8 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     Source: schenato2007
     """
     n, m = B.shape
+    scale = _scipy.balancing(A)  # the units of the states decide nothing
+    A, B = A / scale[:, None] * scale, B / scale[:, None]
     lost = uncontrollable_modes(A, B)
     lost = lost[np.abs(lost) >= 1 - 1e-12]
     if lost.size:
@@ -243,7 +246,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
             rate, L = found, trial
         else:
             slack /= 4
-    return rate, L @ V
+    return rate, L @ V / scale
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:

@@ -7,11 +7,11 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn import _arrays
+from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _dare, _scipy
+from taciturn.lqg import _dare
 
 __all__ = [
     "FiniteRegulator",

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn import _arrays
+from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike
-from taciturn.lqg import _scipy
 from taciturn.lqg._interval import Sampled, integrate, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]

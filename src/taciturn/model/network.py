@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from taciturn._arrays import count, number
+from taciturn._arrays import count, instance, number
 from taciturn.errors import ProblemError
 
 ProtocolName = Literal["udp", "tcp", "ideal"]
@@ -81,6 +81,8 @@ class Network:
             loss = number(f"network.{link}_loss", getattr(self, f"{link}_loss"), 0.0, 1.0, closed=True)
             object.__setattr__(self, f"{link}_loss", loss)  # a float also where 0 was given
             burst = getattr(self, f"{link}_burst")
+            if burst is not None:
+                instance(f"network.{link}_burst", burst, Burst)
             if burst is not None and loss > 0:
                 raise ProblemError(f"network.{link}_loss and network.{link}_burst are both given; expected one of them")
             if self.protocol == "ideal" and (loss > 0 or burst is not None):

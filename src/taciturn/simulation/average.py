@@ -76,8 +76,8 @@ def completed_squares(loop: Loop) -> Estimator:
 
     Source: khashooei2017
     """
-    identity = loop.policy.identity
-    if identity is None or not loop.nominal:
+    identity = loop.identity
+    if identity is None:
         raise ProblemError(
             "completion of squares holds for the plant and network of the design and a policy that has an identity; "
             "expected those, or use the plain average"
@@ -99,7 +99,7 @@ def plain_average(loop: Loop) -> Estimator:
 
 def choose_estimator(loop: Loop) -> Estimator:
     """Return completion of squares where the theory allows it, else the plain average."""
-    return completed_squares(loop) if loop.nominal and loop.policy.identity is not None else plain_average(loop)
+    return plain_average(loop) if loop.identity is None else completed_squares(loop)
 
 
 def average(

@@ -1,4 +1,4 @@
-"""The few calls into scipy, with types: every untyped edge of this floor is in this file."""
+"""The few calls into scipy, with types: every untyped edge of it is in this file."""
 
 from __future__ import annotations
 
