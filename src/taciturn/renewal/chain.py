@@ -1,0 +1,115 @@
+"""An error that a send resets: what exact analysis is given, and what it finds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, number
+from taciturn.errors import ProblemError
+from taciturn.model.plant import Jumps
+
+
+class NoQuadratureError(ProblemError):
+    """A chain that no quadrature of this library serves: the sentence says why; simulate instead."""
+
+
+@dataclass(frozen=True, eq=False)
+class JumpNoise:
+    """What Poisson jumps add to an error between two checks: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
+
+    Args:
+        A: dynamics of the error between jumps, per second, (n, n).
+        jumps: rate, covariance and law of a jump.
+        period: τ, seconds between checks.
+    """
+
+    A: Array
+    jumps: Jumps
+    period: float
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """An error that is looked at once per check.
+
+    Before a check e⁺ = F e + w. If e⁺'Ψe⁺ > δ it is sent, and the error is 0 after the check; else it is kept, and
+    costs e⁺'Γe⁺. The first check comes one step after an error of 0.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w ~ N(0, ·), (n, n), semidefinite; or jumps.
+        Psi: Ψ, (n, n), semidefinite.
+        delta: δ > 0.
+        Gamma: Γ, (n, n), semidefinite.
+    """
+
+    F: Array
+    noise: Array | JumpNoise
+    Psi: Array
+    delta: float
+    Gamma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """The distribution of the number of checks from one send to the next.
+
+    Args:
+        survival: P(interval > k) for k = 0, 1, …, from 1 down, (checks,).
+        decay: factor per check of the survival after the last one, in [0, 1).
+    """
+
+    survival: Array
+    decay: float
+
+    @property
+    def mean(self) -> float:
+        """Mean interval in checks: the sum of the survival."""
+        return float(self.survival.sum() + self.survival[-1] * self.decay / (1 - self.decay))
+
+    def probability(self, checks: int) -> Array:
+        """Return P(interval = k) for k = 1, …, checks."""
+        ticks = np.arange(checks + 1)
+        return -np.diff(self.beyond(ticks.astype(np.float64)))
+
+    def beyond(self, checks: Array) -> Array:
+        """Return P(interval > k) for whole numbers k ≥ 0."""
+        last = len(self.survival) - 1
+        inside = np.minimum(checks, last).astype(int)
+        return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))
+
+    def quantile(self, share: float) -> int:
+        """Return the least k with P(interval ≤ k) ≥ share.
+
+        Raises:
+            ProblemError: a share outside (0, 1).
+        """
+        left = 1 - number("share", share, 0.0, 1.0)
+        found = np.flatnonzero(self.survival <= left)
+        if found.size:
+            return int(found[0])
+        last = len(self.survival) - 1
+        return last + int(np.ceil(np.log(left / self.survival[-1]) / np.log(self.decay)))
+
+
+@dataclass(frozen=True, eq=False)
+class Renewal:
+    """Rate and cost of a chain, with the errors that its quadrature claims.
+
+    Args:
+        rate: sends per check.
+        excess: mean of what a check costs, E[(1−σ) e'Γe].
+        rate_error: claimed absolute error of the rate.
+        excess_error: claimed absolute error of the excess.
+        intervals: between sends.
+        nodes: of the quadrature.
+    """
+
+    rate: float
+    excess: float
+    rate_error: float
+    excess_error: float
+    intervals: Intervals
+    nodes: int
