@@ -19,6 +19,7 @@ from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send
 from taciturn.model.trigger import Form
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import Tick
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
@@ -63,7 +64,8 @@ class Loop:
     @property
     def reducible(self) -> bool:
         """Whether the loop has the law of one driven by the filter's innovations."""
-        return self.nominal and self.policy.innovations is not None and self.horizon is None
+        gaussian = self.problem.jumps is None
+        return self.nominal and gaussian and self.policy.innovations is not None and self.horizon is None
 
     def program(self) -> Program:
         """Return one tick of the loop with the plant in it.
@@ -85,7 +87,8 @@ class Loop:
         outputs = self._outputs(tick, ("x",))
         moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
         if plant.W.any():
-            noise = _noise(tick, factor(plant.W), len(tick.builder.inputs))
+            jumps = self.problem.jumps
+            noise = _noise(tick, factor(plant.W), len(tick.builder.inputs)) if jumps is None else add_jumps(tick, jumps)
             moved = [tick.builder.emit("add", v, w) for v, w in zip(moved, noise, strict=True)]
         tick.signals["x"] = moved
         return with_draws(tick.finish(self._sums(tick, stage), outputs))
@@ -247,7 +250,7 @@ def close(
 
     Raises:
         InformationError: a node uses what it cannot know.
-        ProblemError: sizes of plant, policy and cost differ, or the plant's noise cannot be sampled.
+        ProblemError: sizes of plant, policy and cost differ.
 
     Source: khashooei2017
     """
@@ -257,11 +260,6 @@ def close(
         raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
     network = policy.network if network is None else network
     instance("network", network, Network)
-    if isinstance(plant, ContinuousPlant) and plant.jumps is not None:
-        raise ProblemError(
-            f"the plant has Poisson jumps, which {policy.kind} does not sample; expected Wiener noise: "
-            "give W, the intensity per second, instead of jumps"
-        )
     period = policy.tick if isinstance(plant, ContinuousPlant) else None
     problem = discretise(plant, cost, period, policy.prediction_gain)
     for name in ("states", "inputs", "outputs"):
@@ -285,11 +283,13 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
     plant, model, cost = problem.plant, policy.model, problem.cost
     mission = cost.horizon is not None or cost.discount < 1
     same_start = np.array_equal(plant.mean, model.mean) and np.array_equal(plant.covariance, model.covariance)
+    filtered = not plant.full_state and policy.closed_form is None
     bursts = any(network.burst(link) is not None for link in ENDS)
     found = {
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": mission and not same_start,
         "inputs are clipped (input_limit)": plant.input_limit is not None,
+        "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
         "losses come in bursts, and the design knows their mean only": bursts,
         "the network is not the one of the design": not bursts and network != policy.network.without_bursts(),
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),

@@ -8,7 +8,7 @@ from scipy.linalg import expm
 
 from taciturn import ContinuousPlant, Cost, close, design, load
 from taciturn.simulation.average import average, plain_average
-from taciturn.study.tradeoff import periodic_cost_at, periodic_curve
+from taciturn.study.periodic import periodic_cost_at, periodic_curve
 
 STABLE = ContinuousPlant([[-1.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]], np.diag([0.1, 0.4]), C=[[1.0, 0.0]], V=[[0.01]])
 UNSTABLE = ContinuousPlant([[0.0, 1.0], [2.0, 0.3]], [[0.0], [1.0]], np.diag([0.0, 0.4]), C=[[1.0, 0.0]], V=[[0.01]])

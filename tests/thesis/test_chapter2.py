@@ -79,7 +79,7 @@ INTER_SAMPLE = {0.1: 0.0043, 0.5: 0.0102, 1.3: 0.0168}  # c/h of the periodic co
 @pytest.mark.parametrize("theta", FIGURE_2_2)
 def test_pairs_of_figure_2_2(theta: float) -> None:
     """Event-triggered against optimal periodic control at the same mean period, costs per second."""
-    from taciturn.study.tradeoff import periodic_cost_at
+    from taciturn.study.periodic import periodic_cost_at
 
     period, event_triggered, periodic = FIGURE_2_2[theta]
     problem = taciturn.load("two-mass-continuous").changed({"theta": theta})
@@ -95,7 +95,7 @@ def test_pairs_of_figure_2_2(theta: float) -> None:
 
 def test_event_triggered_control_beats_periodic_control_at_its_rate() -> None:
     """Figure 2.2: at the same mean period the event-triggered policy costs less."""
-    from taciturn.study.tradeoff import periodic_cost_at
+    from taciturn.study.periodic import periodic_cost_at
 
     problem = taciturn.load("two-mass-continuous").changed({"theta": 0.5})
     found = taciturn.evaluate(problem)

@@ -1,8 +1,9 @@
 """Policies, one family per file; each carries its guarantee."""
 
+from taciturn.design.consistent import consistent
 from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.design.lqg import lqg
 from taciturn.design.periodic import all_time, periodic
 from taciturn.design.remote_lqg import remote_lqg
 
-__all__ = ["all_time", "lossy_lqg", "lqg", "periodic", "remote_lqg"]
+__all__ = ["all_time", "consistent", "lossy_lqg", "lqg", "periodic", "remote_lqg"]

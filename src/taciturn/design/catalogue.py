@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from taciturn.design.consistent import consistent
 from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.design.lqg import lqg
 from taciturn.design.periodic import all_time, periodic
@@ -16,4 +17,5 @@ CATALOGUE: Mapping[str, Callable[..., Policy]] = {
     "lqg": lqg,
     "remote-lqg": remote_lqg,
     "lossy-lqg": lossy_lqg,
+    "consistent": consistent,
 }

@@ -21,6 +21,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.lqg.riccati import Regulator, regulate
+from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Decide, Identity, Location, NodeName, Received, Send, Step
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -60,15 +61,7 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
 
     Source: khashooei2017, anderson1990optimal
     """
-    if problem.cost.horizon is not None:
-        raise ProblemError(
-            f"cost.horizon is {problem.cost.horizon}, which {kind} does not use; expected an average cost: remove it"
-        )
-    if problem.cost.discount != 1.0:
-        raise ProblemError(
-            f"cost.discount is {problem.cost.discount:g}, which {kind} does not use; "
-            "expected an average cost: remove it"
-        )
+    expect_average(kind, problem.cost)
     plant = problem.plant
     regulator = regulate(plant.A, plant.B, problem.Q, problem.R, problem.N)
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
@@ -79,6 +72,20 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
         slowest = max(slowest, radius(plant.A - plant.A @ steady.gain @ plant.C))
     estimation = estimate_state(plant, steady)
     return Certainty(problem, regulator, steady, estimation, float(cost), 1 / (1 - slowest))
+
+
+def expect_average(kind: str, cost: Cost) -> None:
+    """Refuse a mission.
+
+    Raises:
+        ProblemError: the cost has a horizon or a discount.
+    """
+    for name, absent in (("horizon", None), ("discount", 1.0)):
+        got = getattr(cost, name)
+        if got != absent:
+            raise ProblemError(
+                f"cost.{name} is {got:g}, which {kind} does not use; expected an average cost: remove it"
+            )
 
 
 def control_steps(

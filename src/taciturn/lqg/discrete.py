@@ -8,7 +8,7 @@ from taciturn._arrays import Array, instance, number
 from taciturn.errors import ProblemError
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,6 +21,7 @@ class Discrete:
         cost: horizon, terminal weight and discount, and the weights as the user gave them.
         tick: seconds per tick; 1 where time is counted in steps.
         noise_cost: inter-sample noise cost per tick, which no policy can change.
+        jumps: where the noise of a tick is that of Poisson jumps; plant.W is its covariance all the same.
     """
 
     plant: Plant
@@ -30,6 +31,7 @@ class Discrete:
     cost: Cost
     tick: float
     noise_cost: float
+    jumps: JumpNoise | None = None
 
     def per_unit(self, cost: float) -> float:
         """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
@@ -78,4 +80,5 @@ def discretise(
         sampled = sample_prediction(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction_gain, period)
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
-    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost)
+    jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
+    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps)

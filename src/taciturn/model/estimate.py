@@ -16,24 +16,28 @@ class Estimate:
         value: the number.
         standard_error: its standard error; 0 where it was not simulated.
         method: how it was had.
+        error: what a quadrature claims that it is off by at most; 0 of any other method.
     """
 
     value: float
     standard_error: float
     method: Method
+    error: float = 0.0
 
     def scaled(self, factor: float, offset: float = 0.0) -> Estimate:
         """Return offset + factor·estimate."""
-        return Estimate(offset + factor * self.value, abs(factor) * self.standard_error, self.method)
+        size = abs(factor)
+        return Estimate(offset + factor * self.value, size * self.standard_error, self.method, size * self.error)
 
     def __str__(self) -> str:
-        """Return the value with as many digits as its standard error supports."""
-        if self.standard_error == 0:
+        """Return the value with as many digits as its standard error, or its claimed error, supports."""
+        spread = self.standard_error or self.error
+        if spread == 0:
             return f"{self.value:.6g}"
-        digits = max(0, 1 - _exponent(self.standard_error))
+        digits = max(0, 1 - _exponent(spread))
         if digits > 12 or abs(self.value) >= 1e15:
-            return f"{self.value:.6g} ± {self.standard_error:.2g}"
-        return f"{self.value:.{digits}f} ± {self.standard_error:.{digits}f}"
+            return f"{self.value:.{min(digits, 12)}g} ± {spread:.2g}"
+        return f"{self.value:.{digits}f} ± {spread:.{digits}f}"
 
 
 def _exponent(value: float) -> int:

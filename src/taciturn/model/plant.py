@@ -123,6 +123,21 @@ class Jumps:
 
 
 @dataclass(frozen=True, eq=False)
+class JumpNoise:
+    """What Poisson jumps add to a state within a tick: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
+
+    Args:
+        A: dynamics between jumps, per second, (n, n).
+        jumps: rate, covariance and law of a jump.
+        period: τ, seconds per tick.
+    """
+
+    A: Array
+    jumps: Jumps
+    period: float
+
+
+@dataclass(frozen=True, eq=False)
 class ContinuousPlant:
     """A continuous-time plant dx = (A x + B u) dt + noise, sampled measurement y = C x + v.
 

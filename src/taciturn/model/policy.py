@@ -215,6 +215,7 @@ class Policy:
         cost: the cost it was designed for; with an identity, a guarantee or a closed form.
         prediction_gain: gain L of an actuator that runs the model continuously between ticks.
         guarantee, identity, innovations, closed_form: where the theory gives them.
+        reset: the signal e⁺ = A e (1−σ) + w that a send sets to zero, where a renewal process decides all.
         tracking: where the policy follows a reference.
         schedule: where a link is scheduled offline.
         notes: what a reader of its numbers must know.
@@ -242,6 +243,7 @@ class Policy:
     identity: Identity | None = None
     innovations: Innovations | None = None
     closed_form: ClosedForm | None = None
+    reset: str | None = None
     tracking: Tracking | None = None
     schedule: Schedule | None = None
     notes: tuple[str, ...] = ()

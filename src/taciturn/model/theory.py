@@ -1,4 +1,4 @@
-"""What is proved of a policy: bounds, identities and closed forms, which it carries with it."""
+"""What is known of a policy, which it carries: bounds, identities and closed forms."""
 
 from __future__ import annotations
 

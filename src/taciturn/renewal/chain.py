@@ -8,26 +8,11 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn.errors import ProblemError
-from taciturn.model.plant import Jumps
+from taciturn.model.plant import JumpNoise
 
 
 class NoQuadratureError(ProblemError):
     """A chain that no quadrature of this library serves: the sentence says why; simulate instead."""
-
-
-@dataclass(frozen=True, eq=False)
-class JumpNoise:
-    """What Poisson jumps add to an error between two checks: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
-
-    Args:
-        A: dynamics of the error between jumps, per second, (n, n).
-        jumps: rate, covariance and law of a jump.
-        period: τ, seconds between checks.
-    """
-
-    A: Array
-    jumps: Jumps
-    period: float
 
 
 @dataclass(frozen=True, eq=False)

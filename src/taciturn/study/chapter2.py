@@ -10,8 +10,8 @@ from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.simulation.average import Progress
 from taciturn.study.evaluate import evaluate
+from taciturn.study.periodic import periodic_cost_at, periodic_curve
 from taciturn.study.reproduction import Reproduction, Row, Table
-from taciturn.study.tradeoff import periodic_cost_at, periodic_curve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -7,12 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError
+from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
-from taciturn.simulation.average import Averages, Progress, average, check_effort
+from taciturn.renewal.chain import NoQuadratureError
+from taciturn.simulation.average import RELATIVE_ERROR, Averages, Progress, average, check_effort
+from taciturn.study.periodic import actuation_of, periodic_cost_at
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,9 @@ class Evaluation:
         steps: simulated steps; 0 where nothing was simulated.
         reached: whether the asked standard error was met.
         schedule: of sensor queries, computed offline, or None.
+        cost_periodic_same_rate: of optimal periodic control at the rate found, exact; None where it is not asked for
+            (policies that send on the error of a prediction have it), or where none is stable.
+        mean_interval: seconds from one send to the next; where the above is asked for and anything is sent.
         notes: what the reader must know.
     """
 
@@ -50,6 +58,8 @@ class Evaluation:
     steps: int
     reached: bool
     schedule: Schedule | None
+    cost_periodic_same_rate: float | None
+    mean_interval: Estimate | None
     notes: tuple[str, ...]
 
     @property
@@ -75,6 +85,9 @@ class Evaluation:
             "steps": self.steps,
             "reached": self.reached,
         }
+        if self.mean_interval is not None:
+            result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
+            result["mean_interval"] = _estimate(self.mean_interval)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
@@ -91,15 +104,16 @@ def evaluate(
 ) -> Evaluation:
     """Return cost, rates and bound of a problem's policy.
 
-    The cheapest method that holds is taken: a closed form where the policy ignores the state, completion of squares in
-    the innovations form, the plain average with the simulated plant.
+    The cheapest method that holds is taken: a closed form where the policy ignores the state, quadrature of renewal
+    equations where every send resets the error that decides, completion of squares in the innovations form, the plain
+    average with the simulated plant.
 
     Args:
         problem: from ``load`` or ``Problem``.
         seed: of the draws, at least 0.
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead.
-        method: ``"simulation"`` never uses a closed form, ``"exact"`` never simulates.
+        steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
+        method: ``"simulation"`` uses neither closed form nor quadrature, ``"exact"`` never simulates.
         progress: called with the fraction done.
 
     Returns:
@@ -120,20 +134,19 @@ def evaluate(
     began = time.perf_counter()
     policy = problem.design()
     loop = problem.close(policy)
-    form = policy.closed_form if loop.nominal else None
-    if method == "exact" and form is None:
-        raise ProblemError(
-            f"method is 'exact', and {policy.kind} has no closed form here; expected 'auto' or 'simulation'"
-        )
-    if form is not None and method != "simulation":
-        rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
-        found = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
-    else:
-        found = average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
-        if form is not None:  # a clock needs no estimate
-            found = replace(found, rates={link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()})
-        elif policy.schedule is not None:
-            found = replace(found, rates={**found.rates, "sensor": Estimate(policy.schedule.rate, 0.0, "exact")})
+    found, notes = None, policy.notes
+    if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
+        try:
+            found = _solved(loop)
+        except NoQuadratureError as error:
+            if method == "exact":
+                raise ProblemError(f"method is 'exact', and {error}") from None
+            notes += () if policy.reset is None else (f"simulated: {error}",)
+    if found is not None:
+        wanted = RELATIVE_ERROR * abs(found.cost.value) if standard_error is None else standard_error
+        found = replace(found, reached=found.cost.error <= wanted)
+    if found is None or (method == "auto" and not found.reached):
+        found = _clocked(loop, average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress))
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     mission = loop.horizon is not None
@@ -152,7 +165,9 @@ def evaluate(
         steps=found.steps,
         reached=found.reached,
         schedule=policy.schedule,
-        notes=policy.notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+        cost_periodic_same_rate=_periodic(problem, policy, per_tick),
+        mean_interval=None if policy.reset is None else _interval(found.rates[policy.scheduled[0]], policy.tick),
+        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
 
 
@@ -161,5 +176,47 @@ def unit_of(problem: Problem) -> Literal["step", "second"]:
     return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
 
 
+def _solved(loop: Loop) -> Averages:
+    """Return exact cost and rates, or those of a quadrature.
+
+    Raises:
+        NoQuadratureError: the loop has neither.
+    """
+    policy = loop.policy
+    if loop.nominal and policy.closed_form is not None:
+        form = policy.closed_form
+        rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
+        return Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
+    renewal = solve_renewal(loop)
+    assert policy.identity is not None
+    cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, policy.identity.constant)
+    rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
+    return Averages(cost, {policy.scheduled[0]: rate}, 0, 0, True)
+
+
+def _clocked(loop: Loop, found: Averages) -> Averages:
+    """Return simulated averages with the rates that a clock decides, which need no estimate."""
+    policy, known = loop.policy, dict[str, float]()
+    if loop.nominal and policy.closed_form is not None:
+        known = dict(policy.closed_form.rates)
+    elif policy.schedule is not None:
+        known = {"sensor": policy.schedule.rate}
+    return replace(found, rates={**found.rates, **{link: Estimate(rate, 0.0, "exact") for link, rate in known.items()}})
+
+
+def _periodic(problem: Problem, policy: Policy, rate: float) -> float | None:
+    """Return the cost of periodic control at a rate of sends per tick, for a policy that is compared with it."""
+    return None if policy.reset is None else periodic_cost_at(problem, rate / policy.tick, actuation_of(problem))
+
+
+def _interval(rate: Estimate, tick: float) -> Estimate | None:
+    """Return the mean seconds between sends, or None where nothing is sent."""
+    if rate.value <= 0:
+        return None
+    mean, slope = tick / rate.value, tick / rate.value**2
+    return Estimate(mean, slope * rate.standard_error, rate.method, slope * rate.error)
+
+
 def _estimate(estimate: Estimate) -> dict[str, Any]:
-    return {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}
+    found = {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}
+    return found | ({"error": estimate.error} if estimate.method == "quadrature" else {})

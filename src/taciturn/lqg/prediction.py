@@ -1,0 +1,140 @@
+"""What it costs to act on a prediction: the error of a model that runs alone, between one correction and the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn import _scipy
+from taciturn._arrays import Array, ArrayLike, number, symmetrised
+from taciturn.lqg._interval import Interval, integrate
+from taciturn.lqg.riccati import regulate_continuous
+
+GRID = 400  # lengths at which the shape of the growing cost is looked at
+
+
+@dataclass(frozen=True, eq=False)
+class PredictionCost:
+    """The cost per second of u = L x̂, where x̂ is predicted by the model and corrected at times of any policy.
+
+    The error e = x − x̂ obeys ė = A e + noise and is 0 after a correction; the cost is tr(PW) + E[e'S e], S = L'RL.
+    Corrected every h seconds: J_per(h) = tr(PW) + g(h), g(h) = (1/h) tr(S ∫_0^h V(s) ds),
+    V(s) = ∫_0^s e^{Ar} W e^{A'r} dr.
+
+    Args:
+        A: (n, n), per second.
+        W: noise intensity, per second, (n, n); of Poisson jumps rate × covariance.
+        L: gain, (m, n).
+        S: L'RL, (n, n).
+        base: tr(PW), cost of a state that is always known, per second.
+
+    Source: khashooei2017
+    """
+
+    A: Array
+    W: Array
+    L: Array
+    S: Array
+    base: float
+
+    def spread(self, length: float) -> Array:
+        """Return V(h), the covariance of the error after so many seconds, (n, n)."""
+        return self._over(length).G
+
+    def weight(self, length: float) -> Array:
+        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, what an error costs until it is looked at again, (n, n)."""
+        return self._over(length).M
+
+    def growth(self, length: float) -> float:
+        """Return g(h): what corrections every so many seconds cost more than a state that is always known."""
+        return self._over(length).noise_cost / length
+
+    def periodic(self, length: float) -> float:
+        """Return J_per(h), the cost per second of corrections every so many seconds."""
+        return self.base + self.growth(length)
+
+    def slope_in_rate(self, length: float) -> float:
+        """Return −dJ_per/dr at the rate r = 1/h, h² g'(h) = tr(S(hV(h) − ∫_0^h V))."""
+        found = self._over(length)
+        return float(length * np.sum(self.S * found.G) - found.noise_cost)
+
+    @property
+    def initial_slope(self) -> float:
+        """g'(0+) = ½ tr(SW)."""
+        return float(np.sum(self.S * self.W)) / 2
+
+    def least_ratio(self, shortest: float, longest: float) -> tuple[float, float]:
+        """Return the infimum of g(h)/h over (shortest, longest], and where it is.
+
+        It is g'(0+) at shortest = 0 where g is convex, and then always at the left end.
+
+        Args:
+            shortest: seconds, at least 0.
+            longest: seconds, above ``shortest``; may be infinite: a ratio that still falls after a hundred time
+                constants is taken to fall to 0, as that of a stable plant does.
+        """
+        lengths = self._lengths(shortest, longest)
+        ratios = [self.growth(h) / h for h in lengths]
+        if shortest == 0:
+            lengths, ratios = [0.0, *lengths], [self.initial_slope, *ratios]
+        if np.isinf(longest) and ratios[-1] < ratios[-2]:
+            return 0.0, longest
+        least = int(np.argmin(ratios))
+        return float(ratios[least]), float(lengths[least])
+
+    def convex_until(self, longest: float) -> float:
+        """Return the length until which g is convex, as far as a grid shows; ``longest`` where it is throughout.
+
+        h g''(h) = v'(h) − 2g'(h), where v(s) = tr(SV(s)), v'(s) = tr(S e^{As}We^{A's}) and h g' = v − g.
+        """
+        scale = self.initial_slope
+        for h in self._lengths(0.0, longest):
+            found = self._over(h)
+            flow = found.Phi
+            rate = float(np.sum(self.S * (flow @ self.W @ flow.T)))
+            slope = (float(np.sum(self.S * found.G)) - found.noise_cost / h) / h
+            if rate - 2 * slope < -1e-9 * max(scale, abs(rate), abs(slope)):
+                return h
+        return longest
+
+    def _lengths(self, shortest: float, longest: float) -> list[float]:
+        end = longest if np.isfinite(longest) else 100 * max(shortest, 1 / max(float(np.abs(self.A).max()), 1e-3))
+        start = shortest if shortest > 0 else 1e-4 * end
+        return np.geomspace(start, end, GRID).tolist()
+
+    def _over(self, length: float) -> Interval:
+        return integrate(self.A, self.S, self.W, number("length", length, 0.0), _scipy.balancing(self.A))
+
+
+def prediction_cost(
+    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
+) -> PredictionCost:
+    """Return what acting on a prediction costs, with the gain of the continuous-time regulator.
+
+    Args:
+        A: (n, n), per second.
+        B: (n, m).
+        Q: (n, n) state weight, per second.
+        R: (m, m) input weight, definite.
+        N: (n, m) cross weight.
+        W: (n, n) noise intensity, per second.
+
+    Returns:
+        The cost, whose P solves the continuous Riccati equation, and L = −R^{-1}(B'P + N').
+
+    Raises:
+        ProblemError: data of the wrong shape or range.
+        UnstableError: no stabilising gain.
+
+    Source: khashooei2017
+
+    Example:
+        >>> found = prediction_cost([[0.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[2.0]])
+        >>> found.base, found.growth(0.5)  # P = 1, S = 1, g(h) = h
+        (2.0, 0.5)
+    """
+    regulator = regulate_continuous(A, B, Q, R, N)
+    A, R, W = (np.asarray(matrix, dtype=np.float64) for matrix in (A, R, W))
+    S = symmetrised(regulator.L.T @ R @ regulator.L)
+    return PredictionCost(A, W, regulator.L, S, float(np.sum(regulator.K * W)))

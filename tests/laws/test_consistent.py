@@ -1,0 +1,169 @@
+"""Consistency: no worse than periodic control at its own rate, and silent without disturbances."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
+
+from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design, simulate
+from taciturn.lqg.prediction import PredictionCost, prediction_cost
+from taciturn.simulation.average import completed_squares, plain_average
+
+SEEDS = st.integers(0, 2**32 - 1)
+FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+DRAWN = given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))
+LAWS = ["wiener", "normal", "uniform", "two-point"]
+
+
+def system(seed: int, law: str, states: int = 3) -> tuple[ContinuousPlant, Cost, float]:
+    """Return a random plant with a cross term in its cost, and a period; stable or unstable, noise of any rank."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, states + 1)), int(rng.integers(1, 3))
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    unit = np.eye(n)
+    slow = [value for value in np.linalg.eigvals(A) if value.real > -0.1]
+    assume(all(np.linalg.svd(np.hstack([A - value * unit, B]))[1][-1] > 0.1 for value in slow))
+    root = rng.normal(size=(n + m, n + m)) / np.sqrt(n + m)
+    joint, noise = root @ root.T + 0.05 * np.eye(n + m), 0.5 * rng.normal(size=(n, int(rng.integers(1, n + 1))))
+    cost, period = Cost(joint[:n, :n], joint[n:, n:], joint[:n, n:]), float(rng.uniform(0.05, 0.5))
+    if law == "wiener":
+        return ContinuousPlant(A, B, noise @ noise.T), cost, period
+    rate = float(rng.uniform(0.5, 8.0))
+    return ContinuousPlant(A, B, jumps=Jumps(rate, noise @ noise.T / rate, law)), cost, period
+
+
+def price_of(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
+    """Return what acting on predictions costs."""
+    return prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
+
+
+def it_beats_periodic_control(seed: int, law: str, share: float) -> None:
+    """V_p(r_p) ≤ V ≤ V_p(r), and V + δr ≤ V_p(r_p) + δr_p, as simulated."""
+    plant, cost, period = system(seed, law)
+    price = price_of(plant, cost)
+    delta = share * price.slope_in_rate(period)
+    assume(delta > 0)
+    policy = design.consistent(plant, cost, period=period, delta=delta)
+    found = average(close(plant, policy), seed=seed, steps=400_000)
+    per_tick, error = found.rates["sensor"], 4 * found.cost.standard_error
+    assume(found.reached and per_tick.value > 0)
+    least = (per_tick.value - 4 * per_tick.standard_error) / period  # periodic control is dearest at the lowest rate
+    assume(least > 0)
+    base, rounding = price.periodic(period), 1e-9 * price.periodic(period)
+    assert found.cost.value + error >= base - rounding
+    assert found.cost.value - error <= price.periodic(1 / least) + rounding
+    assert policy.guarantee is not None
+    assert found.cost.value - error <= policy.guarantee.at_rate(least * period) + rounding
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_consistent_policy_beats_periodic_control_at_its_own_rate(law: str) -> None:
+    """Six random plants for each law of the noise, thresholds up to the largest consistent one."""
+    FEW(
+        given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))(
+            lambda seed, share: it_beats_periodic_control(seed, law, share)
+        )
+    )()
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("law", LAWS)
+def test_a_consistent_policy_beats_periodic_control_over_300_systems(law: str) -> None:
+    """Three hundred random plants for each law of the noise."""
+    MANY(
+        given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))(
+            lambda seed, share: it_beats_periodic_control(seed, law, share)
+        )
+    )()
+
+
+@FEW
+@given(seed=SEEDS)
+def test_without_disturbances_nothing_is_sent(seed: int) -> None:
+    """From a state that both ends know the prediction is exact, but for rounding that an unstable plant lets grow."""
+    noisy, cost, period = system(seed, "wiener")
+    start = np.random.default_rng(seed).normal(size=noisy.states)
+    quiet = ContinuousPlant(noisy.A, noisy.B, np.zeros_like(noisy.A), mean=start)
+    delta = price_of(noisy, cost).slope_in_rate(period)
+    assume(delta > 0)
+    growth = max(0.0, float(np.linalg.eigvals(noisy.A).real.max())) * period  # of rounding errors, per tick
+    ticks = int(min(200, 14 / max(growth, 1e-9)))
+    path = simulate(close(quiet, design.consistent(quiet, cost, period=period, delta=delta)), ticks)
+    assert not path.sends["sensor"].any()
+
+
+@FEW
+@given(seed=SEEDS, law=st.sampled_from(LAWS))
+def test_the_exact_cost_is_the_average_of_the_stage_cost(seed: int, law: str) -> None:
+    """V = V_p + E[(1−σ)e'Γe]/τ against the plant's own cost, inter-sample noise included."""
+    plant, cost, period = system(seed, law)
+    assume(price_of(plant, cost).slope_in_rate(period) > 0)
+    loop = close(plant, design.consistent(plant, cost, period=period))
+    assume(loop.policy.settling < 100)
+    exact = average(loop, completed_squares(loop), seed=seed, steps=500_000)
+    plain = average(loop, plain_average(loop), seed=seed + 1, steps=1_000_000)
+    assume(exact.reached and plain.reached)
+    spread = np.hypot(exact.cost.standard_error, plain.cost.standard_error)
+    assert abs(exact.cost.value - plain.cost.value) <= 4.5 * spread
+
+
+def test_many_small_jumps_come_near_wiener_noise() -> None:
+    """At a fixed intensity the rate of sending rises to that of Wiener noise with the rate of the jumps."""
+    intensity = np.diag([0.0, 2.5])
+    cost, A, B = Cost(np.eye(2), [[10.0]]), [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]]
+    found = []
+    for rate in (5.0, 20.0, 80.0, None):
+        jumps = None if rate is None else Jumps(rate, intensity / rate)
+        plant = ContinuousPlant(A, B, intensity if jumps is None else None, jumps)
+        loop = close(plant, design.consistent(plant, cost, period=0.1))
+        found.append(average(loop, seed=1, steps=2_000_000).rates["sensor"])
+    gaps = [found[-1].value - one.value for one in found[:-1]]
+    assert gaps[0] > 5 * gaps[1] / 2 > 0
+    error = np.hypot(found[-1].standard_error, found[-2].standard_error)
+    assert abs(gaps[2]) <= 4 * error + 0.01
+
+
+def test_a_threshold_above_its_largest_consistent_value_is_allowed_and_told() -> None:
+    """No guarantee is shown; the largest value itself has one."""
+    plant, cost = (
+        ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.diag([0.0, 2.5])),
+        Cost(np.eye(2), [[10.0]]),
+    )
+    largest = price_of(plant, cost).slope_in_rate(0.5)
+    assert largest == pytest.approx(2.891818, abs=5e-7)
+    for delta in (None, 0.0, largest):
+        policy = design.consistent(plant, cost, period=0.5, delta=delta)
+        assert policy.guarantee is not None
+        assert policy.notes == ()
+    above = design.consistent(plant, cost, period=0.5, delta=1.01 * largest)
+    assert above.guarantee is None
+    assert above.notes == ("delta = 2.92074 is above its largest consistent value 2.89182: consistency not guaranteed",)
+
+
+SEEN = ([[0.0]], [[1.0]], [[1.0]], None, [[1.0]], [[0.1]])
+Q, R = np.eye(2), [[1.0]]
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"period": 0.0}, "period is 0; expected 0 < period"),
+        ({"delta": -1.0}, "delta is -1; expected 0 ≤ delta"),
+        ({"cost": Cost(Q, R, horizon=9)}, "cost.horizon is 9, which consistent does not use"),
+        ({"cost": Cost(Q, R, discount=0.9)}, "cost.discount is 0.9, which consistent does not use"),
+        ({"plant": Plant(Q, Q, Q)}, "the plant is discrete in time, and consistent predicts in continuous time; "),
+        (
+            {"plant": ContinuousPlant(*SEEN)},
+            "C or V is given, and consistent measures the full state; expected neither",
+        ),
+    ],
+)
+def test_what_does_not_fit_is_refused(change: dict, sentence: str) -> None:
+    """One sentence each."""
+    plant = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.eye(2))
+    with pytest.raises(ProblemError) as told:
+        design.consistent(**{"plant": plant, "cost": Cost(Q, R), "period": 0.5, **change})
+    assert str(told.value).startswith(sentence)

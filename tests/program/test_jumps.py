@@ -1,0 +1,107 @@
+"""Poisson jumps within a tick: the flow of each exactly, their number and their covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design
+from taciturn.lqg.prediction import prediction_cost
+from taciturn.model.plant import JumpNoise
+from taciturn.program import numpy as interpreter
+from taciturn.program.ir import Builder, Program
+from taciturn.program.jumps import add_jumps
+from taciturn.program.lower import Tick
+from taciturn.simulation.average import completed_squares, plain_average
+
+PLANTS = {
+    "double integrator": [[0.0, 1.0], [0.0, 0.0]],
+    "unstable spiral": [[0.4, 3.0], [-3.0, 0.4]],
+    "fast and slow": [[-8.0, 1.0], [0.0, 0.2]],
+    "scalar": [[0.7]],
+}
+
+
+def program_of(noise: JumpNoise) -> Program:
+    """Return the program of what one tick adds, before its draws are drawn inside."""
+    tick = Tick(Builder(), {}, {}, ())
+    return tick.finish({}, {f"w {i}": value for i, value in enumerate(add_jumps(tick, noise))})
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
+    """Given waiting times and sizes, against matrix exponentials; what comes after the tick adds nothing."""
+    A = np.array(PLANTS[name])
+    n, period, rate = len(A), 0.8, 3.0
+    spread = np.diag(np.arange(1.0, n + 1))
+    program = program_of(JumpNoise(A, Jumps(rate, spread @ spread.T), period))
+    draws = np.random.default_rng(1)
+    drawn = {"uniform": lambda: draws.uniform(0.05, 1, 200), "normal": lambda: draws.normal(size=200)}
+    given = np.array([drawn[name.split()[0]]() for name in program.inputs])
+    found = interpreter.run(program, np.zeros((0, 200)), 1, given[None])
+    uniforms = [row for row, name in zip(given, program.inputs, strict=True) if "uniform" in name]
+    normals = [row for row, name in zip(given, program.inputs, strict=True) if "normal" in name]
+    wanted = np.zeros((n, 200))
+    for path in range(200):
+        time = 0.0
+        for i, uniform in enumerate(uniforms):
+            time += -np.log(uniform[path]) / rate
+            if time < period:
+                size = spread @ [normal[path] for normal in normals[n * i : n * (i + 1)]]
+                wanted[:, path] += expm(A * (period - time)) @ size
+    got = np.array([found.outputs[f"w {i}"][0] for i in range(n)])
+    assert got == pytest.approx(wanted, abs=1e-7 * np.abs(wanted).max())  # the logarithm has nine digits
+
+
+def test_more_jumps_than_are_drawn_are_refused() -> None:
+    """A tick of a hundred jumps is close to Wiener noise, and the sentence says so."""
+    with pytest.raises(ProblemError, match=r"a tick of 10 s sees 100 jumps on average, too many .* or Wiener noise"):
+        program_of(JumpNoise(np.zeros((1, 1)), Jumps(10.0, [[1.0]]), 10.0))
+
+
+@pytest.mark.parametrize("distribution", ["normal", "uniform", "two-point"])
+def test_a_loop_that_always_sends_has_the_cost_of_the_covariance(distribution) -> None:
+    """Second moments decide the cost of linear control, whatever the law of the jumps."""
+    covariance = np.array([[0.2, 0.1], [0.1, 0.5]])
+    plant = ContinuousPlant([[0.0, 1.0], [0.5, 0.0]], [[0.0], [1.0]], jumps=Jumps(2.0, covariance, distribution))
+    cost = Cost(np.eye(2), [[1.0]])
+    policy = design.periodic(plant, cost, period=0.5)
+    loop = close(plant, policy)
+    assert loop.nominal
+    found = average(loop, plain_average(loop), seed=4, steps=6_000_000)
+    assert policy.closed_form is not None
+    assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
+    assert found.cost.standard_error < 0.005 * found.cost.value
+
+
+def test_the_identity_holds_under_jumps_with_the_full_state_and_is_not_claimed_with_a_filter() -> None:
+    """White noise is all that completion of squares needs where the state is known; a filter needs Gaussian noise."""
+    jumps = Jumps(1.5, np.diag([0.1, 0.4]))
+    cost = Cost(np.eye(2), [[0.5]])
+    plant = ContinuousPlant([[0.0, 1.0], [0.0, -0.2]], [[0.0], [1.0]], jumps=jumps)
+    loop = close(plant, design.lqg(plant, cost, theta=0.5, period=0.3))
+    assert loop.nominal
+    exact, plain = (
+        average(loop, make(loop), seed=seed, steps=6_000_000)
+        for seed, make in ((1, completed_squares), (2, plain_average))
+    )
+    spread = np.hypot(exact.cost.standard_error, plain.cost.standard_error)
+    assert abs(exact.cost.value - plain.cost.value) <= 4 * spread
+    watched = ContinuousPlant([[0.0, 1.0], [0.0, -0.2]], [[0.0], [1.0]], jumps=jumps, C=[[1.0, 0.0]], V=[[0.01]])
+    assert close(watched, design.lqg(watched, cost, theta=0.5, period=0.3)).departures == (
+        "the noise jumps, and a filter's theory needs Gaussian noise",
+    )
+    always = close(watched, design.all_time(watched, cost, period=0.3))
+    assert always.nominal
+    assert not always.reducible
+
+
+def test_a_plant_with_jumps_has_the_intensity_of_their_rate_when_it_is_sampled() -> None:
+    """The covariance of a tick is that of Wiener noise with W = rate · covariance."""
+    jumps = Jumps(5.0, np.diag([0.0, 0.5]))
+    plant = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], jumps=jumps)
+    model = design.consistent(plant, Cost(np.eye(2), [[10.0]]), period=0.4).model
+    price = prediction_cost(plant.A, plant.B, np.eye(2), [[10.0]], np.zeros((2, 1)), 5.0 * jumps.covariance)
+    assert isinstance(model, Plant)
+    assert pytest.approx(price.spread(0.4), rel=1e-12) == model.W
