@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from taciturn import design as design
+    from taciturn.analyse.renewal import solve_renewal as solve_renewal
     from taciturn.errors import InformationError as InformationError
     from taciturn.errors import ProblemError as ProblemError
     from taciturn.errors import TaciturnError as TaciturnError
@@ -75,6 +76,7 @@ _HOME = {
     "plant_from": "model.plant",
     "reproduce": "study.reproduce",
     "simulate": "simulation.trajectory",
+    "solve_renewal": "analyse.renewal",
     "tradeoff": "study.tradeoff",
 }
 __version__ = "0.1.0"

@@ -302,6 +302,10 @@ def _print_evaluation(found: Evaluation) -> None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
     if found.cost_bound_at_rate is not None:
         lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
+    if found.mean_interval is not None:
+        lines.append(("mean interval", f"{found.mean_interval} s"))
+    if found.cost_periodic_same_rate is not None:
+        lines.append(("periodic", f"{found.cost_periodic_same_rate:.6g} at this rate"))
     if found.schedule is not None:
         lines.append(("sensor queries", _queries(found.schedule)))
     lines += [("note", note) for note in found.notes]
