@@ -9,21 +9,32 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.renewal._whiten import White
 
+STEEP = 4.0  # a map this much steeper than one has finer nodes at once
 SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
-FEWEST, PER_HALF_WIDTH = 6.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
+FEWEST, PER_HALF_WIDTH = 12.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
 
 
-@dataclass(frozen=True)
-class Resolution:
-    """How finely and how far an integral is taken.
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Where kept errors are, axis by axis.
 
     Args:
-        density: of the nodes, 1 for the usual one.
-        reach: standard deviations of the kept error, given the outer axes, up to which nodes stand.
+        covariance: of kept errors, or about it: it gives each axis a mean and a deviation given the outer ones, (n, n).
+        reach: of each axis, how many of those deviations away kept errors come, (n,).
     """
 
-    density: float
-    reach: float
+    covariance: Array
+    reach: Array
+
+    def scaled(self, factor: float) -> Window:
+        """Return the window with so many times the reach."""
+        return Window(self.covariance, self.reach * factor)
+
+    def given_outer(self, outer: Array) -> tuple[Array, float]:
+        """Return mean and standard deviation of the next axis, for each row of the outer ones."""
+        d, covariance = outer.shape[1], self.covariance
+        slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
+        return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +45,8 @@ class Nodes:
     weight: Array
 
 
-class TooManyNodes(Exception):
-    """More nodes than asked for."""
-
-    def __init__(self, needed: float) -> None:
-        """Tell how many, about."""
-        super().__init__(needed)
-        self.needed = needed
+class TooManyNodes(Exception):  # noqa: N818
+    """More nodes than can be afforded."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +59,7 @@ class _Span:
     slack: bool
 
 
-def place(white: White, spread: Array, resolution: Resolution, most: int) -> Nodes:
+def place(white: White, window: Window, density: float, most: int) -> Nodes:
     """Return nodes for Σ_i m_i x_i² ≤ 1, axis by axis, each on the chord that the outer ones leave.
 
     An axis whose chord no kept error reaches has equidistant nodes, the others those of Gauss; outer ones of
@@ -61,8 +67,8 @@ def place(white: White, spread: Array, resolution: Resolution, most: int) -> Nod
 
     Args:
         white: the chain.
-        spread: covariance of kept errors, (n, n).
-        resolution: of the nodes.
+        window: where kept errors are.
+        density: of the nodes, 1 for the usual one.
         most: nodes.
 
     Returns:
@@ -73,13 +79,13 @@ def place(white: White, spread: Array, resolution: Resolution, most: int) -> Nod
     """
     n = len(white.m)
     x, weight, left = np.zeros((1, 0)), np.ones(1), np.ones(1)
-    bends = np.sqrt(np.maximum(1.0, (1 + (white.F * white.F).sum(axis=0)) / 2))
+    bends = np.maximum(1.0, np.linalg.norm(white.F, axis=0) / STEEP)
     for axis in range(n):
-        centre, deviation = _given_outer(spread, x)
-        span = _span(centre, resolution.reach * deviation, left, float(white.m[axis]))
-        density = resolution.density * float(bends[axis])
+        centre, deviation = window.given_outer(x)
+        span = _span(centre, float(window.reach[axis]) * deviation, left, float(white.m[axis]))
         rule = _equidistant if span.slack else _straight if axis == n - 1 else _angular
-        inner, inner_weight = rule(span, density, most / len(weight))
+        afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first ones are dropped
+        inner, inner_weight = rule(span, density * float(bends[axis]), afforded)
         if axis == 0:
             inner, inner_weight = _upper_half(inner, inner_weight)
         x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
@@ -88,13 +94,6 @@ def place(white: White, spread: Array, resolution: Resolution, most: int) -> Nod
         kept = weight > 0
         x, weight, left = x[kept], weight[kept], left[kept]
     return Nodes(x, weight)
-
-
-def _given_outer(spread: Array, outer: Array) -> tuple[Array, float]:
-    """Return mean and standard deviation of the next axis, given the outer ones."""
-    d = outer.shape[1]
-    slope = np.linalg.solve(spread[:d, :d], spread[:d, d])
-    return outer @ slope, float(np.sqrt(max(spread[d, d] - spread[d, :d] @ slope, 0.0)))
 
 
 def _span(centre: Array, reach: float, left: Array, m: float) -> _Span:
@@ -135,9 +134,9 @@ def _gauss(half_width: float, density: float, most: float) -> tuple[Array, Array
 
 
 def _affordable(half: float, most: float) -> int:
-    """Return half the nodes of an axis, an integer; the axis may hold 2·most when half of them are dropped."""
-    if half > 2 * most + 2:
-        raise TooManyNodes(half / most)
+    """Return half the nodes of an axis as an integer."""
+    if half > most:
+        raise TooManyNodes
     return max(int(np.ceil(half)), 1)
 
 

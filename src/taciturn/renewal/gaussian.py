@@ -5,19 +5,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array, number, symmetrised
 from taciturn.renewal._intervals import intervals
-from taciturn.renewal._nodes import Nodes, Resolution, TooManyNodes, place
+from taciturn.renewal._nodes import Nodes, TooManyNodes, Window, place
 from taciturn.renewal._whiten import White, spread, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 MOST_NODES = 6000  # a dense system of this size takes seconds
-COARSE = Resolution(0.6, 8.0)
-FIRST = Resolution(0.75, 9.0)
-FINER, WIDER = 1.25, 1.15  # from one resolution to the next
+import os
+COARSE, FIRST, FINER = 0.6, float(os.environ.get("D","0.7")), float(os.environ.get("DF","1.2"))  # densities of nodes, and their growth
+NARROW, WIDER = float(os.environ.get("K",".85")), float(os.environ.get("KF","1.2"))  # windows, relative to those that coarse nodes ask for
 RUNGS = 12
-PASSES = 8
+PASSES = 12
+REACH = 10.0  # conditional standard deviations, at first
+BEYOND = 0.01  # of the accuracy: the share of checks and of cost that a window may cut off
 ROUNDING = 4e-16  # per check of the mean interval
 USELESS = 0.01  # relative error
 
@@ -78,11 +81,11 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
     """
     number("accuracy", accuracy, 0.0, 1.0)
     white = whiten(chain)
-    covariance = _kept_covariance(white)
-    resolution, previous, best, errors = FIRST, None, None, (np.inf, np.inf)
+    window = _window(white, accuracy)
+    density, factor, previous, best, errors = FIRST, NARROW, None, None, (np.inf, np.inf)
     for _ in range(RUNGS):
         try:
-            found = _solve(white, place(white, covariance, resolution, MOST_NODES))
+            found = _solve(white, place(white, window.scaled(factor), density, MOST_NODES))
         except TooManyNodes:
             break
         if found is not None and previous is not None:
@@ -93,7 +96,7 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
                 best, errors = found, attained
                 break
         previous = found
-        resolution = Resolution(resolution.density * FINER, resolution.reach * WIDER)
+        density, factor = density * FINER, factor * WIDER
     if best is None or errors[0] > USELESS * best.rate:
         raise NoQuadratureError(
             f"the errors that are kept spread over too many noise standard deviations for {MOST_NODES} nodes, or are "
@@ -102,24 +105,47 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
     return Renewal(best.rate, best.excess, *errors, intervals(best.system.start, best.system.kernel, best.checks), len(best.checks))
 
 
-def _kept_covariance(white: White) -> Array:
-    """Return the covariance of kept errors as coarse nodes see it, on windows that they set themselves."""
+def _window(white: White, accuracy: float) -> Window:
+    """Return where kept errors are, as coarse nodes see it on windows that they set themselves."""
     covariance = spread(white)
+    window = Window(covariance, np.full(len(covariance), REACH))
     for _ in range(PASSES):
         try:
-            system = _discretise(white, place(white, covariance, COARSE, MOST_NODES // 2))
+            system = _discretise(white, place(white, window, COARSE, MOST_NODES // 2))
         except TooManyNodes:
             break
-        unit = np.eye(len(system.start))
-        visits = np.linalg.solve(unit - system.kernel.T, system.start)
+        visits = np.linalg.solve(np.eye(len(system.start)) - system.kernel.T, system.start)
+        if not np.isfinite(visits).all() or visits.sum() <= 0:
+            break
         found = symmetrised((system.x * visits[:, None]).T @ system.x / visits.sum())
-        if not np.isfinite(found).all() or np.linalg.eigvalsh(found)[0] <= 0:
+        if np.linalg.eigvalsh(found)[0] <= 0:
             break
-        ratio = np.linalg.eigvals(np.linalg.solve(covariance, found)).real
-        covariance = found
-        if 0.8 < ratio.min() and ratio.max() < 1.1:
-            break
-    return covariance
+        reach, cut = _reach(system, visits, window, BEYOND * accuracy)
+        ratio = np.linalg.eigvals(np.linalg.solve(window.covariance, found)).real
+        if not cut.any() and 0.8 < ratio.min() and ratio.max() < 1.1:
+            return Window(window.covariance, reach)
+        window = Window(found, np.where(cut, 1.5 * window.reach, np.maximum(reach, REACH)))
+    return window
+
+
+def _reach(system: _System, visits: Array, window: Window, share: float) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the reach of each axis beyond which no more than a share of checks and cost lies, and where there is none.
+
+    There the window cut off more than that.
+    """
+    weight = visits / visits.sum()
+    if system.cost.any():
+        weight = weight + visits * system.cost / (visits @ system.cost)
+    reach, cut = np.empty_like(window.reach), np.zeros(len(window.reach), dtype=bool)
+    for axis in range(len(reach)):
+        centre, deviation = window.given_outer(system.x[:, :axis])
+        away = np.abs(system.x[:, axis] - centre) / deviation
+        order = np.argsort(-away)
+        beyond = np.cumsum(weight[order])
+        least = float(away[order[min(np.searchsorted(beyond, share), len(order) - 1)]])
+        reach[axis] = 1.0 + 1.1 * least
+        cut[axis] = least > window.reach[axis] - 2 / deviation - 0.5
+    return reach, cut
 
 
 def _discretise(white: White, nodes: Nodes) -> _System:
