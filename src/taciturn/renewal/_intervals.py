@@ -9,12 +9,13 @@ from taciturn.renewal.chain import Intervals
 
 NEGLIGIBLE = 1e-14  # survival
 SETTLED = 1e-12  # change of the kept error's distribution between looks: then survival is geometric
+SMALL = 1e-3
 STEPS = 1024  # checks that are taken one by one; after them so many at once
 MOST_NODES = 2500  # whose map is raised to a power
 MOST_CHECKS = 1 << 22
 
 
-def intervals(start: Array, kernel: Array, checks: Array) -> Intervals:
+def intervals(start: Array, kernel: Array, checks: Array, mean: float) -> Intervals:
     """Return the survival check by check, until it is negligible or geometric.
 
     The survival after the last check is given the factor with which it sums to the mean interval: where survival is
@@ -24,6 +25,7 @@ def intervals(start: Array, kernel: Array, checks: Array) -> Intervals:
         start: of each node, its share of errors after the first check, (nodes,).
         kernel: the share that goes from rows to columns in a check, (nodes, nodes).
         checks: mean of the checks that are still to come, the next one included, (nodes,).
+        mean: interval in checks.
 
     Returns:
         The distribution.
@@ -34,7 +36,10 @@ def intervals(start: Array, kernel: Array, checks: Array) -> Intervals:
     if not done and len(start) <= MOST_NODES:
         more, error = _many_at_once(error, kernel)
         survival = np.concatenate([survival, more])
-    left = float(error @ (checks - 1)) / survival[-1] if survival[-1] > 0 else 0.0
+    left = mean - float(survival.sum())
+    if left < SMALL * mean:  # the difference has lost its digits, and the sum of the rest has few to lose
+        left = float(error @ (checks - 1))
+    left = left / survival[-1] if survival[-1] > 0 else 0.0
     return Intervals(frozen(survival), left / (1 + left))
 
 

@@ -105,27 +105,27 @@ def spread(white: White) -> Array:
     Source: khashooei2017
     """
     unit = np.eye(len(white.m))
-    before, old, share, total = unit, unit, 1.0, np.zeros_like(unit)
-    shares = 0.0
+    before, last, share = unit, np.zeros_like(unit), 1.0
+    total, shares = np.zeros_like(unit), 0.0
     with np.errstate(over="ignore", invalid="ignore"):
         for _ in range(AGES):
-            kept = symmetrised(np.linalg.solve(unit + SOFT * before * white.m, before))
-            share *= 1 / np.sqrt(max(float(np.linalg.det(unit + SOFT * before * white.m)), 1.0))
+            soft = unit + SOFT * before * white.m
+            kept = symmetrised(np.asarray(np.linalg.solve(soft, before), dtype=np.float64))
+            share /= float(np.sqrt(max(np.linalg.det(soft), 1.0)))
             total, shares = total + share * kept, shares + share
-            before = symmetrised(white.F @ kept @ white.F.T) + unit
-            steady = bool((np.abs(kept - old).max() <= SETTLED * np.abs(kept).max()))
-            late = share * np.abs(before).max() <= SETTLED * shares * np.abs(total / shares).max()
-            if not np.isfinite(before).all() or steady or (share <= SETTLED * shares and late):
+            if not np.isfinite(total).all():
                 break
-            old = kept
+            if np.abs(kept - last).max() <= SETTLED * np.abs(kept).max():
+                return kept
+            if share <= SETTLED * shares and share * np.abs(kept).max() <= SETTLED * np.abs(total).max():
+                return total / shares
+            last, before = kept, symmetrised(white.F @ kept @ white.F.T) + unit
         else:
-            steady = False
-    if not np.isfinite(total).all() or not np.isfinite(before).all():
-        raise NoQuadratureError(
-            "the errors that are kept grow without bound where Ψ does not see them; expected a Ψ that sees every "
-            "growing direction of the error; simulate instead"
-        )
-    return kept if steady and share > SETTLED * shares else total / shares
+            return total / shares
+    raise NoQuadratureError(
+        "kept errors grow without bound where Ψ does not see them; expected a Ψ that sees every growing direction of "
+        "the error; simulate instead"
+    )
 
 
 def _reached(data: _Data) -> _Data:
@@ -140,8 +140,7 @@ def _reached(data: _Data) -> _Data:
     unit = np.where(lengths > 0, lengths, 1.0)  # the units of the states decide nothing
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
     basis = left[:, values > RANK * values.max(initial=0.0)]
-    # in the units of the reach each direction of the error is of the size that it takes
-    basis, weight = basis, values[: basis.shape[1]]
+    weight = values[: basis.shape[1]]  # each direction in units of what noise does to it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 

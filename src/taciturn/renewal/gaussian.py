@@ -14,14 +14,15 @@ from taciturn.renewal._whiten import White, spread, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 MOST_NODES = 6000  # a dense system of this size takes seconds
-import os
-COARSE, FIRST, FINER = 0.6, float(os.environ.get("D","0.7")), float(os.environ.get("DF","1.2"))  # densities of nodes, and their growth
-NARROW, WIDER = float(os.environ.get("K",".85")), float(os.environ.get("KF","1.2"))  # windows, relative to those that coarse nodes ask for
+COARSE = 0.5  # density of the nodes that tell where kept errors are
+FIRST, USUAL = 0.5, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
+NARROW = 0.85  # of the windows that the coarse nodes ask for
+FINER, WIDER = 1.25, 1.1  # from one answer to the next
 RUNGS = 12
 PASSES = 12
-REACH = 10.0  # conditional standard deviations, at first
+REACH = 8.0  # conditional standard deviations, at first
 BEYOND = 0.01  # of the accuracy: the share of checks and of cost that a window may cut off
-ROUNDING = 4e-16  # per check of the mean interval
+ROUNDING = 1e-14  # per check of the mean interval
 USELESS = 0.01  # relative error
 
 
@@ -44,10 +45,25 @@ class _System:
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
+    """Rate and excess, and the checks that are still to come from each node."""
+
     system: _System
     checks: Array
     rate: float
     excess: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    found: _Solved
+    rate_error: float
+    excess_error: float
+
+    @property
+    def off(self) -> float:
+        """The larger relative error."""
+        excess = self.found.excess
+        return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 
 
 def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
@@ -77,32 +93,40 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
         >>> unit = np.eye(1)
         >>> found = solve_gaussian(Chain(unit, unit, unit, 1.0, unit))
         >>> round(found.rate, 6)
-        0.451889
+        0.359334
     """
     number("accuracy", accuracy, 0.0, 1.0)
     white = whiten(chain)
     window = _window(white, accuracy)
-    density, factor, previous, best, errors = FIRST, NARROW, None, None, (np.inf, np.inf)
+    density, factor = FIRST * np.sqrt(np.log(accuracy) / np.log(USUAL)), NARROW
+    previous, best = None, None
     for _ in range(RUNGS):
         try:
             found = _solve(white, place(white, window.scaled(factor), density, MOST_NODES))
         except TooManyNodes:
             break
-        if found is not None and previous is not None:
-            attained = _errors(found, previous)
-            if best is None or attained[0] / found.rate <= errors[0] / best.rate:
-                best, errors = found, attained
-            if attained[0] <= accuracy * found.rate and attained[1] <= accuracy * found.excess:
-                best, errors = found, attained
+        if previous is not None and found is not None:
+            answer = _compared(found, previous)
+            best = answer if best is None or answer.off <= best.off else best
+            if best.off <= accuracy:
                 break
         previous = found
         density, factor = density * FINER, factor * WIDER
-    if best is None or errors[0] > USELESS * best.rate:
+    if best is None:
         raise NoQuadratureError(
-            f"the errors that are kept spread over too many noise standard deviations for {MOST_NODES} nodes, or are "
-            "sent too rarely for floating point; expected a smaller δ or more noise for a quadrature; simulate instead"
+            f"kept errors spread over too many standard deviations of the noise for {MOST_NODES} nodes, or are hardly "
+            "ever sent; expected a smaller δ or more noise for a quadrature; simulate instead"
         )
-    return Renewal(best.rate, best.excess, *errors, intervals(best.system.start, best.system.kernel, best.checks), len(best.checks))
+    if best.off > USELESS:
+        raise NoQuadratureError(
+            f"within {MOST_NODES} nodes and the digits of floating point, rate and excess settle to {best.off:.1g} of "
+            f"themselves; expected {USELESS:g}; take a smaller δ, or simulate instead"
+        )
+    system = best.found.system
+    distribution = intervals(system.start, system.kernel, best.found.checks, 1 / best.found.rate)
+    return Renewal(
+        best.found.rate, best.found.excess, best.rate_error, best.excess_error, distribution, len(system.start)
+    )
 
 
 def _window(white: White, accuracy: float) -> Window:
@@ -114,7 +138,7 @@ def _window(white: White, accuracy: float) -> Window:
             system = _discretise(white, place(white, window, COARSE, MOST_NODES // 2))
         except TooManyNodes:
             break
-        visits = np.linalg.solve(np.eye(len(system.start)) - system.kernel.T, system.start)
+        visits = _solution(system.kernel.T, system.start)
         if not np.isfinite(visits).all() or visits.sum() <= 0:
             break
         found = symmetrised((system.x * visits[:, None]).T @ system.x / visits.sum())
@@ -122,9 +146,10 @@ def _window(white: White, accuracy: float) -> Window:
             break
         reach, cut = _reach(system, visits, window, BEYOND * accuracy)
         ratio = np.linalg.eigvals(np.linalg.solve(window.covariance, found)).real
-        if not cut.any() and 0.8 < ratio.min() and ratio.max() < 1.1:
+        if not cut.any() and ratio.min() > 0.8 and ratio.max() < 1.1:
             return Window(window.covariance, reach)
-        window = Window(found, np.where(cut, 1.5 * window.reach, np.maximum(reach, REACH)))
+        # an axis that ends with its chord has no more nodes for a wider window
+        window = Window(found, np.where(cut, 1.5 * window.reach, window.reach))
     return window
 
 
@@ -175,16 +200,23 @@ def _solve(white: White, nodes: Nodes) -> _Solved | None:
     """Return the solution on some nodes, or None where they are too coarse to have one."""
     system = _discretise(white, nodes)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
-    solution = np.linalg.solve(np.eye(len(known)) - system.kernel, known)
+    solution = _solution(system.kernel, known)
     checks, cost = 1 + float(system.start @ solution[:, 0]), float(system.start @ solution[:, 1])
     if not np.isfinite(solution).all() or checks < 1 or cost < 0:
         return None
     return _Solved(system, solution[:, 0], 1 / checks, cost / checks)
 
 
-def _errors(found: _Solved, previous: _Solved) -> tuple[float, float]:
-    rounding = ROUNDING * (20 + 1 / found.rate)
-    return (
+def _solution(kernel: Array, known: Array) -> Array:
+    """Return X with X = known + kernel X."""
+    return np.asarray(np.linalg.solve(np.eye(len(kernel)) - kernel, known), dtype=np.float64)
+
+
+def _compared(found: _Solved, previous: _Solved) -> _Answer:
+    """Return a solution with what it moved by, which is about the error of the coarser one, and with rounding."""
+    rounding = ROUNDING * (1 + 1 / found.rate)
+    return _Answer(
+        found,
         abs(found.rate - previous.rate) + rounding * found.rate,
         abs(found.excess - previous.excess) + rounding * found.excess,
     )
