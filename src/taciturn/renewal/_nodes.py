@@ -1,0 +1,145 @@
+"""Nodes for integrals over an ellipsoid, of which only what Gaussian noise reaches matters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.renewal._whiten import White
+
+STEEP = 4.0  # a map this much steeper than one has finer nodes at once
+SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
+FEWEST, PER_HALF_WIDTH = 12.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
+
+
+@dataclass(frozen=True, eq=False)
+class Window:
+    """Where kept errors are, axis by axis.
+
+    Args:
+        covariance: of kept errors, or about it: it gives each axis a mean and a deviation given the outer ones, (n, n).
+        reach: of each axis, how many of those deviations away kept errors come, (n,).
+    """
+
+    covariance: Array
+    reach: Array
+
+    def scaled(self, factor: float) -> Window:
+        """Return the window with so many times the reach."""
+        return Window(self.covariance, self.reach * factor)
+
+    def given_outer(self, outer: Array) -> tuple[Array, float]:
+        """Return mean and standard deviation of the next axis, for each row of the outer ones."""
+        d, covariance = outer.shape[1], self.covariance
+        slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
+        return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """One of every pair ±x of nodes, (nodes, n), and its weight, (nodes,)."""
+
+    x: Array
+    weight: Array
+
+
+class TooManyNodes(Exception):  # noqa: N818
+    """More nodes than can be afforded."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Span:
+    """The part of an axis that is kept, one for each node of the outer axes: a chord, cut by a window."""
+
+    chord: Array
+    low: Array
+    high: Array
+    slack: bool
+
+
+def place(white: White, window: Window, density: float, most: int) -> Nodes:
+    """Return nodes for Σ_i m_i x_i² ≤ 1, axis by axis, each on the chord that the outer ones leave.
+
+    An axis whose chord no kept error reaches has equidistant nodes, the others those of Gauss; outer ones of
+    them in the angle, x = c sin φ, as the inner integral ends like a square root.
+
+    Args:
+        white: the chain.
+        window: where kept errors are.
+        density: of the nodes, 1 for the usual one.
+        most: nodes.
+
+    Returns:
+        One of every pair ±x.
+
+    Raises:
+        TooManyNodes: more than ``most``.
+    """
+    n = len(white.m)
+    x, weight, left = np.zeros((1, 0)), np.ones(1), np.ones(1)
+    bends = np.maximum(1.0, np.linalg.norm(white.F, axis=0) / STEEP)
+    for axis in range(n):
+        centre, deviation = window.given_outer(x)
+        span = _span(centre, float(window.reach[axis]) * deviation, left, float(white.m[axis]))
+        rule = _equidistant if span.slack else _straight if axis == n - 1 else _angular
+        afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first ones are dropped
+        inner, inner_weight = rule(span, density * float(bends[axis]), afforded)
+        if axis == 0:
+            inner, inner_weight = _upper_half(inner, inner_weight)
+        x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
+        weight = (weight[:, None] * inner_weight).ravel()
+        left = np.maximum(left[:, None] - white.m[axis] * inner * inner, 0.0).ravel()
+        kept = weight > 0
+        x, weight, left = x[kept], weight[kept], left[kept]
+    return Nodes(x, weight)
+
+
+def _span(centre: Array, reach: float, left: Array, m: float) -> _Span:
+    chord = np.sqrt(left / m) if m > 0 else np.full(len(left), np.inf)
+    low, high = centre - reach, centre + reach
+    slack = bool(((low > -chord) & (high < chord)).all())
+    return _Span(chord, np.clip(low, -chord, chord), np.clip(high, -chord, chord), slack)
+
+
+def _equidistant(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+    half_width = float((span.high - span.low).max()) / 2
+    spacing = SPACING / density
+    half = _affordable(half_width / spacing, most / 2)
+    steps = (np.arange(-half, half) + 0.5) * spacing
+    x = (span.low + span.high)[:, None] / 2 + steps
+    return x, np.full(x.shape, spacing)
+
+
+def _straight(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+    half = (span.high - span.low)[:, None] / 2
+    nodes, weights = _gauss(float(half.max()), density, most)
+    return (span.high + span.low)[:, None] / 2 + half * nodes, half * weights
+
+
+def _angular(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+    chord = np.where(span.chord > 0, span.chord, 1.0)
+    low, high = np.arcsin(span.low / chord), np.arcsin(span.high / chord)
+    half = (high - low)[:, None] / 2
+    nodes, weights = _gauss(float((half[:, 0] * span.chord).max()), density, most)
+    angle = (high + low)[:, None] / 2 + half * nodes
+    return span.chord[:, None] * np.sin(angle), span.chord[:, None] * half * weights * np.cos(angle)
+
+
+def _gauss(half_width: float, density: float, most: float) -> tuple[Array, Array]:
+    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2, most / 2)
+    nodes, weights = np.polynomial.legendre.leggauss(2 * half)
+    return np.asarray(nodes, dtype=np.float64), np.asarray(weights, dtype=np.float64)
+
+
+def _affordable(half: float, most: float) -> int:
+    """Return half the nodes of an axis as an integer."""
+    if half > most:
+        raise TooManyNodes
+    return max(int(np.ceil(half)), 1)
+
+
+def _upper_half(x: Array, weight: Array) -> tuple[Array, Array]:
+    half = x.shape[1] // 2
+    return x[:, half:], weight[:, half:]
