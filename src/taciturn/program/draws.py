@@ -50,7 +50,7 @@ def with_draws(program: Program) -> Program:
         if name not in drawn:
             return None
         if not supplied:
-            words.extend(_draw(builder, drawn, supplied))
+            words.extend(draw(builder, drawn, supplied))
         return supplied[name]
 
     result = rebuild(program, substitute, range(len(program.states)))
@@ -87,8 +87,8 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return z ^ (z >> np.uint64(31))
 
 
-def _draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
-    """Define every draw of a tick; return the generator's next words."""
+def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
+    """Define every draw of a tick under its name; return the generator's next words."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]
     for i in range(0, len(normals), 2):
@@ -119,7 +119,7 @@ def _uniform(b: Builder, word: int) -> int:
 
 
 def _two_normals(b: Builder, word: int) -> tuple[int, int]:
-    radius = b.emit("sqrt", _minus_two_log(b, _upper_half_as_fraction(b, word)))
+    radius = b.emit("sqrt", minus_two_log(b, _upper_half_as_fraction(b, word)))
     # an angle in [−½, ½) eighths of a turn from an axis: bits 0–29
     field = b.emit("word_and", b.emit("shift_left", word, 22), b.emit("word", _MANTISSA))
     t = b.emit("sub", b.emit("double", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE))), b.constant(1.5))
@@ -141,7 +141,7 @@ def _upper_half_as_fraction(b: Builder, word: int) -> int:
     return b.emit("sub", scaled, b.constant((2.0**52 - 0.5) * 2.0**-32))
 
 
-def _minus_two_log(b: Builder, u: int) -> int:
+def minus_two_log(b: Builder, u: int) -> int:
     """−2 log u by u = 2^e (1 + f) with 1 + f in [√½, √2)."""
     offset = b.emit("word_add", b.emit("bits", u), b.emit("word", (_EXPONENT_ONE - _ROOT_HALF) & _WORD))
     exponent = b.emit("word_or", b.emit("shift_right", offset, 52), b.emit("word", _EXPONENT_MANTISSA))
