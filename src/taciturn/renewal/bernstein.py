@@ -20,6 +20,7 @@ Monomials = Sequence[int | None]  # operations that give m_0, m_1, …; None: ze
 NEWTON_STEPS = 5
 ROOT_WIDTH = 1e-12  # half-width, as a share of the piece, of the interval in which the sign must change
 _LONGEST = 0.25  # ‖A‖·Δ of the longest piece
+_WAITS = 4.0  # of a series that does not end, the longest piece: it decides the order, and few waits are longer
 _ORDER_ERROR = 1e-14  # of the first term of Taylor's series that is left out
 
 
@@ -28,20 +29,21 @@ class Motion:
 
     Args:
         A: (n, n).
-        length: beyond which no piece need go.
+        wait: seconds that a piece lasts in the mean.
+        most: times that, beyond which no piece need go.
     """
 
-    def __init__(self, A: Array, length: float) -> None:
+    def __init__(self, A: Array, wait: float, most: float) -> None:
         """Choose the longest piece and the orders of the series."""
         n = len(A)
-        self.A, self.longest = A, length
+        self.A, self.longest = A, most * wait
         chains = [m for m in range(1, n + 1) if not np.linalg.matrix_power(np.abs(A), m).any()]
         if chains:  # nilpotent whatever the rounding: the series end
             self.order, self.form_order = chains[0] - 1, 2 * (chains[0] - 1)
             return
         scale = balancing(A)
         norm = float(np.linalg.norm(A / scale[:, None] * scale, 2))
-        self.longest = min(length, _LONGEST / norm)
+        self.longest = min(_WAITS * wait, _LONGEST / norm)
         self.order, self.form_order = _order(norm * self.longest), _order(2 * norm * self.longest)
 
     def forms(self, S: Array) -> list[Array]:

@@ -35,7 +35,7 @@ ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
 ERROR, INTEGRAL, TIME, WAIT, PIECE = "error", "integral", "time", "wait", "piece"  # states
 OPEN, CLOSING = "open", "closing"  # states: whether cycles count, and whether the next end is the last that counts
 SHORTEST = 1e-13  # of a piece, relative to the time since the last send plus a mean wait
-LONGEST_WAIT = 64.0  # in mean waits: 32 bits draw no longer one
+LONGEST_WAIT = 64.0  # in mean waits; none that is drawn is longer: 53 bits
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def _time(name: str, value: object, low: float) -> None:
 
 
 def _motion(process: JumpProcess) -> Motion:
-    return Motion(process.A, LONGEST_WAIT / process.jumps.rate)
+    return Motion(process.A, 1 / process.jumps.rate, LONGEST_WAIT)
 
 
 @dataclass(frozen=True)
