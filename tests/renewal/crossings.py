@@ -9,8 +9,16 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from taciturn._arrays import Array
-from taciturn.renewal.events import ERROR, WAIT, IntegralTrigger, JumpProcess, LevelTrigger, Trigger, cycle_program, start
 from taciturn.program.machine import Kernel
+from taciturn.renewal.events import (
+    ERROR,
+    WAIT,
+    JumpProcess,
+    LevelTrigger,
+    Trigger,
+    cycle_program,
+    start,
+)
 
 
 def error_polynomials(A: Array, e: Array) -> list[Polynomial]:

@@ -123,7 +123,7 @@ def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: in
         rising = b.emit("greater", slope, zero)
         step = b.emit("div", value, b.emit("select", rising, slope, one))
         newton = b.emit("sub", x, step)
-        inside = b.emit("and", b.emit("greater", newton, low), b.emit("less_equal", newton, high))
+        inside = b.emit("and", b.emit("less_equal", low, newton), b.emit("less_equal", newton, high))
         middle = b.emit("mul", b.constant(0.5), b.emit("add", low, high))
         x = b.emit("select", b.emit("and", rising, inside), newton, middle)
     width = b.constant(ROOT_WIDTH)

@@ -40,8 +40,9 @@ DEFAULT_CYCLES = 1_000_000
 FIRST_TICKS = 64
 CHUNK = 1 << 25  # attempts between two looks at what was found
 BUDGET = 10_000_000_000  # attempts of all paths together
-ENDLESS = 1_000_000  # attempts within which a cycle ends
+ENDLESS = 100_000  # attempts within which a cycle ends
 RECORD = 1 << 22  # attempts recorded at once
+RECORDED_PER_CYCLE = 8
 Runner: TypeAlias = Callable[[Array, int], Run]
 
 
@@ -162,7 +163,13 @@ def sweep(
 
 
 def sample_cycles(
-    process: JumpProcess, trigger: Trigger, *, cycles: int, seed: int = 0, paths: int = PATHS, threads: int | None = None
+    process: JumpProcess,
+    trigger: Trigger,
+    *,
+    cycles: int,
+    seed: int = 0,
+    paths: int = PATHS,
+    threads: int | None = None,
 ) -> Sample:
     """Draw cycles one by one, for quantiles and histograms.
 
@@ -189,7 +196,7 @@ def sample_cycles(
     run, states = _prepare(program, threads), start(process, program, paths, seed)
     found, seen, ticks = np.zeros((2, paths, each)), np.zeros(paths, dtype=np.int64), 0
     while seen.min() < each:
-        chunk = max(1, RECORD // paths)
+        chunk = max(1, min(RECORD // paths, FIRST_TICKS + RECORDED_PER_CYCLE * int(each - seen.min())))
         ticks += chunk
         if ticks > ENDLESS * each:
             raise _endless(ticks)
@@ -254,6 +261,8 @@ class _Counting:
             if self.ticks > last:
                 raise _endless(ENDLESS)
             self.advance(FIRST_TICKS)
+        if not all(np.isfinite(total).all() for total in self.sums.values()):
+            raise UnstableError("the error passes all bounds within a cycle; expected a trigger that sees what grows")
         return CycleEstimate(
             _ratio(self.sums[DURATION], self.sums[CYCLES]),
             _ratio(self.sums[COST], self.sums[DURATION]),
