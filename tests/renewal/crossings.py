@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from math import factorial, inf
 
 import numpy as np
@@ -41,7 +42,7 @@ def first_crossing(f: Polynomial, low: float, high: float) -> float | None:
     corners = [low, *critical_points(f, low, high), high]
     if f(low) >= 0:
         return low
-    for left, right in zip(corners, corners[1:], strict=False):
+    for left, right in pairwise(corners):
         if f(right) < 0:
             continue
         for _ in range(200):
@@ -67,7 +68,7 @@ def size(f: Polynomial, high: float) -> float:
 
 
 def jumps(process: JumpProcess, paths: int, count: int, seed: int) -> tuple[Array, Array]:
-    """Return the waits (count + 1, paths) and jumps (count, n, paths) of each path, as a trigger that always fires sees them."""
+    """Return the waits (count + 1, paths) and jumps (count, n, paths), as a trigger that always fires sees them."""
     program = cycle_program(process, LevelTrigger(np.eye(len(process.A)), 1e-280)).keep(states={ERROR, WAIT})
     names = [(state.name, state.index) for state in program.states]
     rows = [names.index((ERROR, i)) for i in range(len(process.A))]

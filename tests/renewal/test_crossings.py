@@ -44,7 +44,7 @@ def process_of(A: Array, S: Array, rate: float = 1.0) -> JumpProcess:
 
 
 def first_ends(process: JumpProcess, trigger: Trigger, values: dict[str, Array], build: str = "fast") -> Array:
-    """Return when the first cycle ends of paths that start anywhere; not a number where it does not within the ticks."""
+    """Return when the first cycle ends of paths that start anywhere; not a number where it does not in time."""
     program: Program = cycle_program(process, trigger).keep(outputs={ENDED, DURATION})
     states = start(process, program, values[TIME].shape[-1], 0)
     for row, state in zip(states, program.states, strict=True):
@@ -188,22 +188,21 @@ def earlier_hump(value, end: float, found: float) -> bool:  # type: ignore[no-un
     return bool(end < found and abs(value(np.array([end]))[0]) < 1e-9)
 
 
-@pytest.mark.parametrize("law", ["normal", "uniform", "two-point"])
 @pytest.mark.parametrize(
-    "trigger",
+    ("law", "trigger"),
     [
-        IntegralTrigger(6.0),
-        IntegralTrigger(6.0, h_max=0.9),
-        IntegralTrigger(6.0, h_min=0.3, h_max=1.5),
-        IntegralTrigger(6.0, saturation=0.4),
-        IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0),
-        IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0),
-        LevelTrigger(np.diag([2.0, 1.0]), 1.5),
-        LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5),
+        ("normal", IntegralTrigger(6.0)),
+        ("uniform", IntegralTrigger(6.0, h_max=0.9)),
+        ("two-point", IntegralTrigger(6.0, h_min=0.3, h_max=1.5)),
+        ("normal", IntegralTrigger(6.0, saturation=0.4)),
+        ("uniform", IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0)),
+        ("two-point", IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0)),
+        ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
+        ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
     ],
     ids=["linear", "longest", "shortest", "saturating", "all", "saturated-at-first", "level", "level-longest"],
 )
-def test_whole_cycles_are_those_of_the_slow_way(trigger: Trigger, law: str) -> None:
+def test_whole_cycles_are_those_of_the_slow_way(law: str, trigger: Trigger) -> None:
     """Every duration and every cost, cycle by cycle, from the same jumps."""
     S, W = np.array([[1.0, 2.7], [2.7, 7.4]]), np.array([[0.2, 0.1], [0.1, 0.5]])
     process = JumpProcess(chain(2), Jumps(5.0, W, law), S)  # type: ignore[arg-type]

@@ -1,7 +1,7 @@
 """Cycles of an error under Poisson jumps from one send to the next, with event times that no grid blurs.
 
-Between jumps the trigger is a polynomial of time, in Bernstein's form on a piece. One tick of the program is one attempt
-at one piece of each path:
+Between jumps the trigger is a polynomial of time, in Bernstein's form on a piece. One tick of the program is one
+attempt at one piece of each path:
 
 1. All coefficients are negative: no send on the piece. The path advances over it, and jumps where it ended at a jump.
 2. The coefficients change sign once: one crossing. Newton's method finds it, and the cycle ends there. Where the sign
@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf
 
 import numpy as np
@@ -188,38 +189,43 @@ class _Attempt:
         self.longest = self.b.constant(self.motion.longest)
 
     def program(self) -> Program:
+        """Return the whole attempt."""
         b = self.b
         length, limited = self._length()
         cost = integral(b, self.motion.form(b, self.process.S, self.error, length), length)
         verdict = self._verdict(self._polynomial(cost, length), length)
-        advance = b.emit("mul", verdict.share, length)
-        gone = b.emit("add", self.gone, evaluate(b, cost, verdict.share))
         limited = b.emit("and", verdict.safe, limited)
         ended = self._either(verdict.crossed, limited)
-        time = b.emit("add", self.time, advance)
-        duration = b.emit("select", limited, b.constant(min(self.trigger.h_max, 1e300)), time)
-        rest = b.emit("sub", self.wait, advance)
-        jumped = b.emit("and", verdict.safe, b.emit("less_equal", self.wait, length))
+        advance = b.emit("mul", verdict.share, length)
+        time, rest = b.emit("add", self.time, advance), b.emit("sub", self.wait, advance)
+        gone = b.emit("add", self.gone, evaluate(b, cost, verdict.share))
+        # after a send the error stays 0 until the next jump: the new cycle begins there, unless h_max comes first
         idles = b.emit("and", ended, b.emit("greater", b.constant(self.trigger.h_max), rest))
+        jumped = b.emit("and", verdict.safe, b.emit("less_equal", self.wait, length))
         fresh = self._either(idles, b.emit("and", jumped, b.emit("not", ended)))
-        zero, following = self.zero, dict[tuple[str, int], int]()
+        whole = self._either(ended, jumped)
+        following = self._moved(advance, ended, fresh, rest)
+        following[INTEGRAL, 0] = b.emit("select", ended, self.zero, gone)
+        following[TIME, 0] = b.emit("select", ended, b.emit("select", idles, rest, self.zero), time)
+        following[PIECE, 0] = b.emit("select", whole, self.longest, verdict.next_piece)
+        duration = b.emit("select", limited, b.constant(min(self.trigger.h_max, 1e300)), time)
+        return self._finish(following, ended, duration, gone)
+
+    def _moved(self, advance: int, ended: int, fresh: int, rest: int) -> dict[tuple[str, int], int]:
+        """Return the next error, with a jump where it is fresh, the wait after that, and the generator's words."""
+        b, following = self.b, dict[tuple[str, int], int]()
         supplied, words = self._draws()
         moved = self.motion.advance(b, self.error, advance)
         for i, (value, jump) in enumerate(zip(moved, self._jump(supplied), strict=True)):
-            value = b.emit("select", ended, zero, value)
+            value = b.emit("select", ended, self.zero, value)
             if jump is not None:
                 value = b.emit("select", fresh, b.emit("add", value, jump), value)
             following[ERROR, i] = value
-        following[INTEGRAL, 0] = b.emit("select", ended, zero, gone)
-        # after a send the error stays 0 until the next jump: the new cycle begins there, unless h_max comes first
-        following[TIME, 0] = b.emit("select", ended, b.emit("select", idles, rest, zero), time)
         following[WAIT, 0] = b.emit("select", fresh, self._waited(supplied[f"{UNIFORM} 0"]), rest)
-        whole = self._either(ended, jumped)
-        following[PIECE, 0] = b.emit("select", whole, self.longest, verdict.next_piece)
         for i, word in enumerate(words):
             old = b.emit("double", self._state(GENERATOR, i, word=True))
             following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("double", word), old))
-        return self._finish(following, ended, duration, gone)
+        return following
 
     def _finish(self, following: dict[tuple[str, int], int], ended: int, duration: int, cost: int) -> Program:
         b, half = self.b, self.b.constant(0.5)
@@ -267,17 +273,7 @@ class _Attempt:
     def _verdict(self, polynomial: Sequence[int | None], length: int) -> _Verdict:
         b = self.b
         rows = bernstein(b, polynomial)
-        negative = [b.emit("greater", self.zero, row) for row in rows]
-        if isinstance(self.trigger, IntegralTrigger):  # just after a send both sides of the trigger are 0
-            negative[0] = self._either(negative[0], b.emit("less_equal", self.time, self.zero))
-        safe = self._all(negative)
-        falls = [b.emit("and", b.emit("not", x), y) for x, y in zip(negative, negative[1:], strict=False)]
-        single = self._all([negative[0], b.emit("not", negative[-1]), *(b.emit("not", fall) for fall in falls)])
-        now = b.emit("not", negative[0])
-        if isinstance(self.trigger, IntegralTrigger) and self.trigger.h_min > 0:
-            early = b.emit("greater", b.constant(self.trigger.h_min), self.time)
-            due = b.emit("not", early)
-            safe, single, now = self._either(safe, early), b.emit("and", single, due), b.emit("and", now, due)
+        safe, single, now = self._signs(rows)
         root, found, low, high = only_root(b, polynomial, rows[0], rows[-1], single)
         rooted, bracketed = b.emit("and", single, found), b.emit("and", single, b.emit("not", found))
         scale = b.emit("add", self.time, b.constant(1 / self.process.jumps.rate))
@@ -291,6 +287,21 @@ class _Attempt:
         longer = self._least(b.emit("add", self.piece, self.piece), self.longest)
         crossed = self._either(self._either(rooted, now), lost)
         return _Verdict(safe, crossed, share, b.emit("select", safe, longer, shorter))
+
+    def _signs(self, rows: Sequence[int]) -> tuple[int, int, int]:
+        """Return whether the piece has no crossing, whether it has exactly one, and whether it starts with one."""
+        b, trigger = self.b, self.trigger
+        negative = [b.emit("greater", self.zero, row) for row in rows]
+        if isinstance(trigger, IntegralTrigger):  # just after a send both sides of the trigger are 0
+            negative[0] = self._either(negative[0], b.emit("less_equal", self.time, self.zero))
+        falls = [b.emit("and", b.emit("not", x), y) for x, y in pairwise(negative)]
+        once = self._all([negative[0], b.emit("not", negative[-1]), *(b.emit("not", fall) for fall in falls)])
+        safe, now = self._all(negative), b.emit("not", negative[0])
+        if isinstance(trigger, IntegralTrigger) and trigger.h_min > 0:  # before it, nothing is looked at
+            early = b.emit("greater", b.constant(trigger.h_min), self.time)
+            due = b.emit("not", early)
+            return self._either(safe, early), b.emit("and", once, due), b.emit("and", now, due)
+        return safe, once, now
 
     def _draws(self) -> tuple[dict[str, int], list[int]]:
         """Return what is drawn for a jump and for the wait after it, by name, and the generator's next words."""
