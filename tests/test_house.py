@@ -30,7 +30,7 @@ MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_scipy"), ("_scipy", "_arrays"),
     ("_table", "errors"), ("_table", "_arrays"),
-    ("study", "problem"), ("cli", ""),
+    ("study", "problem"), ("cli", ""), ("renewal", "program"),
 }  # fmt: skip
 
 

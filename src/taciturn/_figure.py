@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".png", ".pdf")
-Style = Literal["line", "dashed", "dotted", "steps", "stems"]
+Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars"]
 
 
 @dataclass(frozen=True)
@@ -100,6 +100,8 @@ def _plot(axis: Any, series: Series) -> None:
         axis.step(series.x, series.y, where="post", label=series.label, color=color)
     elif series.style == "stems":
         axis.vlines(series.x, 0, series.y, label=series.label, color=color or "0.4", linewidth=0.8)
+    elif series.style == "stars":
+        axis.plot(series.x, series.y, "*", markersize=9, label=series.label, color=color)
     elif series.error is not None:
         axis.errorbar(
             series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color

@@ -61,7 +61,7 @@ def _random_operations(b: Builder, states: list[int], draws: np.random.Generator
     flag = b.emit("select", b.emit("greater", b.input("in 0"), values[0]), b.constant(1.0), b.constant(0.0))
     for _ in range(int(draws.integers(5, 40))):
         x, y, z = (int(i) for i in draws.choice(values, 3))
-        kind = draws.integers(6)
+        kind = draws.integers(7)
         if kind < 2:
             values.append(b.emit(["add", "sub"][kind], x, y))
         elif kind == 2:
@@ -71,6 +71,8 @@ def _random_operations(b: Builder, states: list[int], draws: np.random.Generator
         elif kind == 4:
             truth = b.emit("and", b.emit("not", b.emit("less_equal", x, y)), b.emit("greater", z, x))
             values.append(b.emit("select", truth, y, z))
+        elif kind == 5:
+            values.append(b.emit("div", x, b.emit("add", b.emit("mul", y, y), b.constant(0.5))))
         else:
             table = draws.choice([0.5, 2.0], 2)
             values.append(b.value(b.scale(b.lookup(list(table), flag), x)))

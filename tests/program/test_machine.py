@@ -14,10 +14,12 @@ import pytest
 
 import taciturn
 from taciturn.loop import Loop
+from taciturn.model.plant import Jumps
 from taciturn.program import machine
 from taciturn.program.ir import Builder, Program
 from taciturn.program.llvm import print_llvm
 from taciturn.program.machine import Kernel
+from taciturn.renewal.events import IntegralTrigger, JumpProcess, cycle_program
 
 Compiled = list[str]
 
@@ -192,10 +194,11 @@ TARGETS = {
 
 
 def programs(loop: Loop) -> list[Program]:
-    """Return programs with every operation among them: the second looks into tables."""
+    """Return programs with every operation among them: the second looks into tables, the third divides."""
     problem = taciturn.load("two-mass")
     clocked = problem.close(taciturn.design.periodic(problem.plant, problem.cost, every=3))
-    return [loop.program(), clocked.program()]
+    process = JumpProcess(np.eye(2, k=1), Jumps(1.0, np.eye(2)), np.eye(2))
+    return [loop.program(), clocked.program(), cycle_program(process, IntegralTrigger(1.0))]
 
 
 @pytest.mark.parametrize("name", TARGETS)

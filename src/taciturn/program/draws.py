@@ -50,7 +50,7 @@ def with_draws(program: Program) -> Program:
         if name not in drawn:
             return None
         if not supplied:
-            words.extend(_draw(builder, drawn, supplied))
+            words.extend(draw(builder, drawn, supplied))
         return supplied[name]
 
     result = rebuild(program, substitute, range(len(program.states)))
@@ -87,8 +87,8 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     return z ^ (z >> np.uint64(31))
 
 
-def _draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
-    """Define every draw of a tick; return the generator's next words."""
+def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
+    """Define every draw of a tick under its name; return the generator's next words."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]
     for i in range(0, len(normals), 2):

@@ -7,7 +7,7 @@ Values are doubles, truth values, or 64-bit words; vectors and loops belong to t
 |---|---|---|
 | `const` | index into `constants` | double |
 | `state`, `input` | index into `states`, `inputs` | double or word |
-| `add` `sub` `mul` `sqrt` | doubles | double, rounded once each: the order is the meaning |
+| `add` `sub` `mul` `div` `sqrt` | doubles | double, rounded once each: the order is the meaning |
 | `select` | truth value, two doubles | the first where true |
 | `lookup` | index into `tables`, a double that holds a small integer | double |
 | `greater` `less_equal` | two doubles | truth value |

@@ -21,7 +21,7 @@ _FLAGS: Mapping[Build, str] = {
     "parity": "",  # every operation rounds once, as in NumPy
     "fast": "nsz contract ",  # fused multiply-add; no reassociation: it breaks the bit tricks of the draws
 }
-_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul"}
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
 _SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
 

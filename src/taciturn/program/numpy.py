@@ -42,10 +42,16 @@ def _any_bit(x: Value) -> Value:
     return x != np.uint64(0)
 
 
+def _divide(x: Value, y: Value) -> Value:
+    with np.errstate(all="ignore"):  # lanes whose quotient is not used divide by what they like
+        return np.divide(x, y)
+
+
 _RULES: Mapping[str, Callable[..., Value]] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
+    "div": _divide,
     "sqrt": np.sqrt,
     "select": np.where,
     "greater": np.greater,

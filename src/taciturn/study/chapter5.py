@@ -88,12 +88,11 @@ def _panel(rows: Sequence[Row], price: PredictionCost) -> Panel:
     def column(name: str) -> list[float]:
         return [row.computed[name].value for row in rows]
 
-    errors = [row.computed["V"].standard_error for row in rows]
     rates = np.geomspace(min(column("r")), max(CHECKS), 80).tolist()
     series = [
         Series(rates, [price.periodic(1 / r) for r in rates], "periodic control", color=7),
         Series(list(CHECKS), column("V_p"), "base policies", "stars", color=1),
-        Series(column("r"), column("V"), "consistent, jumps", "stars", error=errors, color=3),
+        Series(column("r"), column("V"), "consistent, jumps", "stars", color=3),
         Series(column("r (Wiener)"), column("V (Wiener)"), "consistent, Wiener noise", "stars", color=0),
     ]
     return Panel(series, "sends per second", "cost per second", "Figure 5.4: double integrator")

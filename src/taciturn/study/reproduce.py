@@ -8,6 +8,7 @@ from taciturn.errors import ProblemError
 from taciturn.simulation.average import Progress
 from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
+from taciturn.study.chapter5 import chapter5
 from taciturn.study.chapter6 import chapter6
 from taciturn.study.chapter7 import chapter7
 from taciturn.study.reproduction import Reproduction
@@ -15,6 +16,7 @@ from taciturn.study.reproduction import Reproduction
 CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {
     "chapter2": chapter2,
     "chapter3": chapter3,
+    "chapter5": chapter5,
     "chapter6": chapter6,
     "chapter7": chapter7,
 }

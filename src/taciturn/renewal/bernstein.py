@@ -1,0 +1,164 @@
+"""Polynomials on pieces of time as operations: certificates of no root, and the only root where there is one.
+
+A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in Bernstein's basis. It lies within the hull of its b_j, and has no
+more roots in (0, 1) than they have changes of sign, and an odd number where that number is odd.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import comb, factorial
+
+import numpy as np
+
+from taciturn._arrays import Array, symmetrised
+from taciturn._scipy import balancing
+from taciturn.program.ir import Builder
+
+Monomials = Sequence[int | None]  # operations that give m_0, m_1, …; None: zero
+
+NEWTON_STEPS = 5
+ROOT_WIDTH = 1e-12  # half-width, as a share of the piece, of the interval in which the sign must change
+_LONGEST = 0.25  # ‖A‖·Δ of the longest piece
+_WAITS = 4.0  # of a series that does not end, the longest piece: it decides the order, and few waits are longer
+_ORDER_ERROR = 1e-14  # of the first term of Taylor's series that is left out
+
+
+class Motion:
+    """An error with ė = A e on pieces of time short enough for Taylor's series: exact where A is nilpotent.
+
+    Args:
+        A: (n, n).
+        wait: seconds that a piece lasts in the mean.
+        most: times that, beyond which no piece need go.
+    """
+
+    def __init__(self, A: Array, wait: float, most: float) -> None:
+        """Choose the longest piece and the orders of the series."""
+        n = len(A)
+        self.A, self.longest = A, most * wait
+        chains = [m for m in range(1, n + 1) if not np.linalg.matrix_power(np.abs(A), m).any()]
+        if chains:  # nilpotent whatever the rounding: the series end
+            self.order, self.form_order = chains[0] - 1, 2 * (chains[0] - 1)
+            return
+        scale = balancing(A)
+        norm = float(np.linalg.norm(A / scale[:, None] * scale, 2))
+        self.longest = min(_WAITS * wait, _LONGEST / norm)
+        self.order, self.form_order = _order(norm * self.longest), _order(2 * norm * self.longest)
+
+    def forms(self, S: Array) -> list[Array]:
+        """Return the forms T_k with e(s)'Se(s) = Σ_k s^k e'T_k e."""
+        found = [S]
+        for k in range(self.form_order):
+            found.append(symmetrised(self.A.T @ found[-1] + found[-1] @ self.A) / (k + 1))
+        while len(found) > 1 and not found[-1].any():
+            found.pop()
+        return found
+
+    def form(self, b: Builder, S: Array, e: Sequence[int], length: int) -> list[int | None]:
+        """Return e(x·length)'Se(x·length) as monomials in x."""
+        values = [b.quadratic([[float(c) for c in row] for row in T], e) for T in self.forms(S)]
+        result, power = values[:1], length
+        for value in values[1:]:
+            result.append(None if value is None else b.emit("mul", value, power))
+            power = b.emit("mul", power, length)
+        return result
+
+    def advance(self, b: Builder, e: Sequence[int], time: int) -> list[int]:
+        """Return e(time) by Horner's rule e + t/1 A(e + t/2 A(e + …))."""
+        moved = list(e)
+        for k in range(self.order, 0, -1):
+            steps = [b.combine([float(a) / k for a in row], moved) for row in self.A]
+            moved = [
+                v if step is None else b.emit("add", b.emit("mul", step, time), v)
+                for v, step in zip(e, steps, strict=True)
+            ]
+        return moved
+
+
+def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
+    """Return ∫_0^x of a polynomial, times the length of the piece, as monomials in x."""
+    result: list[int | None] = [None]
+    for k, value in enumerate(form):
+        result.append(None if value is None else b.emit("mul", b.scale(1 / (k + 1), value), length))
+    return result
+
+
+def evaluate(b: Builder, monomials: Monomials, x: int) -> int:
+    """Return the value at x."""
+    return _horner(b, monomials, x)[0]
+
+
+def bernstein(b: Builder, monomials: Monomials) -> list[int]:
+    """Return b_0, …, b_N of a polynomial: b_j = Σ_{k≤j} C(j,k)/C(N,k) m_k."""
+    N = len(monomials) - 1
+    there = [(k, m) for k, m in enumerate(monomials) if m is not None]
+    rows: list[int] = []
+    for j in range(N + 1):
+        total = b.combine([comb(j, k) / comb(N, k) for k, _ in there], [m for _, m in there])
+        rows.append(b.constant(0.0) if total is None else total)
+    return rows
+
+
+def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: int) -> tuple[int, int, int, int]:
+    """Find the only root in [0, 1] of a polynomial that rises through it, by Newton steps kept inside its bracket.
+
+    Args:
+        b: collects the operations.
+        monomials: of the polynomial.
+        first: its value at 0, negative.
+        last: its value at 1, not negative.
+        there: truth value, whether all that is so; where it is not, the results mean nothing.
+
+    Returns:
+        The root, whether it is found to ``ROOT_WIDTH``, and the bracket that is left, where the polynomial is negative
+        at the lower end and not at the upper one.
+    """
+    zero, one = b.constant(0.0), b.constant(1.0)
+    low, high = zero, one
+    x = b.emit("div", b.emit("sub", zero, first), b.emit("select", there, b.emit("sub", last, first), one))
+    for _ in range(NEWTON_STEPS):
+        value, slope = _horner(b, monomials, x)
+        low, high = _narrowed(b, low, high, x, value)
+        rising = b.emit("greater", slope, zero)
+        step = b.emit("div", value, b.emit("select", rising, slope, one))
+        newton = b.emit("sub", x, step)
+        inside = b.emit("and", b.emit("less_equal", low, newton), b.emit("less_equal", newton, high))
+        middle = b.emit("mul", b.constant(0.5), b.emit("add", low, high))
+        x = b.emit("select", b.emit("and", rising, inside), newton, middle)
+    width = b.constant(ROOT_WIDTH)
+    below, above = b.emit("sub", x, width), b.emit("add", x, width)
+    values = [evaluate(b, monomials, point) for point in (below, above)]
+    found = b.emit("and", b.emit("greater", zero, values[0]), b.emit("less_equal", zero, values[1]))
+    for point, value in zip((below, above), values, strict=True):
+        low, high = _narrowed(b, low, high, point, value)
+    return x, found, low, high
+
+
+def _narrowed(b: Builder, low: int, high: int, x: int, value: int) -> tuple[int, int]:
+    """Return the bracket with what is known at x, if x lies inside."""
+    zero = b.constant(0.0)
+    inside = b.emit("and", b.emit("greater", x, low), b.emit("greater", high, x))
+    under = b.emit("greater", zero, value)
+    lower = b.emit("and", inside, under)
+    upper = b.emit("and", inside, b.emit("not", under))
+    return b.emit("select", lower, x, low), b.emit("select", upper, x, high)
+
+
+def _horner(b: Builder, monomials: Monomials, x: int) -> tuple[int, int]:
+    """Return value and slope at x."""
+    total: int | None = None
+    slope: int | None = None
+    for monomial in reversed(monomials):
+        slope = b.add(None if slope is None else b.emit("mul", slope, x), total)
+        total = b.add(None if total is None else b.emit("mul", total, x), monomial)
+    zero = b.constant(0.0)
+    return zero if total is None else total, zero if slope is None else slope
+
+
+def _order(size: float) -> int:
+    """Return the order after which the terms size^k/k! are lost in rounding."""
+    order = 1
+    while size ** (order + 1) / factorial(order + 1) > _ORDER_ERROR:
+        order += 1
+    return order

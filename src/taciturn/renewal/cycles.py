@@ -1,0 +1,294 @@
+"""Mean interval and cost per second of cycles between sends, by simulation, with standard errors.
+
+Every path is run until the cycle that is under way when enough are counted has ended: then the number of counted cycles
+is a stopping time, and by Wald's identity neither the durations nor the costs are biased by a last cycle cut short.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from taciturn._arrays import Array, count, number
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.model.estimate import Estimate
+from taciturn.program import machine
+from taciturn.program import numpy as interpreter
+from taciturn.program.ir import Program
+from taciturn.program.numpy import Run
+from taciturn.renewal.events import (
+    CLOSING,
+    COST,
+    CYCLES,
+    DURATION,
+    ENDED,
+    OPEN,
+    IntegralTrigger,
+    JumpProcess,
+    Trigger,
+    check,
+    cycle_program,
+    start,
+)
+
+PATHS = 4096
+FEWEST_PATHS, CYCLES_PER_PATH = 64, 16  # few cycles are spread over fewer paths
+DEFAULT_CYCLES = 1_000_000
+FIRST_TICKS = 64
+CHUNK = 1 << 25  # attempts between two looks at what was found
+BUDGET = 10_000_000_000  # attempts of all paths together
+ENDLESS = 100_000  # attempts within which a cycle ends
+RECORD = 1 << 22  # attempts recorded at once
+RECORDED_PER_CYCLE = 8
+Runner: TypeAlias = Callable[[Array, int], Run]
+
+
+@dataclass(frozen=True)
+class CycleEstimate:
+    """What many cycles told.
+
+    Args:
+        interval: mean seconds between sends, E[θ].
+        cost: mean of e'Se, E[∫_0^θ e'Se ds]/E[θ].
+        cycles: that were counted.
+        ticks: attempts at pieces that this took, of all paths.
+    """
+
+    interval: Estimate
+    cost: Estimate
+    cycles: int
+    ticks: int
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Cycles one by one: the first ones of each path, hence a sample of their law.
+
+    Args:
+        durations: θ, (cycles,).
+        costs: ∫_0^θ e'Se ds, (cycles,).
+    """
+
+    durations: Array
+    costs: Array
+
+
+def estimate_cycles(
+    process: JumpProcess,
+    trigger: Trigger,
+    *,
+    cycles: int | None = None,
+    standard_error: float | None = None,
+    seed: int = 0,
+    paths: int = PATHS,
+    threads: int | None = None,
+) -> CycleEstimate:
+    """Estimate the mean interval between sends and the cost per second.
+
+    Args:
+        process: the error.
+        trigger: when it is sent.
+        cycles: count at least so many; omitted, without a standard error: a million.
+        standard_error: of the mean interval, absolute, instead of a number of cycles.
+        seed: of the draws; with the number of paths and of cycles it determines the result.
+        paths: independent paths, at most.
+        threads: omitted: all processors; the result does not depend on it.
+
+    Returns:
+        Both numbers with the standard errors of independent paths.
+
+    Raises:
+        ProblemError: an effort that means nothing, or a precision beyond the budget.
+        UnstableError: a cycle that does not end.
+
+    Source: khashooei2017
+    """
+    check(process, trigger)
+    count("seed", seed, 0)
+    count("paths", paths, 2)
+    if threads is not None:
+        count("threads", threads)
+    if cycles is not None and standard_error is not None:
+        raise ProblemError("cycles and standard_error are both given; expected one of them")
+    if standard_error is not None:
+        number("standard_error", standard_error, 0.0)
+        counting = _Counting(process, trigger, paths, seed, threads)
+        while (missing := counting.until_precise(standard_error)) > 0:
+            counting.advance(missing)
+        return counting.close()
+    wanted = DEFAULT_CYCLES if cycles is None else count("cycles", cycles)
+    counting = _Counting(process, trigger, min(paths, max(FEWEST_PATHS, wanted // CYCLES_PER_PATH)), seed, threads)
+    while (missing := counting.until_counted(wanted)) > 0:
+        counting.advance(missing)
+    return counting.close()
+
+
+def sweep(
+    process: JumpProcess,
+    cs: Sequence[float],
+    *,
+    trigger: IntegralTrigger | None = None,
+    cycles: int = DEFAULT_CYCLES,
+    seed: int = 0,
+    paths: int = PATHS,
+    threads: int | None = None,
+) -> tuple[CycleEstimate, ...]:
+    """Estimate M(c) = E[θ] of the integral trigger for many c, with the same jumps at the same times for each.
+
+    With c = αC the interval depends on c alone: α = M(c) is the fixed point that belongs to C = c/M(c).
+
+    Args:
+        process: the error.
+        cs: values of c.
+        trigger: everything but c; omitted: no saturation and no limits.
+        cycles: of each c, at least.
+        seed: of the draws.
+        paths: independent paths, at most.
+        threads: omitted: all processors.
+
+    Returns:
+        One estimate for each c.
+
+    Raises:
+        ProblemError: as ``estimate_cycles``.
+        UnstableError: as ``estimate_cycles``.
+
+    Source: khashooei2017
+    """
+    triggers = [IntegralTrigger(c) if trigger is None else replace(trigger, c=c) for c in cs]
+    return tuple(estimate_cycles(process, t, cycles=cycles, seed=seed, paths=paths, threads=threads) for t in triggers)
+
+
+def sample_cycles(
+    process: JumpProcess,
+    trigger: Trigger,
+    *,
+    cycles: int,
+    seed: int = 0,
+    paths: int = PATHS,
+    threads: int | None = None,
+) -> Sample:
+    """Draw cycles one by one, for quantiles and histograms.
+
+    Args:
+        process: the error.
+        trigger: when it is sent.
+        cycles: at least so many, and as many of each path.
+        seed: of the draws.
+        paths: independent paths, at most.
+        threads: omitted: all processors.
+
+    Returns:
+        Durations and costs, path after path.
+
+    Raises:
+        ProblemError: an effort that means nothing.
+        UnstableError: a cycle that does not end.
+    """
+    check(process, trigger)
+    count("seed", seed, 0)
+    paths = min(count("paths", paths), count("cycles", cycles))
+    each = -(-cycles // paths)
+    program = cycle_program(process, trigger).keep(outputs={ENDED, DURATION, COST})
+    run, states = _prepare(program, threads), start(process, program, paths, seed)
+    found, seen, ticks = np.zeros((2, paths, each)), np.zeros(paths, dtype=np.int64), 0
+    while seen.min() < each:
+        chunk = max(1, min(RECORD // paths, FIRST_TICKS + RECORDED_PER_CYCLE * int(each - seen.min())))
+        ticks += chunk
+        if ticks > ENDLESS * each:
+            raise _endless(ticks)
+        result = run(states, chunk)
+        states, ended = result.states, result.outputs[ENDED] > 0
+        place = seen + np.cumsum(ended, axis=0) - 1
+        tick, path = np.nonzero(ended & (place < each))
+        for row, name in zip(found, (DURATION, COST), strict=True):
+            row[path, place[tick, path]] = result.outputs[name][tick, path]
+        seen += ended.sum(axis=0)
+    return Sample(found[0].ravel(), found[1].ravel())
+
+
+class _Counting:
+    """Paths on their way, and what they have counted."""
+
+    def __init__(self, process: JumpProcess, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
+        self.program = cycle_program(process, trigger).keep({CYCLES, DURATION, COST}, states={OPEN, CLOSING})
+        self.run = _prepare(self.program, threads)
+        self.states = start(process, self.program, paths, seed)
+        self.sums = {name: np.zeros(paths) for name in (CYCLES, DURATION, COST)}
+        self.paths, self.ticks = paths, 0
+
+    def advance(self, ticks: int) -> None:
+        """Run so many ticks, or as many as a look at what was found should wait for."""
+        ticks = max(1, min(ticks, CHUNK // self.paths))
+        result = self.run(self.states, ticks)
+        self.states = result.states
+        for name, total in self.sums.items():
+            total += result.sums[name]
+        self.ticks += ticks
+
+    def until_counted(self, cycles: int) -> int:
+        """Return about how many ticks are missing to so many cycles."""
+        counted = float(self.sums[CYCLES].sum())
+        if counted >= cycles:
+            return 0
+        return self._more(cycles / counted if counted else 2.0)
+
+    def until_precise(self, wanted: float) -> int:
+        """Return about how many ticks are missing to a standard error of the mean interval."""
+        if self.sums[CYCLES].min() < CYCLES_PER_PATH:  # a standard error of less is not to be trusted
+            return self._more(2.0)
+        error = _ratio(self.sums[DURATION], self.sums[CYCLES]).standard_error
+        return 0 if error <= wanted else self._more((error / wanted) ** 2)
+
+    def _more(self, factor: float) -> int:
+        if not self.sums[CYCLES].any() and self.ticks > ENDLESS:
+            raise _endless(self.ticks)
+        if self.ticks * self.paths > BUDGET:
+            raise ProblemError(
+                f"{BUDGET} attempts gave {self.sums[CYCLES].sum():.0f} cycles; expected fewer cycles, or less precision"
+            )
+        return max(FIRST_TICKS, int(self.ticks * min(factor - 1, 100.0) * 1.02) + 1)
+
+    def close(self) -> CycleEstimate:
+        """Let each path end the cycle it is in, and return what was found."""
+        opened, closing = [[s.name for s in self.program.states].index(name) for name in (OPEN, CLOSING)]
+        self.states[closing] = 1.0
+        last = self.ticks + ENDLESS
+        while self.states[opened].any():
+            if self.ticks > last:
+                raise _endless(ENDLESS)
+            self.advance(FIRST_TICKS)
+        if not all(np.isfinite(total).all() for total in self.sums.values()):
+            raise UnstableError("the error passes all bounds within a cycle; expected a trigger that sees what grows")
+        return CycleEstimate(
+            _ratio(self.sums[DURATION], self.sums[CYCLES]),
+            _ratio(self.sums[COST], self.sums[DURATION]),
+            int(self.sums[CYCLES].sum()),
+            self.ticks * self.paths,
+        )
+
+
+def _prepare(program: Program, threads: int | None) -> Runner:
+    """Compile a program where there is a compiler."""
+    if not machine.available():
+        return lambda states, ticks: interpreter.run(program, states, ticks)
+    kernel = machine.Kernel(program)
+    return lambda states, ticks: kernel.run(program, states, ticks, threads=threads)
+
+
+def _ratio(above: Array, below: Array) -> Estimate:
+    """Return E[above]/E[below] over independent paths, with the standard error of the delta method."""
+    value = float(above.sum() / below.sum())
+    rest = above - value * below
+    error = float(np.sqrt((rest**2).sum() * len(rest) / (len(rest) - 1)) / below.sum())
+    return Estimate(value, error, "simulation")
+
+
+def _endless(ticks: int) -> UnstableError:
+    return UnstableError(
+        f"a cycle has not ended after {ticks} pieces of time: the trigger may never fire; expected an error that grows "
+        "until it does, or a finite h_max"
+    )

@@ -1,0 +1,358 @@
+"""Cycles of an error under Poisson jumps from one send to the next, with event times that no grid blurs.
+
+Between jumps the trigger is a polynomial of time, in Bernstein's form on a piece. One tick of the program is one
+attempt at one piece of each path:
+
+1. All coefficients are negative: no send on the piece. The path advances over it, and jumps where it ended at a jump.
+2. The coefficients change sign once: one crossing. Newton's method finds it, and the cycle ends there. Where the sign
+   is not seen to change within 1e-12 of what it found, the path advances to the lower end of the bracket instead.
+3. Otherwise half the piece is tried at the next tick; so the left half comes first, and the first crossing is found.
+
+A piece that is at its shortest and still undecided is where the sign cannot be told from rounding: there the trigger
+fires. So a trigger that touches its threshold from below fires where the value is not negative, to rounding.
+
+The draws are used up by jumps alone: the k-th jump of a path comes at the same time and has the same size whatever the
+trigger, which makes comparisons of triggers sharp.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import inf
+
+import numpy as np
+
+from taciturn._arrays import Array, array, instance, number, semidefinite
+from taciturn._modes import factor
+from taciturn.errors import ProblemError
+from taciturn.model.plant import Jumps
+from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw, minus_two_log, seed_generators
+from taciturn.program.ir import Builder, Program, State
+from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
+
+ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
+ERROR, INTEGRAL, TIME, WAIT, PIECE = "error", "integral", "time", "wait", "piece"  # states
+OPEN, CLOSING = "open", "closing"  # states: whether cycles count, and whether the next end is the last that counts
+SHORTEST = 1e-13  # of a piece, relative to the time since the last send plus a mean wait
+LONGEST_WAIT = 64.0  # in mean waits; none that is drawn is longer: 53 bits
+
+
+@dataclass(frozen=True, eq=False)
+class JumpProcess:
+    """An error with ė = A e between Poisson jumps, 0 after each send, and its cost e'Se per second.
+
+    Args:
+        A: dynamics per second, (n, n).
+        jumps: rate, covariance and law of a jump.
+        S: weight of the cost, (n, n), semidefinite.
+
+    Raises:
+        ProblemError: wrong shapes, or S indefinite.
+    """
+
+    A: Array
+    jumps: Jumps
+    S: Array
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        n = array("A", self.A, (None, None), "(states, states)").shape[0]
+        object.__setattr__(self, "A", array("A", self.A, (n, n), "(states, states)"))
+        object.__setattr__(self, "S", semidefinite("S", self.S, n, "(states, states)"))
+        instance("jumps", self.jumps, Jumps)
+        array("jumps.covariance", self.jumps.covariance, (n, n), "(states, states)")
+
+
+@dataclass(frozen=True)
+class IntegralTrigger:
+    """Send when the cost since the last send reaches c·min(β, ε), β seconds after it.
+
+    Args:
+        c: cost per second, positive.
+        saturation: ε > 0 after which the threshold rises no more.
+        h_min: shortest interval, h_min ≥ 0; the trigger is looked at from then on, then included.
+        h_max: longest interval, h_max > h_min.
+
+    Raises:
+        ProblemError: a value outside these ranges.
+
+    Source: khashooei2017
+    """
+
+    c: float
+    saturation: float = inf
+    h_min: float = 0.0
+    h_max: float = inf
+
+    def __post_init__(self) -> None:
+        """Check."""
+        number("c", self.c, 0.0)
+        number("h_min", self.h_min, 0.0, closed=True)
+        _time("saturation", self.saturation, 0.0)
+        _time("h_max", self.h_max, self.h_min)
+
+
+@dataclass(frozen=True, eq=False)
+class LevelTrigger:
+    """Send when e'Ψe ≥ Y².
+
+    Args:
+        Psi: Ψ, (n, n), semidefinite.
+        level: Y², positive.
+        h_max: longest interval, positive.
+
+    Raises:
+        ProblemError: a value outside these ranges.
+    """
+
+    Psi: Array
+    level: float
+    h_max: float = inf
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        n = array("Psi", self.Psi, (None, None), "(states, states)").shape[0]
+        object.__setattr__(self, "Psi", semidefinite("Psi", self.Psi, n))
+        number("level", self.level, 0.0)
+        _time("h_max", self.h_max, 0.0)
+
+
+Trigger = IntegralTrigger | LevelTrigger
+
+
+def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
+    """Return one attempt at one piece of a path as a program.
+
+    Args:
+        process: the error.
+        trigger: when it is sent.
+
+    Returns:
+        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count, and, as outputs,
+        whether a cycle ``ended`` in the tick, with its ``duration`` and ``cost``.
+
+    Raises:
+        ProblemError: the trigger has another number of states.
+    """
+    if isinstance(trigger, LevelTrigger):
+        array("Psi", trigger.Psi, process.A.shape, "(states, states)")
+    return _Attempt(process, trigger).program()
+
+
+def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
+    """Return the states of paths that were reset just now; path i of a seed is the same however many there are."""
+    words = seed_generators(seed + (1 << 64), paths)[0].view(np.uint64) >> np.uint64(11)
+    values = {
+        GENERATOR: seed_generators(seed, paths),
+        WAIT: -np.log((words + 0.5) * 2.0**-53)[None] / process.jumps.rate,
+        PIECE: np.full((1, paths), _motion(process).longest),
+        OPEN: np.ones((1, paths)),
+    }
+    states = np.zeros((len(program.states), paths))
+    for row, state in zip(states, program.states, strict=True):
+        if state.name in values:
+            row[:] = values[state.name][state.index]
+    return states
+
+
+def _time(name: str, value: object, low: float) -> None:
+    """Refuse a time that is not above ``low``; infinity is one."""
+    if value != inf:
+        number(name, value, low)
+
+
+def _motion(process: JumpProcess) -> Motion:
+    return Motion(process.A, 1 / process.jumps.rate, LONGEST_WAIT)
+
+
+@dataclass(frozen=True)
+class _Verdict:
+    """What an attempt found, as operations: truth values, and the share of the piece that is gone through."""
+
+    safe: int
+    crossed: int
+    share: int
+    next_piece: int
+
+
+class _Attempt:
+    """Writes the program; every method appends operations."""
+
+    def __init__(self, process: JumpProcess, trigger: Trigger) -> None:
+        self.process, self.trigger, self.motion = process, trigger, _motion(process)
+        self.b = Builder()
+        self.zero, self.one = self.b.constant(0.0), self.b.constant(1.0)
+        self.error = [self._state(ERROR, i) for i in range(len(process.A))]
+        self.gone, self.time, self.wait, self.piece = [self._state(x) for x in (INTEGRAL, TIME, WAIT, PIECE)]
+        self.longest = self.b.constant(self.motion.longest)
+
+    def program(self) -> Program:
+        """Return the whole attempt."""
+        b = self.b
+        length, limited = self._length()
+        cost = integral(b, self.motion.form(b, self.process.S, self.error, length), length)
+        verdict = self._verdict(self._polynomial(cost, length), length)
+        limited = b.emit("and", verdict.safe, limited)
+        ended = self._either(verdict.crossed, limited)
+        advance = b.emit("mul", verdict.share, length)
+        time, rest = b.emit("add", self.time, advance), b.emit("sub", self.wait, advance)
+        gone = b.emit("add", self.gone, evaluate(b, cost, verdict.share))
+        # after a send the error stays 0 until the next jump: the new cycle begins there, unless h_max comes first
+        idles = b.emit("and", ended, b.emit("greater", b.constant(self.trigger.h_max), rest))
+        jumped = b.emit("and", verdict.safe, b.emit("less_equal", self.wait, length))
+        fresh = self._either(idles, b.emit("and", jumped, b.emit("not", ended)))
+        whole = self._either(ended, jumped)
+        following = self._moved(advance, ended, fresh, rest)
+        following[INTEGRAL, 0] = b.emit("select", ended, self.zero, gone)
+        following[TIME, 0] = b.emit("select", ended, b.emit("select", idles, rest, self.zero), time)
+        following[PIECE, 0] = b.emit("select", whole, self.longest, verdict.next_piece)
+        duration = b.emit("select", limited, b.constant(min(self.trigger.h_max, 1e300)), time)
+        return self._finish(following, ended, duration, gone)
+
+    def _moved(self, advance: int, ended: int, fresh: int, rest: int) -> dict[tuple[str, int], int]:
+        """Return the next error, with a jump where it is fresh, the wait after that, and the generator's words."""
+        b, following = self.b, dict[tuple[str, int], int]()
+        supplied, words = self._draws()
+        moved = self.motion.advance(b, self.error, advance)
+        for i, (value, jump) in enumerate(zip(moved, self._jump(supplied), strict=True)):
+            value = b.emit("select", ended, self.zero, value)
+            if jump is not None:
+                value = b.emit("select", fresh, b.emit("add", value, jump), value)
+            following[ERROR, i] = value
+        following[WAIT, 0] = b.emit("select", fresh, self._waited(supplied[f"{UNIFORM} 0"]), rest)
+        for i, word in enumerate(words):
+            old = b.emit("double", self._state(GENERATOR, i, word=True))
+            following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("double", word), old))
+        return following
+
+    def _finish(self, following: dict[tuple[str, int], int], ended: int, duration: int, cost: int) -> Program:
+        b, half = self.b, self.b.constant(0.5)
+        opened, closing = self._state(OPEN), self._state(CLOSING)
+        last = b.emit("and", ended, b.emit("greater", closing, half))
+        following[OPEN, 0] = b.emit("select", last, self.zero, opened)
+        following[CLOSING, 0] = closing
+        counted = b.emit("and", ended, b.emit("greater", opened, half))
+        found = {CYCLES: self.one, DURATION: duration, COST: cost}
+        sums = {name: b.emit("select", counted, value, self.zero) for name, value in found.items()}
+        outputs = {name: b.emit("select", ended, value, self.zero) for name, value in found.items()}
+        outputs[ENDED] = outputs.pop(CYCLES)
+        return b.finish([following[state.name, state.index] for state in b.states], sums, outputs)
+
+    def _length(self) -> tuple[int, int]:
+        """Return the length of the piece, which ends at the latest where something happens, and if that is h_max."""
+        b, length = self.b, self._least(self.piece, self.wait)
+        limit = b.emit("sub", b.constant(self.trigger.h_max), self.time)
+        if isinstance(self.trigger, IntegralTrigger):
+            for corner in (self.trigger.h_min, self.trigger.saturation):
+                if 0 < corner < inf:
+                    left = b.emit("sub", b.constant(corner), self.time)
+                    left = b.emit("select", b.emit("greater", left, self.zero), left, self.longest)
+                    length = self._least(length, left)
+        length = self._least(length, limit)
+        return length, b.emit("less_equal", limit, length)
+
+    def _polynomial(self, cost: Sequence[int | None], length: int) -> list[int | None]:
+        """Return what is negative until the trigger fires, as monomials on the piece."""
+        b, trigger = self.b, self.trigger
+        if isinstance(trigger, LevelTrigger):
+            first, *others = self.motion.form(b, trigger.Psi, self.error, length)
+            level = b.constant(trigger.level)
+            return [b.emit("sub", self.zero if first is None else first, level), *others]
+        c = b.constant(trigger.c)
+        due = b.emit("mul", c, self._least(self.time, b.constant(trigger.saturation)))
+        slope = b.emit("mul", c, length)
+        if trigger.saturation < inf:
+            flat = b.emit("less_equal", b.constant(trigger.saturation), self.time)
+            slope = b.emit("select", flat, self.zero, slope)
+        first = b.emit("sub", self.gone, due)
+        second = b.emit("sub", self.zero if cost[1] is None else cost[1], slope)
+        return [first, second, *cost[2:]]
+
+    def _verdict(self, polynomial: Sequence[int | None], length: int) -> _Verdict:
+        b = self.b
+        rows = bernstein(b, polynomial)
+        safe, single, now = self._signs(rows)
+        root, found, low, high = only_root(b, polynomial, rows[0], rows[-1], single)
+        rooted, bracketed = b.emit("and", single, found), b.emit("and", single, b.emit("not", found))
+        scale = b.emit("add", self.time, b.constant(1 / self.process.jumps.rate))
+        shortest = b.emit("less_equal", length, b.emit("mul", b.constant(SHORTEST), scale))
+        lost = b.emit("and", shortest, b.emit("not", self._either(safe, rooted)))
+        share = b.emit("select", rooted, root, b.emit("select", bracketed, low, self.zero))
+        share = b.emit("select", self._either(now, lost), self.zero, b.emit("select", safe, self.one, share))
+        half = b.emit("mul", b.constant(0.5), length)
+        left = b.emit("mul", b.emit("sub", high, low), length)
+        shorter = b.emit("select", bracketed, self._least(left, half), half)
+        longer = self._least(b.emit("add", self.piece, self.piece), self.longest)
+        crossed = self._either(self._either(rooted, now), lost)
+        return _Verdict(safe, crossed, share, b.emit("select", safe, longer, shorter))
+
+    def _signs(self, rows: Sequence[int]) -> tuple[int, int, int]:
+        """Return whether the piece has no crossing, whether it has exactly one, and whether it starts with one."""
+        b, trigger = self.b, self.trigger
+        negative = [b.emit("greater", self.zero, row) for row in rows]
+        if isinstance(trigger, IntegralTrigger):  # just after a send both sides of the trigger are 0
+            negative[0] = self._either(negative[0], b.emit("less_equal", self.time, self.zero))
+        falls = [b.emit("and", b.emit("not", x), y) for x, y in pairwise(negative)]
+        once = self._all([negative[0], b.emit("not", negative[-1]), *(b.emit("not", fall) for fall in falls)])
+        safe, now = self._all(negative), b.emit("not", negative[0])
+        if isinstance(trigger, IntegralTrigger) and trigger.h_min > 0:  # before it, nothing is looked at
+            early = b.emit("greater", b.constant(trigger.h_min), self.time)
+            due = b.emit("not", early)
+            return self._either(safe, early), b.emit("and", once, due), b.emit("and", now, due)
+        return safe, once, now
+
+    def _draws(self) -> tuple[dict[str, int], list[int]]:
+        """Return what is drawn for a jump and for the wait after it, by name, and the generator's next words."""
+        normal = self.process.jumps.distribution == "normal"
+        count = factor(self.process.jumps.covariance).shape[1]
+        names = [f"{NORMAL} {i}" if normal else f"{UNIFORM} {i + 1}" for i in range(count)]
+        supplied: dict[str, int] = {}
+        return supplied, draw(self.b, [f"{UNIFORM} 0", *names], supplied)
+
+    def _jump(self, supplied: dict[str, int]) -> list[int | None]:
+        """Return G·ξ."""
+        b, G, half = self.b, factor(self.process.jumps.covariance), self.b.constant(0.5)
+        drawn: list[int] = []
+        for i in range(G.shape[1]):
+            if self.process.jumps.distribution == "normal":
+                drawn.append(supplied[f"{NORMAL} {i}"])
+                continue
+            centred = b.emit("sub", supplied[f"{UNIFORM} {i + 1}"], half)
+            if self.process.jumps.distribution == "uniform":
+                drawn.append(b.emit("mul", b.constant(float(np.sqrt(12.0))), centred))
+            else:
+                drawn.append(b.emit("select", b.emit("greater", centred, self.zero), self.one, b.constant(-1.0)))
+        return [b.combine([float(g) for g in row], drawn) for row in G]
+
+    def _waited(self, uniform: int) -> int:
+        """Return −log(u)/λ."""
+        return self.b.emit("mul", self.b.constant(0.5 / self.process.jumps.rate), minus_two_log(self.b, uniform))
+
+    def _state(self, name: str, index: int = 0, *, word: bool = False) -> int:
+        """Return a state; its key is its own, so that states may start anywhere."""
+        return self.b.state(State(name, index, start=(name, index), word=word))
+
+    def _least(self, x: int, y: int) -> int:
+        return self.b.emit("select", self.b.emit("greater", x, y), y, x)
+
+    def _either(self, x: int, y: int) -> int:
+        return self.b.emit("not", self.b.emit("and", self.b.emit("not", x), self.b.emit("not", y)))
+
+    def _all(self, truths: Sequence[int]) -> int:
+        total = truths[0]
+        for truth in truths[1:]:
+            total = self.b.emit("and", total, truth)
+        return total
+
+
+def check(process: object, trigger: object) -> None:
+    """Refuse what is neither a process nor a trigger.
+
+    Raises:
+        ProblemError: it is not.
+    """
+    instance("process", process, JumpProcess)
+    if not isinstance(trigger, IntegralTrigger | LevelTrigger):
+        raise ProblemError(f"trigger is a {type(trigger).__name__}; expected an IntegralTrigger or a LevelTrigger")
