@@ -139,8 +139,11 @@ def _reached(data: _Data) -> _Data:
     lengths = np.linalg.norm(reach, axis=1)
     unit = np.where(lengths > 0, lengths, 1.0)  # the units of the states decide nothing
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
-    basis = left[:, values > RANK * values.max(initial=0.0)]
-    weight = values[: basis.shape[1]]  # each direction in units of what noise does to it
+    basis: Array = np.asarray(left[:, values > RANK * values.max(initial=0.0)], dtype=np.float64)
+    weight: Array = np.asarray(
+        values[: basis.shape[1]], dtype=np.float64
+    )  # each direction in units of what noise does to it
+    # each direction in units of what the noise does to it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 
@@ -154,5 +157,5 @@ def _seen(data: _Data) -> _Data:
     for _ in range(len(data.F) - 1):
         blocks.append(blocks[-1] @ data.F / size)
     _, values, right = np.linalg.svd(np.vstack(blocks), full_matrices=False)
-    rows = right[values > RANK * values.max(initial=0.0)]
+    rows: Array = np.asarray(right[values > RANK * values.max(initial=0.0)], dtype=np.float64)
     return data.seen_in(rows, rows.T)
