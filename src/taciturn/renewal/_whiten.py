@@ -84,7 +84,8 @@ def whiten(chain: Chain) -> White:
             "all of them for a quadrature; simulate instead"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
-    white = data.seen_in(turn.T @ np.linalg.inv(half), half @ turn)
+    inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
+    white = data.seen_in(inverse, half @ turn)
     return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma)
 
 

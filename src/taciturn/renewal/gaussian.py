@@ -15,7 +15,7 @@ from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 MOST_NODES = 6000  # a dense system of this size takes seconds
 COARSE = 0.5  # density of the nodes that tell where kept errors are
-FIRST, USUAL = 0.5, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
+FIRST, USUAL = 0.53, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
 LOOSEST = 1e-5  # coarser nodes would not know their own error
 NARROW = 0.85  # of the windows that the coarse nodes ask for
 FINER, WIDER = 1.25, 1.1  # from one answer to the next
