@@ -11,7 +11,7 @@ from taciturn.renewal._whiten import White
 
 STEEP = 4.0  # a map this much steeper than one has finer nodes at once
 SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
-FEWEST, PER_HALF_WIDTH = 12.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
+FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +59,7 @@ class _Span:
     slack: bool
 
 
-def place(white: White, window: Window, density: float, most: int) -> Nodes:
+def place(white: White, window: Window, density: float, more: int, most: int) -> Nodes:
     """Return nodes for Σ_i m_i x_i² ≤ 1, axis by axis, each on the chord that the outer ones leave.
 
     An axis whose chord no kept error reaches has equidistant nodes, the others those of Gauss; outer ones of
@@ -69,6 +69,7 @@ def place(white: White, window: Window, density: float, most: int) -> Nodes:
         white: the chain.
         window: where kept errors are.
         density: of the nodes, 1 for the usual one.
+        more: pairs of nodes on each Gaussian axis, so that a finer set is finer on all of them.
         most: nodes.
 
     Returns:
@@ -85,7 +86,7 @@ def place(white: White, window: Window, density: float, most: int) -> Nodes:
         span = _span(centre, float(window.reach[axis]) * deviation, left, float(white.m[axis]))
         rule = _equidistant if span.slack else _straight if axis == n - 1 else _angular
         afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first ones are dropped
-        inner, inner_weight = rule(span, density * float(bends[axis]), afforded)
+        inner, inner_weight = rule(span, density * float(bends[axis]), more, afforded)
         if axis == 0:
             inner, inner_weight = _upper_half(inner, inner_weight)
         x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
@@ -103,7 +104,7 @@ def _span(centre: Array, reach: float, left: Array, m: float) -> _Span:
     return _Span(chord, np.clip(low, -chord, chord), np.clip(high, -chord, chord), slack)
 
 
-def _equidistant(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+def _equidistant(span: _Span, density: float, _: int, most: float) -> tuple[Array, Array]:
     half_width = float((span.high - span.low).max()) / 2
     spacing = SPACING / density
     half = _affordable(half_width / spacing, most / 2)
@@ -112,23 +113,23 @@ def _equidistant(span: _Span, density: float, most: float) -> tuple[Array, Array
     return x, np.full(x.shape, spacing)
 
 
-def _straight(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+def _straight(span: _Span, density: float, more: int, most: float) -> tuple[Array, Array]:
     half = (span.high - span.low)[:, None] / 2
-    nodes, weights = _gauss(float(half.max()), density, most)
+    nodes, weights = _gauss(float(half.max()), density, more, most)
     return (span.high + span.low)[:, None] / 2 + half * nodes, half * weights
 
 
-def _angular(span: _Span, density: float, most: float) -> tuple[Array, Array]:
+def _angular(span: _Span, density: float, more: int, most: float) -> tuple[Array, Array]:
     chord = np.where(span.chord > 0, span.chord, 1.0)
     low, high = np.arcsin(span.low / chord), np.arcsin(span.high / chord)
     half = (high - low)[:, None] / 2
-    nodes, weights = _gauss(float((half[:, 0] * span.chord).max()), density, most)
+    nodes, weights = _gauss(float((half[:, 0] * span.chord).max()), density, more, most)
     angle = (high + low)[:, None] / 2 + half * nodes
     return span.chord[:, None] * np.sin(angle), span.chord[:, None] * half * weights * np.cos(angle)
 
 
-def _gauss(half_width: float, density: float, most: float) -> tuple[Array, Array]:
-    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2, most / 2)
+def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[Array, Array]:
+    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, most / 2)
     nodes, weights = np.polynomial.legendre.leggauss(2 * half)
     return np.asarray(nodes, dtype=np.float64), np.asarray(weights, dtype=np.float64)
 

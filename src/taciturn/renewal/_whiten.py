@@ -84,7 +84,8 @@ def whiten(chain: Chain) -> White:
             "all of them for a quadrature; simulate instead"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
-    white = data.seen_in(turn.T @ np.linalg.inv(half), half @ turn)
+    inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
+    white = data.seen_in(inverse, half @ turn)
     return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma)
 
 
@@ -139,8 +140,11 @@ def _reached(data: _Data) -> _Data:
     lengths = np.linalg.norm(reach, axis=1)
     unit = np.where(lengths > 0, lengths, 1.0)  # the units of the states decide nothing
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
-    basis = left[:, values > RANK * values.max(initial=0.0)]
-    weight = values[: basis.shape[1]]  # each direction in units of what noise does to it
+    basis: Array = np.asarray(left[:, values > RANK * values.max(initial=0.0)], dtype=np.float64)
+    weight: Array = np.asarray(
+        values[: basis.shape[1]], dtype=np.float64
+    )  # each direction in units of what noise does to it
+    # each direction in units of what the noise does to it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 
@@ -154,5 +158,5 @@ def _seen(data: _Data) -> _Data:
     for _ in range(len(data.F) - 1):
         blocks.append(blocks[-1] @ data.F / size)
     _, values, right = np.linalg.svd(np.vstack(blocks), full_matrices=False)
-    rows = right[values > RANK * values.max(initial=0.0)]
+    rows: Array = np.asarray(right[values > RANK * values.max(initial=0.0)], dtype=np.float64)
     return data.seen_in(rows, rows.T)

@@ -15,13 +15,15 @@ from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 MOST_NODES = 6000  # a dense system of this size takes seconds
 COARSE = 0.5  # density of the nodes that tell where kept errors are
-FIRST, USUAL = 0.5, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
+FIRST, USUAL = 0.53, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
+LOOSEST = 1e-5  # coarser nodes would not know their own error
 NARROW = 0.85  # of the windows that the coarse nodes ask for
 FINER, WIDER = 1.25, 1.1  # from one answer to the next
 RUNGS = 12
 PASSES = 12
 REACH = 8.0  # conditional standard deviations, at first
 BEYOND = 0.01  # of the accuracy: the share of checks and of cost that a window may cut off
+SAFETY = 2.0  # of what an answer moved by
 ROUNDING = 1e-14  # per check of the mean interval
 USELESS = 0.01  # relative error
 
@@ -74,7 +76,7 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
 
     The coordinates make the noise white and Ψ diagonal. Nodes stand on nested chords of E, as far as kept errors
     get. Resolution and window grow together until both numbers settle; what they last moved by is the error
-    claimed, which is that of the coarser answer.
+    claimed, twice, which is that of the coarser answer.
 
     Args:
         chain: with Gaussian noise.
@@ -97,12 +99,13 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
     """
     number("accuracy", accuracy, 0.0, 1.0)
     white = whiten(chain)
-    window = _window(white, accuracy)
-    density, factor = FIRST * np.sqrt(np.log(accuracy) / np.log(USUAL)), NARROW
+    asked = min(accuracy, LOOSEST)
+    window = _window(white, asked)
+    density, factor = FIRST * float(np.sqrt(np.log(asked) / np.log(USUAL))), NARROW
     previous, best = None, None
-    for _ in range(RUNGS):
+    for step in range(RUNGS):
         try:
-            found = _solve(white, place(white, window.scaled(factor), density, MOST_NODES))
+            found = _solve(white, place(white, window.scaled(factor), density, step, MOST_NODES))
         except TooManyNodes:
             break
         if previous is not None and found is not None:
@@ -135,7 +138,7 @@ def _window(white: White, accuracy: float) -> Window:
     window = Window(covariance, np.full(len(covariance), REACH))
     for _ in range(PASSES):
         try:
-            system = _discretise(white, place(white, window, COARSE, MOST_NODES // 2))
+            system = _discretise(white, place(white, window, COARSE, 0, MOST_NODES // 2))
         except TooManyNodes:
             break
         visits = _solution(system.kernel.T, system.start)
@@ -217,6 +220,6 @@ def _compared(found: _Solved, previous: _Solved) -> _Answer:
     rounding = ROUNDING * (1 + 1 / found.rate)
     return _Answer(
         found,
-        abs(found.rate - previous.rate) + rounding * found.rate,
-        abs(found.excess - previous.excess) + rounding * found.excess,
+        SAFETY * abs(found.rate - previous.rate) + rounding * found.rate,
+        SAFETY * abs(found.excess - previous.excess) + rounding * found.excess,
     )
