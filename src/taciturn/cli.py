@@ -339,7 +339,7 @@ def _print_tradeoff(found: Tradeoff) -> None:
             [
                 *(str(value) for value in point.values.values()),
                 *(f"{rate.value:.4f} ± {rate.standard_error:.4f}" for rate in rates),
-                " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates),
+                " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates) if e.base_rate else "",
                 str(e.cost),
                 _above(e) if e.cost_all_time else "",
                 "" if e.cost_bound is None else f"{e.cost_bound:.6g}",

@@ -31,6 +31,7 @@ from taciturn.problem.tables import (
     ours,
     suggest,
 )
+from taciturn.renewal.policy import EventPolicy
 
 BUILT_IN = Path(__file__).parent.parent / "problems"
 
@@ -60,7 +61,22 @@ class Problem:
     source: Mapping[str, Any] | None = None
 
     def design(self) -> Policy:
-        """Design the policy.
+        """Design the policy, as nodes that exchange packets.
+
+        Raises:
+            ProblemError: a parameter is unknown, missing or out of range, the policy knows no such network, or it is
+                triggered in continuous time.
+        """
+        policy = self.designed()
+        if isinstance(policy, EventPolicy):
+            raise ProblemError(
+                f"{policy.kind} without a period is triggered in continuous time and has no loop of nodes; "
+                "expected policy.period, the seconds between looks at the error"
+            )
+        return policy
+
+    def designed(self) -> Policy | EventPolicy:
+        """Design the policy, which may have no ticks.
 
         Raises:
             ProblemError: a parameter is unknown, missing or out of range, or the policy knows no such network.

@@ -16,7 +16,9 @@ from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
+from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import RELATIVE_ERROR, Averages, Progress, average, check_effort
+from taciturn.simulation.events import average_events
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 
 
@@ -27,9 +29,10 @@ class Evaluation:
     Args:
         policy: its kind.
         unit: what the cost counts per: ``"step"`` or ``"second"``, or ``"mission"`` for a finite horizon or a discount.
-        base_rate: rate of sending at every tick.
+        base_rate: rate of sending at every tick; None where sends may come at any time.
         cost: per step or per second, or the total of a finite horizon.
         cost_all_time: exact cost of sending at every tick; None where the simulated plant is not the design's.
+        statement: the theorem behind the bounds, or None.
         cost_bound: proved bound, or None.
         cost_bound_at_rate: the sharper bound at the measured rate, or None.
         rates: sends per step or per second, by scheduled link; of a mission the mean fraction of its steps,
@@ -47,9 +50,10 @@ class Evaluation:
 
     policy: str
     unit: Literal["step", "second", "mission"]
-    base_rate: float
+    base_rate: float | None
     cost: Estimate
     cost_all_time: float | None
+    statement: str | None
     cost_bound: float | None
     cost_bound_at_rate: float | None
     rates: Mapping[str, Estimate]
@@ -132,7 +136,10 @@ def evaluate(
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")
     began = time.perf_counter()
-    policy = problem.design()
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy):
+        found = _events(problem, policy, seed, standard_error, steps, method, progress)
+        return replace(found, seconds=time.perf_counter() - began)
     loop = problem.close(policy)
     found, notes = None, policy.notes
     if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
@@ -157,6 +164,7 @@ def evaluate(
         base_rate=pace,
         cost=found.cost,
         cost_all_time=policy.cost_all_time if loop.nominal else None,
+        statement=None if guarantee is None else guarantee.statement,
         cost_bound=None if guarantee is None else guarantee.cost,
         cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick),
         rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
@@ -174,6 +182,45 @@ def evaluate(
 def unit_of(problem: Problem) -> Literal["step", "second"]:
     """Return what averages of a problem count per."""
     return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
+
+
+def _events(
+    problem: Problem,
+    policy: EventPolicy,
+    seed: int,
+    standard_error: float | None,
+    steps: int | None,
+    method: str,
+    progress: Progress | None,
+) -> Evaluation:
+    """Return the evaluation of a policy without ticks."""
+    if method == "exact":
+        raise ProblemError(f"method is 'exact', and {policy.kind} has no exact method; expected 'auto' or 'simulation'")
+    if problem.actual is not None:
+        raise ProblemError(f"[plant.actual] is given, which {policy.kind} without a period does not use: remove it")
+    found = average_events(policy, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
+    rate = found.rates["sensor"]
+    interval = _interval(rate, 1.0)
+    assert interval is not None
+    return Evaluation(
+        policy=policy.kind,
+        unit="second",
+        base_rate=None,
+        cost=found.cost,
+        cost_all_time=policy.cost_all_time,
+        statement=policy.statement,
+        cost_bound=policy.bound(),
+        cost_bound_at_rate=policy.bound(interval.value),
+        rates=found.rates,
+        seed=seed,
+        seconds=0.0,
+        steps=found.steps,
+        reached=found.reached,
+        schedule=None,
+        cost_periodic_same_rate=periodic_cost_at(problem, rate.value, actuation_of(problem)),
+        mean_interval=interval,
+        notes=policy.notes,
+    )
 
 
 def _solved(loop: Loop) -> Averages:

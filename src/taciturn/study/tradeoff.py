@@ -129,7 +129,7 @@ def tradeoff(
     grid = _grid(over)
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
-        changed.design()  # a mistake in the last cell is told before the first one runs
+        changed.designed()  # a mistake in the last cell is told before the first one runs
     units = {(changed.cost.horizon is None and changed.cost.discount == 1) for changed in problems}
     if len(units) > 1:
         raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
@@ -146,7 +146,7 @@ def tradeoff(
         same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
         points.append(Point(cell, evaluation, actuation, same))
     return Tradeoff(
-        tuple(points), _curves(problems, points, over), points[0].evaluation.unit, _statement(problems[0], points)
+        tuple(points), _curves(problems, points, over), points[0].evaluation.unit, points[0].evaluation.statement
     )
 
 
@@ -171,7 +171,7 @@ def _curves(
     if any(point.evaluation.schedule for point in points):
         return {}
     used: set[Actuation] = {point.actuation for point in points}
-    fastest = max(point.evaluation.base_rate for point in points)
+    fastest = max(point.evaluation.base_rate or 2 * _rate(point) for point in points)
     slowest = min((_rate(point) for point in points if _rate(point) > 0), default=fastest)
     curves: dict[Actuation, tuple[PeriodicPoint, ...]] = {}
     for actuation in sorted(used):
@@ -179,11 +179,6 @@ def _curves(
         if curve:
             curves[actuation] = curve
     return curves
-
-
-def _statement(problem: Problem, points: Sequence[Point]) -> str | None:
-    guarantee = problem.design().guarantee
-    return None if guarantee is None or points[0].evaluation.cost_bound is None else guarantee.statement
 
 
 def _lead(cells: Sequence[Mapping[str, Any]]) -> str:

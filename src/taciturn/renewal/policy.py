@@ -1,0 +1,46 @@
+"""Policies whose events have no ticks: between the jumps of the noise the trigger is watched continuously."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from taciturn.model.cost import Cost
+from taciturn.model.estimate import Estimate
+from taciturn.model.plant import ContinuousPlant
+from taciturn.renewal.events import IntegralTrigger, JumpProcess
+
+
+@dataclass(frozen=True, eq=False)
+class EventPolicy:
+    """Both ends predict the state; the sensor sends it when the cost of the prediction's error reaches what is allowed.
+
+    It is analysed as a renewal process. A loop of nodes that exchange packets has ticks: give the policy a period.
+
+    Args:
+        kind: name in the catalogue.
+        plant: the plant it was designed for.
+        cost: the cost it was designed for.
+        process: the error between sends.
+        trigger: when it is sent.
+        cost_all_time: cost per second of a state that is always known, tr(PλW).
+        alpha: α, with c = αC; with a standard error where it was computed.
+        statement: the theorem in one line.
+        source: key in ``docs/sources.bib``.
+        notes: what a reader of its numbers must know.
+    """
+
+    kind: str
+    plant: ContinuousPlant
+    cost: Cost
+    process: JumpProcess
+    trigger: IntegralTrigger
+    cost_all_time: float
+    alpha: Estimate
+    statement: str
+    source: str
+    notes: tuple[str, ...] = ()
+
+    def bound(self, interval: float = 0.0) -> float:
+        """Return what the cost cannot exceed at a mean interval between sends; at 0: at any."""
+        share = min(1.0, self.trigger.saturation / interval) if interval > 0 else 1.0
+        return self.cost_all_time + self.trigger.c * share
