@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import pairwise
 from math import erfc, exp, lgamma, log, sqrt
 
 import numpy as np
@@ -12,7 +14,7 @@ from numpy.polynomial.legendre import leggauss
 from taciturn._arrays import Array
 from taciturn.renewal.chain import NoQuadratureError
 
-BEYOND = 1e-9  # probability of jumps that are left out because they are too large together
+BEYOND = 1e-10  # probability of jumps that are left out because they are too large together
 SPLIT = 0.5  # of √(ρ/reach), where the two radial tables meet
 TAPER = 8  # power with which the Fourier sum ends
 RESOLVED = 1e-6  # of the characteristic function, that may be left beyond the frequencies kept
@@ -67,14 +69,17 @@ class Shower:
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
 
 
+_legendre = cache(leggauss)
+
+
 def gauss(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
     """Return nodes and weights of Gauss and Legendre on an interval."""
-    nodes, weights = leggauss(count)
+    nodes, weights = _legendre(count)
     return low + (high - low) * (nodes + 1) / 2, weights * (high - low) / 2
 
 
 def _composite(count: int, edges: Array) -> tuple[Array, Array]:
-    pairs = [gauss(count, float(low), float(high)) for low, high in zip(edges[:-1], edges[1:], strict=True)]
+    pairs = [gauss(count, float(low), float(high)) for low, high in pairwise(edges)]
     return np.concatenate([nodes for nodes, _ in pairs]), np.concatenate([weights for _, weights in pairs])
 
 
@@ -208,6 +213,7 @@ class Density:
         halves = (values * radii).reshape(len(angles), 2, -1)
         return np.stack([_coefficients(_coefficients(halves[:, k]).T).T for k in range(2)])
 
+    @cached_property
     def _spectrum(self) -> tuple[Array, Array]:
         """Return frequencies and the characteristic function of at least one jump, of rank one at least three."""
         shower, count = self.shower, self.fineness.waves
@@ -235,9 +241,7 @@ class Density:
         return waves, spectrum * shower.quiet
 
     def _fourier(self, places: Array) -> Array:
-        if not hasattr(self, "_known"):
-            self._known = self._spectrum()
-        waves, spectrum = self._known
+        waves, spectrum = self._spectrum
         along, across = np.outer(waves, places[:, 0]), np.outer(waves[len(waves) // 2 :], places[:, 1])
         real = np.einsum("kp,kp->p", np.cos(along), spectrum @ np.cos(across))
         imaginary = np.einsum("kp,kp->p", np.sin(along), spectrum @ np.sin(across))

@@ -207,31 +207,41 @@ class _Operator:
             low, high, directions, weights, rays = (
                 low[chosen], high[chosen], directions[chosen], weights[chosen], rays.part(chosen),
             )  # fmt: skip
-            shift, mass = self._places(low, high, rays, self.grid.radii if j == 0 else self.grid.radii * 3 // 5)
-            mass = (mass * weights[:, None]).ravel() * self.plane.shower.quiet**j
-            errors = (start + shift[..., None] * directions[:, None]).reshape(-1, 2) @ self.powers[j].T
-            along, across = self._coordinates(errors)
-            seen = chebyshev.chebvander(along, self.grid.along - 1) * mass[:, None]
-            steps[j] = (seen.T @ chebyshev.chebvander(across, self.grid.across - 1))[self.even]
-            sides[0, j] = mass.sum()
-            sides[1, j] = mass @ np.einsum("qi,ij,qj->q", errors, self.plane.Gamma, errors)
-            sides[2, j] = mass @ (errors @ self.plane.axes[:, 0] / self.grid.cut) ** FAR
+            count = self.grid.radii if j == 0 else self.grid.radii * 3 // 5
+            for outer in range(2):
+                span = SPLIT * outer, SPLIT + SPLIT * outer
+                first, last = (np.clip(np.sqrt(end / self.density.reach), *span) for end in (low, high))
+                met = last > first
+                if met.any():
+                    ends, part = (first[met], last[met]), rays.part(met)
+                    errors, mass = self._piece(start, j, ends, directions[met], part, outer, count)
+                    mass = mass * weights[met, None] * self.plane.shower.quiet**j
+                    steps[j] += self._polynomials(errors, mass.ravel())
+                    sides[:, j] += self._sides(errors, mass.ravel())
         return steps, *sides
 
-    def _places(self, low: Array, high: Array, rays: Rays, count: int) -> tuple[Array, Array]:
-        """Return distances along rays and the probability there, (rays, nodes)."""
-        reach = self.density.reach
-        roots, masses = list[Array](), list[Array]()
+    def _polynomials(self, errors: Array, mass: Array) -> Array:
+        """Return the integral of every polynomial."""
+        along, across = self._coordinates(errors)
+        seen = chebyshev.chebvander(along, self.grid.along - 1) * mass[:, None]
+        return (seen.T @ chebyshev.chebvander(across, self.grid.across - 1))[self.even]
+
+    def _sides(self, errors: Array, mass: Array) -> Array:
+        """Return the integrals of 1, of the cost, and of a high power of the distance."""
+        cost = mass @ np.einsum("qi,qi->q", errors @ self.plane.Gamma, errors)
+        return np.array([mass.sum(), cost, mass @ (errors @ self.plane.axes[:, 0] / self.grid.cut) ** FAR])
+
+    def _piece(
+        self, start: Array, check: int, ends: tuple[Array, Array], directions: Array, rays: Rays, outer: int, count: int
+    ) -> tuple[Array, Array]:
+        """Return errors on a piece of every ray, moved by so many checks, and the probability there, (rays, nodes)."""
         nodes, weights = gauss(count)
-        for outer in range(2):
-            first = np.clip(np.sqrt(low / reach), SPLIT * outer, SPLIT + SPLIT * outer)[:, None]
-            width = np.clip(np.sqrt(high / reach), SPLIT * outer, SPLIT + SPLIT * outer)[:, None] - first
-            if (width > 0).any():
-                root = first + width * nodes
-                roots.append(root)
-                density = rays.density(root, reach * root * root, outer)
-                masses.append(2 * reach * root * width * weights * density)
-        return reach * np.concatenate(roots, 1) ** 2, np.concatenate(masses, 1)
+        width = (ends[1] - ends[0])[:, None]
+        roots = ends[0][:, None] + width * nodes
+        radii = self.density.reach * roots * roots
+        mass = 2 * self.density.reach * roots * width * weights * rays.density(roots, radii, outer)
+        places = start + radii[..., None] * directions[:, None]
+        return places.reshape(-1, 2) @ self.powers[check].T, mass
 
 
 def _null_directions(matrix: Array) -> list[Array]:

@@ -15,7 +15,7 @@ from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
 
 RANK = 1e-10  # relative: a smaller singular value is rounding
-SAFETY = 2.0  # a claimed error over the change at the last refinement
+SAFETY = 4.0  # a claimed error over the change at the last refinement
 FLOOR = 1e-11  # relative error that rounding leaves
 FORGOTTEN = 1e-10  # probability of a run of checks without a jump that is followed no further
 LONGEST = 80  # checks without a jump that are followed one by one
@@ -37,7 +37,7 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
         accuracy: relative error to try for; what is reached stands in the result.
 
     Returns:
-        Rate and excess with claimed errors: twice the change at the last refinement.
+        Rate and excess with claimed errors: four times the change at the last refinement.
 
     Raises:
         NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
