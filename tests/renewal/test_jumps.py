@@ -252,4 +252,5 @@ def test_chains_beyond_the_method_are_refused_in_a_sentence() -> None:
     refused(Chain(np.eye(1), np.eye(1), np.eye(1), 1.0, np.eye(1)), "no jumps")
     refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, Psi=np.zeros((1, 1))), "nothing is ever sent")
     refused(chain([[0.0, 4.0], [-4.0, 0.0]], [[1.0], [0.0]], 1.0, 1.0, 1.0), "half a turn")
+    refused(chain(0.0, 1.0, 0.01, 1.0, 1.0), "too rare")
     refused(chain(0.0, 0.001, 1.0, 1.0, 1e4), "more than this quadrature takes")

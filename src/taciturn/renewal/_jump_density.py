@@ -8,6 +8,7 @@ from itertools import pairwise
 from math import erfc, exp, lgamma, log, sqrt
 
 import numpy as np
+import numpy.typing as npt
 from numpy.polynomial import chebyshev
 from numpy.polynomial.legendre import leggauss
 
@@ -87,11 +88,11 @@ def flow(A: Array, times: Array) -> Array:
     """Return e^{At} of a (2, 2) matrix in closed form for many times, (…, 2, 2)."""
     mean = float(np.trace(A)) / 2
     rest = A - mean * np.eye(2)
-    turn = np.asarray(np.sqrt(complex(-np.linalg.det(rest))) * times)
+    turn = np.asarray(np.sqrt(complex(-np.linalg.det(rest))) * times, dtype=np.complex128)
     large = np.abs(turn) > 1e-4
     safe = np.where(large, turn, 1.0)
-    sine = np.where(large, np.sinh(safe) / safe, 1 + turn * turn / 6).real * times
-    cosine = np.cosh(turn).real
+    sine: Array = np.real(np.where(large, np.sinh(safe) / safe, 1 + turn * turn / 6)) * times
+    cosine: Array = np.real(np.cosh(turn))
     change = cosine[..., None, None] * np.eye(2) + sine[..., None, None] * rest
     return np.exp(mean * np.asarray(times))[..., None, None] * change
 
@@ -138,7 +139,7 @@ class Rays:
     single: Array
     size: Array
 
-    def part(self, chosen: Array) -> Rays:
+    def part(self, chosen: npt.NDArray[np.bool_]) -> Rays:
         """Return some of the rays."""
         return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
 
@@ -238,7 +239,7 @@ class Density:
             share = np.hypot(waves[:, None], waves[count // 2 :]) / waves[-1]
             spectrum *= np.exp(-36 * share**TAPER)
         spectrum[:, 0] /= 2  # the other half of the plane has the same values
-        return waves, spectrum * shower.quiet
+        return np.asarray(waves, dtype=np.float64), spectrum * shower.quiet
 
     def _fourier(self, places: Array) -> Array:
         waves, spectrum = self._spectrum

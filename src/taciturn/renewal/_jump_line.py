@@ -79,7 +79,7 @@ class Line:
             moved = places * power
             steps[j] = np.einsum("rq,rqb->rb", mass, chebyshev.chebvander(moved / self.bound, count - 2)[..., ::2])
             sides[:, j] = mass.sum(1), (mass * moved**2).sum(1) * self.Gamma
-        return Sums(basis, steps, sides[0], sides[1], quiet, np.zeros_like(sides[0]))
+        return Sums(np.asarray(basis, dtype=np.float64), steps, sides[0], sides[1], quiet, np.zeros_like(sides[0]))
 
 
 def _pieces(count: int, pieces: int) -> tuple[Array, Array]:

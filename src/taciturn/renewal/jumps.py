@@ -17,8 +17,9 @@ from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
 RANK = 1e-10  # relative: a smaller singular value is rounding
 SAFETY = 4.0  # a claimed error over the change at the last refinement
 FLOOR = 1e-11  # relative error that rounding leaves
-FORGOTTEN = 1e-10  # probability of a run of checks without a jump that is followed no further
-LONGEST = 80  # checks without a jump that are followed one by one
+FORGOTTEN = 1e-12  # probability of a run of checks without a jump that is followed no further
+LONGEST = {1: 400, 2: 80}  # checks without a jump that are followed one by one, by dimension
+RARE = 1e-3  # probability of more checks without a jump than that, above which too much hangs on the rest
 FAR = 1e-6  # bound on the share of the visits beyond where the set of errors that are kept is cut
 CUTS = 14  # times the cut is moved outwards
 FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200))
@@ -41,7 +42,7 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
 
     Raises:
         NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
-            flat, an error that is never sent, or a threshold too large against the noise.
+            flat or rare, an error that is never sent, or a threshold too large against the noise.
         ProblemError: an accuracy that is not positive.
 
     Source: khashooei2017
@@ -62,14 +63,28 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
             f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see; this quadrature takes two; simulate instead"
         )
     rate, period = noise.jumps.rate, noise.period
-    checks = int(np.clip(np.ceil(np.log(FORGOTTEN) / (-rate * period)), 1, LONGEST))
+    checks = _followed(rate * period, LONGEST[len(A)])
     if len(A) == 1:
         jump = float(np.sqrt((G @ G.T)[0, 0]))
         bound = float(np.sqrt(chain.delta / Psi[0, 0]))
         line = Line(float(A[0, 0]), jump, rate, period, float(F[0, 0]), bound, float(Gamma[0, 0]))
-        return _refined((line.sums(fineness, checks) for fineness in (1.0, 1.5, 2.0, 3.0)), accuracy)
+        levels = zip((1.0, 1.5, 2.0, 3.0), (0.7, 0.8, 0.9, 1.0), strict=True)
+        return _refined((line.sums(fineness, _share(checks, share)) for fineness, share in levels), accuracy)
     plane = Plane(Shower(A, G, rate, period), F, Psi / chain.delta, Gamma)
     return _refined(_planes(plane, checks), accuracy)
+
+
+def _followed(mean: float, most: int) -> int:
+    """Return how many checks without a jump are followed, of so many jumps per period on average."""
+    if np.exp(-mean * most) > RARE:
+        raise NoQuadratureError(
+            f"{mean:.3g} jumps per period on average are too rare for this quadrature; check less often, or simulate"
+        )
+    return max(1, min(int(np.ceil(-np.log(FORGOTTEN) / mean)), most))
+
+
+def _share(checks: int, share: float) -> int:
+    return max(1, int(checks * share))
 
 
 def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
@@ -79,7 +94,7 @@ def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
         more = 1 + 0.25 * level
         along = 2 * int(more * (5 + 0.22 * min(cut, plane.long)))
         across = int(more * (7 + 2.5 * plane.short))
-        return Grid(along, across, 8 + 4 * level, 12 + 3 * level, checks, cut, FINENESS[level])
+        return Grid(along, across, 8 + 4 * level, 12 + 3 * level, followed, cut, FINENESS[level])
 
     cut = 8.0
     for _ in range(CUTS):
