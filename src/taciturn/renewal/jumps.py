@@ -94,6 +94,7 @@ def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
         more = 1 + 0.25 * level
         along = 2 * int(more * (5 + 0.22 * min(cut, plane.long)))
         across = int(more * (7 + 2.5 * plane.short))
+        followed = _share(checks, 0.7 + 0.15 * level)
         return Grid(along, across, 8 + 4 * level, 12 + 3 * level, followed, cut, FINENESS[level])
 
     cut = 8.0
