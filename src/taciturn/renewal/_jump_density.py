@@ -1,0 +1,314 @@
+"""The density of what normal jumps of a period add to an error in the plane: along rays from where it would be."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import pairwise
+from math import erfc, exp, lgamma, log, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from numpy.polynomial import chebyshev
+from numpy.polynomial.legendre import leggauss
+
+from taciturn._arrays import Array
+from taciturn.renewal.chain import NoQuadratureError
+
+BEYOND = 1e-10  # probability of jumps that are left out because they are too large together
+SPLIT = 0.5  # of √(ρ/reach), where the two radial tables meet
+TAPER = 8  # power with which the Fourier sum ends
+RESOLVED = 1e-6  # of the characteristic function, that may be left beyond the frequencies kept
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """Numbers of nodes of a density.
+
+    Args:
+        angles: of a table in the angle.
+        radii: of a table in the radius, two tables of this size per angle.
+        waves: of the Fourier sum, per direction.
+        times: of an integral over the period.
+    """
+
+    angles: int
+    radii: int
+    waves: int
+    times: int = 200
+
+
+@dataclass(frozen=True, eq=False)
+class Shower:
+    """Normal jumps over a period in the plane.
+
+    Args:
+        A: (2, 2) dynamics per second.
+        G: a jump is Gξ, (2, 1) or (2, 2).
+        rate: λ, per second.
+        period: τ, seconds.
+    """
+
+    A: Array
+    G: Array
+    rate: float
+    period: float
+
+    @property
+    def quiet(self) -> float:
+        """Probability e^{−λτ} of no jump."""
+        return exp(-self.rate * self.period)
+
+    def moved(self, left: Array) -> Array:
+        """Return e^{As}G, what a jump becomes until the check, for times s left, (…, 2, jumps)."""
+        return flow(self.A, left) @ self.G
+
+    def covariance(self, times: int = 60) -> Array:
+        """Return the covariance of what a period adds, (2, 2)."""
+        left, weights = gauss(times, 0.0, self.period)
+        moved = self.moved(left)
+        return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
+
+
+_legendre = cache(leggauss)
+
+
+def gauss(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
+    """Return nodes and weights of Gauss and Legendre on an interval."""
+    nodes, weights = _legendre(count)
+    return low + (high - low) * (nodes + 1) / 2, weights * (high - low) / 2
+
+
+def _composite(count: int, edges: Array) -> tuple[Array, Array]:
+    pairs = [gauss(count, float(low), float(high)) for low, high in pairwise(edges)]
+    return np.concatenate([nodes for nodes, _ in pairs]), np.concatenate([weights for _, weights in pairs])
+
+
+def flow(A: Array, times: Array) -> Array:
+    """Return e^{At} of a (2, 2) matrix in closed form for many times, (…, 2, 2)."""
+    mean = float(np.trace(A)) / 2
+    rest = A - mean * np.eye(2)
+    turn = np.asarray(np.sqrt(complex(-np.linalg.det(rest))) * times, dtype=np.complex128)
+    large = np.abs(turn) > 1e-4
+    safe = np.where(large, turn, 1.0)
+    sine: Array = np.real(np.where(large, np.sinh(safe) / safe, 1 + turn * turn / 6)) * times
+    cosine: Array = np.real(np.cosh(turn))
+    change = cosine[..., None, None] * np.eye(2) + sine[..., None, None] * rest
+    return np.exp(mean * np.asarray(times))[..., None, None] * change
+
+
+def cross(first: Array, second: Array) -> Array:
+    """Return the area that two vectors span, with its sign."""
+    return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
+
+
+def eased(share: Array) -> Array:
+    """Return 3x² − 2x³: nodes on [0, 1] moved towards both ends, where integrands have roots and logarithms."""
+    return share * share * (3 - 2 * share)
+
+
+def _uneased(share: Array) -> Array:
+    return 0.5 - np.sin(np.arcsin(np.clip(1 - 2 * share, -1, 1)) / 3)
+
+
+def _chebyshev(count: int) -> Array:
+    """Return the nodes of Chebyshev on [0, 1]."""
+    return (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
+
+
+def _coefficients(values: Array) -> Array:
+    """Return the coefficients along the first axis of what takes these values at the nodes of Chebyshev."""
+    count = len(values)
+    basis = chebyshev.chebvander(2 * _chebyshev(count) - 1, count - 1)
+    found = (basis.T @ values.reshape(count, -1)) * (2 / count)
+    found[0] /= 2
+    return found.reshape(values.shape)
+
+
+@dataclass(frozen=True, eq=False)
+class Rays:
+    """The density along rays of the plane; from ρ p(ρ) dρ dθ the weight of a place follows.
+
+    Args:
+        tables: coefficients of ρ p without the single jumps, over √(ρ/reach) below and above SPLIT, (2, rays, radii).
+        single: ρ p of single jumps is single·exp(−(ρ/size)²/2), (rays,).
+        size: (rays,).
+    """
+
+    tables: Array
+    single: Array
+    size: Array
+
+    def part(self, chosen: npt.NDArray[np.bool_]) -> Rays:
+        """Return some of the rays."""
+        return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
+
+    def density(self, root: Array, radius: Array, outer: int) -> Array:
+        """Return ρ p at √(ρ/reach) and ρ, (rays, nodes each), all in one of the two radial tables."""
+        table, low = self.tables[outer], SPLIT * outer
+        turn = 2 * (root - low) / SPLIT - 1
+        last, before = np.zeros_like(root), np.zeros_like(root)
+        for k in range(table.shape[1] - 1, 0, -1):  # Clenshaw
+            last, before = table[:, k : k + 1] + 2 * turn * last - before, last
+        many = table[:, :1] + turn * last - before
+        return many + self.single[:, None] * np.exp(-((radius / self.size[:, None]) ** 2) / 2)
+
+
+class Density:
+    """The density of what at least one jump adds, in the plane.
+
+    One jump of rank one has a density only in the cone that its direction sweeps until the check, and is kept in
+    closed form. So is the logarithm that two jumps bring, by quadrature over both times. More jumps, or jumps of rank
+    two, are smooth enough for a Fourier sum over their characteristic function.
+
+    Args:
+        shower: in coordinates where the covariance of a period is the identity.
+        fineness: of the tables.
+
+    Raises:
+        NoQuadratureError: a jump's direction turns by half a turn or more within a period, or jumps are nearly flat.
+    """
+
+    def __init__(self, shower: Shower, fineness: Fineness) -> None:
+        self.shower, self.fineness = shower, fineness
+        self.flat = shower.G.shape[1] == 1
+        sizes = np.linalg.norm(shower.moved(gauss(60, 0.0, shower.period)[0]), 2, axis=(-2, -1))
+        self.reach = reach(float(sizes.max()), shower.rate * shower.period)
+        self._times, self._turns = self._sweep() if self.flat else (np.zeros(0), np.array([0.0, np.pi / 2]))
+        low, high = float(self._turns[0]), float(self._turns[-1])
+        self.sectors = ((low, high), (high, low + np.pi))
+        self._tables = [self._table(sector) for sector in range(2)]
+
+    def _sweep(self) -> tuple[Array, Array]:
+        """Return times left and the angles of a jump then, increasing in the angle."""
+        times = np.linspace(0.0, self.shower.period, 2001)
+        moved = self.shower.moved(times)[..., 0]
+        angles = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
+        if not 1e-6 < abs(angles[-1] - angles[0]) < 0.99 * np.pi:
+            raise NoQuadratureError(
+                f"a jump turns by {abs(angles[-1] - angles[0]):.3g} rad within a period; this quadrature needs it "
+                "to turn, but by less than half a turn; check more often, or simulate"
+            )
+        return (times, angles) if angles[-1] > angles[0] else (times[::-1], angles[::-1])
+
+    def _left(self, angles: Array) -> Array:
+        """Return the times left at which a jump points so."""
+        times = np.interp(angles, self._turns, self._times)
+        rays = np.stack([np.cos(angles), np.sin(angles)], -1)
+        for _ in range(3):  # Newton
+            moved = self.shower.moved(times)[..., 0]
+            times = times - cross(rays, moved) / cross(rays, moved @ self.shower.A.T)
+        return np.clip(times, 0.0, self.shower.period)
+
+    def _table(self, sector: int) -> Array:
+        """Return the coefficients of ρ p over eased angle and √(ρ/reach), (2, angles, radii)."""
+        low, high = self.sectors[sector]
+        angles = low + (high - low) * eased(_chebyshev(self.fineness.angles))
+        share = _chebyshev(self.fineness.radii)
+        radii = self.reach * np.concatenate([SPLIT * share, SPLIT + SPLIT * share]) ** 2
+        rays = np.stack([np.cos(angles), np.sin(angles)], -1)
+        values = self._fourier((rays[:, None] * radii[:, None]).reshape(-1, 2)).reshape(len(angles), -1)
+        if self.flat:
+            lefts = self._left(angles) if sector == 0 else np.full(len(angles), np.nan)
+            values += np.array([self._two(ray, radii, float(left)) for ray, left in zip(rays, lefts, strict=True)])
+        halves = (values * radii).reshape(len(angles), 2, -1)
+        return np.stack([_coefficients(_coefficients(halves[:, k]).T).T for k in range(2)])
+
+    @cached_property
+    def _spectrum(self) -> tuple[Array, Array]:
+        """Return frequencies and the characteristic function of at least one jump, of rank one at least three."""
+        shower, count = self.shower, self.fineness.waves
+        waves = np.pi / self.reach * np.arange(-(count // 2), count // 2)
+        jumps = np.zeros((count, count // 2))
+        left, weights = gauss(self.fineness.times, 0.0, shower.period)
+        for moved, weight in zip(shower.moved(left), weights, strict=True):
+            seen = sum((waves[:, None] * g[0] + waves[count // 2 :] * g[1]) ** 2 for g in moved.T)
+            jumps += shower.rate * weight * np.exp(-seen / 2)
+        few = jumps < 0.05  # where differences would cancel
+        if self.flat:
+            series = jumps**3 / 6 * (1 + jumps / 4 * (1 + jumps / 5 * (1 + jumps / 6)))
+            spectrum = np.where(few, series, np.expm1(jumps) - jumps - jumps**2 / 2)
+        else:
+            spectrum = np.expm1(jumps)
+            if max(spectrum[0].max(), spectrum[:, -1].max()) > RESOLVED * spectrum.max():
+                raise NoQuadratureError(
+                    "the jumps are nearly flat: much narrower in one direction than what they add within a period; "
+                    "simulate instead"
+                )
+        if self.flat:  # a sharp end would ring through the tables
+            share = np.hypot(waves[:, None], waves[count // 2 :]) / waves[-1]
+            spectrum *= np.exp(-36 * share**TAPER)
+        spectrum[:, 0] /= 2  # the other half of the plane has the same values
+        return np.asarray(waves, dtype=np.float64), spectrum * shower.quiet
+
+    def _fourier(self, places: Array) -> Array:
+        waves, spectrum = self._spectrum
+        along, across = np.outer(waves, places[:, 0]), np.outer(waves[len(waves) // 2 :], places[:, 1])
+        real = np.einsum("kp,kp->p", np.cos(along), spectrum @ np.cos(across))
+        imaginary = np.einsum("kp,kp->p", np.sin(along), spectrum @ np.sin(across))
+        return 2 * (real - imaginary) / (2 * self.reach) ** 2
+
+    def _two(self, ray: Array, radii: Array, left: float) -> Array:
+        """Return the density of two jumps along a ray.
+
+        Given the times, two jumps are normal. The integral over both times nearly breaks where both point along the
+        ray: nodes crowd there and, in the logarithm, where the two are equal.
+        """
+        shower, period = self.shower, self.shower.period
+        sizes, weights = _composite(6, np.r_[0.0, np.exp2(np.arange(-14.0, 1.0))])
+        close, crowd = _composite(8, np.linspace(0.0, 14.0, 6))
+        near, near_weights = -np.expm1(-close), crowd * np.exp(-close)
+        far, far_weights = _composite(8, np.array([0.0, 0.03, 0.15, 0.5, 1.0]))
+        inside = left == left
+        corner = left if inside else period / 2
+        above, up = (corner, period - corner) if inside else (0.0, corner)
+        below, down = (corner, corner) if inside else (period, corner)
+        size, same = sizes[:, None], np.ones_like(near)
+        after, before = period - corner, corner
+        pieces = [
+            (above + up * size * near, above + up * size * same, up**2 * size * weights[:, None] * near_weights),
+            (below - down * size * same, below - down * size * near, down**2 * size * weights[:, None] * near_weights),
+        ]
+        area, same = before * after * size * weights[:, None] * far_weights, np.ones_like(far)
+        pieces.append((corner - before * size * same, corner + after * size * far, area))
+        pieces.append((corner - before * size * far, corner + after * size * same, area))
+        exponents, masses = list[Array](), list[Array]()
+        for first, second, mass in pieces:
+            one, two = shower.moved(first)[..., 0], shower.moved(second)[..., 0]
+            spanned = np.abs(cross(one, two))
+            kept = spanned > 0
+            spanned = np.where(kept, spanned, 1.0)
+            exponent = (cross(ray, two) ** 2 + cross(one, ray) ** 2) / spanned**2
+            kept &= exponent * radii[0] ** 2 < 80
+            exponents.append(exponent[kept])
+            masses.append((mass / (2 * np.pi * spanned))[kept])
+        decay = np.exp(-np.outer(radii**2 / 2, np.concatenate(exponents)))
+        return shower.rate**2 * shower.quiet * (decay @ np.concatenate(masses))
+
+    def rays(self, angles: Array, sector: int) -> Rays:
+        """Return the density along rays at angles of one sector."""
+        low, high = self.sectors[sector]
+        table = self._tables[sector]
+        basis = chebyshev.chebvander(2 * _uneased((angles - low) / (high - low)) - 1, table.shape[1] - 1)
+        single, size = np.zeros(len(angles)), np.ones(len(angles))
+        if self.flat and sector == 0:
+            moved = self.shower.moved(self._left(angles))[..., 0]
+            size = np.hypot(moved[:, 0], moved[:, 1])
+            turning = np.abs(cross(moved, moved @ self.shower.A.T)) / size**2
+            single = self.shower.rate * self.shower.quiet / np.sqrt(2 * np.pi) / size / turning
+        return Rays(basis @ table, single, size)
+
+
+def reach(jump: float, mean: float) -> float:
+    """Return the distance that jumps of at most this standard deviation exceed with a negligible probability.
+
+    Args:
+        jump: the largest standard deviation in any direction, of one jump.
+        mean: number of jumps.
+    """
+    counts = range(1, int(mean + 12 * sqrt(mean) + 30))
+    chances = [exp(m * log(mean) - mean - lgamma(m + 1)) for m in counts]
+    distance = jump
+    while sum(p * erfc(distance / (sqrt(2 * m) * jump)) for m, p in zip(counts, chances, strict=True)) > BEYOND:
+        distance *= 1.05
+    return distance

@@ -1,0 +1,88 @@
+"""The equations of a chain with jumps on a line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import chebyshev, legendre
+
+from taciturn._arrays import Array
+from taciturn.renewal._jump_density import gauss, reach
+from taciturn.renewal._jump_sums import Sums
+from taciturn.renewal.chain import NoQuadratureError
+
+MOST_NODES = 1000
+FADED = 9.0  # standard deviations
+
+
+@dataclass(frozen=True)
+class Line:
+    """A scalar chain.
+
+    Args:
+        a: growth per second.
+        jump: standard deviation of a jump.
+        rate: λ, per second.
+        period: τ, seconds.
+        F: per check.
+        bound: errors beyond ± this are sent.
+        Gamma: Γ.
+    """
+
+    a: float
+    jump: float
+    rate: float
+    period: float
+    F: float
+    bound: float
+    Gamma: float
+
+    def sums(self, fineness: float, checks: int) -> Sums:
+        """Return the equations, with numbers of nodes in proportion to ``fineness``.
+
+        What is added has a normal density given the times of the jumps: its narrowest normal sets all scales.
+
+        Raises:
+            NoQuadratureError: too many nodes.
+        """
+        left, weights = gauss(60, 0.0, self.period)
+        sizes = self.jump * np.exp(self.a * left)
+        narrow, distance = float(sizes.min()), reach(float(sizes.max()), self.rate * self.period)
+        count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
+        if max(count, fineness * distance / narrow) > MOST_NODES:
+            raise NoQuadratureError(
+                f"errors spread over {self.bound / narrow:.3g} standard deviations of the smallest jump, more than "
+                "this quadrature takes; check less often, or simulate"
+            )
+        waves = np.pi / distance * np.arange(1, int(FADED * distance / narrow / np.pi) + 2)
+        logs = self.rate * np.exp(-np.outer(waves**2 / 2, sizes**2)) @ weights
+        quiet = float(np.exp(-self.rate * self.period))
+        spectrum = quiet * np.concatenate([[np.expm1(self.rate * self.period) / 2], np.expm1(logs)]) / distance
+        nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count) * self.bound
+        starts = np.append(nodes[: count // 2] * self.F, 0.0)
+        basis = chebyshev.chebvander(nodes[: count // 2] / self.bound, count - 2)[:, ::2]
+        # the density is evaluated by its own polynomial: at most places there are far more of them than waves
+        density = chebyshev.Chebyshev.interpolate(
+            lambda place: np.cos(np.outer(place, np.append(0.0, waves))) @ spectrum,
+            int(40 + 6 * distance / narrow), domain=[0.0, distance],
+        )  # fmt: skip
+        steps, sides = np.zeros((checks + 1, len(starts), count // 2)), np.zeros((2, checks + 1, len(starts)))
+        for j in range(checks + 1):
+            power = self.F**j
+            low = np.maximum(-self.bound / max(1.0, abs(power)), starts - distance)
+            width = np.maximum(np.minimum(self.bound / max(1.0, abs(power)), starts + distance) - low, 0.0)
+            pieces = 1 + int(width.max() / (4 * narrow))
+            local, masses = _pieces(int(fineness * 12), pieces)
+            places = low[:, None] + width[:, None] * local
+            mass = quiet**j * width[:, None] * masses * density(np.abs(places - starts[:, None]))
+            moved = places * power
+            steps[j] = np.einsum("rq,rqb->rb", mass, chebyshev.chebvander(moved / self.bound, count - 2)[..., ::2])
+            sides[:, j] = mass.sum(1), (mass * moved**2).sum(1) * self.Gamma
+        return Sums(np.asarray(basis, dtype=np.float64), steps, sides[0], sides[1], quiet, np.zeros_like(sides[0]))
+
+
+def _pieces(count: int, pieces: int) -> tuple[Array, Array]:
+    nodes, weights = legendre.leggauss(count)
+    starts = np.arange(pieces)[:, None] / pieces
+    return (starts + (nodes + 1) / 2 / pieces).ravel(), np.tile(weights / 2 / pieces, pieces)

@@ -1,0 +1,152 @@
+"""Rate and cost of a chain whose error is moved by normal jumps at Poisson times, by quadrature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from taciturn._arrays import Array, number, symmetrised
+from taciturn._modes import root
+from taciturn.renewal._jump_density import Fineness, Shower
+from taciturn.renewal._jump_line import Line
+from taciturn.renewal._jump_plane import Grid, Plane
+from taciturn.renewal._jump_sums import Sums
+from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
+
+RANK = 1e-10  # relative: a smaller singular value is rounding
+SAFETY = 4.0  # a claimed error over the change at the last refinement
+FLOOR = 1e-11  # relative error that rounding leaves
+FORGOTTEN = 1e-12  # probability of a run of checks without a jump that is followed no further
+LONGEST = {1: 400, 2: 80}  # checks without a jump that are followed one by one, by dimension
+RARE = 1e-3  # probability of more checks without a jump than that, above which too much hangs on the rest
+FAR = 1e-6  # bound on the share of the visits beyond where the set of errors that are kept is cut
+CUTS = 14  # times the cut is moved outwards
+FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200))
+
+
+def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
+    """Return rate and excess of a chain with jumps.
+
+    Between two jumps an error moves without chance, so after e^{−λτ} of the checks e⁺ = F e exactly, and an expectation
+    over what is to come breaks wherever F^j e leaves the set of errors that are kept. After a jump it is smooth. The
+    equations are written for what is expected after a jump, as polynomials, and every integral breaks at those edges.
+
+    Args:
+        chain: with jumps of the normal law for its noise, of at most two dimensions that noise reaches and that Ψ
+            or Γ sees.
+        accuracy: relative error to try for; what is reached stands in the result.
+
+    Returns:
+        Rate and excess with claimed errors: four times the change at the last refinement.
+
+    Raises:
+        NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
+            flat or rare, an error that is never sent, or a threshold too large against the noise.
+        ProblemError: an accuracy that is not positive.
+
+    Source: khashooei2017
+    """
+    number("accuracy", accuracy, 0.0)
+    noise = chain.noise
+    if not isinstance(noise, JumpNoise):
+        raise NoQuadratureError("the noise is no jumps; this quadrature takes jumps alone")
+    if noise.jumps.distribution != "normal":
+        raise NoQuadratureError(
+            f"jumps of the law '{noise.jumps.distribution}' have no smooth density; expected 'normal'; simulate instead"
+        )
+    A, G, F, Psi, Gamma = _reduced(noise.A, root(noise.jumps.covariance), chain)
+    if not Psi.size or not (np.abs(Psi) > 0).any():
+        raise NoQuadratureError("Ψ sees no error that the jumps reach, so nothing is ever sent")
+    if len(A) > 2:
+        raise NoQuadratureError(
+            f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see; this quadrature takes two; simulate instead"
+        )
+    rate, period = noise.jumps.rate, noise.period
+    checks = _followed(rate * period, LONGEST[len(A)])
+    if len(A) == 1:
+        jump = float(np.sqrt((G @ G.T)[0, 0]))
+        bound = float(np.sqrt(chain.delta / Psi[0, 0]))
+        line = Line(float(A[0, 0]), jump, rate, period, float(F[0, 0]), bound, float(Gamma[0, 0]))
+        levels = zip((1.0, 1.5, 2.0, 3.0), (0.7, 0.8, 0.9, 1.0), strict=True)
+        return _refined((line.sums(fineness, _share(checks, share)) for fineness, share in levels), accuracy)
+    plane = Plane(Shower(A, G, rate, period), F, Psi / chain.delta, Gamma)
+    return _refined(_planes(plane, checks), accuracy)
+
+
+def _followed(mean: float, most: int) -> int:
+    """Return how many checks without a jump are followed, of so many jumps per period on average."""
+    if np.exp(-mean * most) > RARE:
+        raise NoQuadratureError(
+            f"{mean:.3g} jumps per period on average are too rare for this quadrature; check less often, or simulate"
+        )
+    return max(1, min(int(np.ceil(-np.log(FORGOTTEN) / mean)), most))
+
+
+def _share(checks: int, share: float) -> int:
+    return max(1, int(checks * share))
+
+
+def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
+    """Yield the equations in the plane, finer and finer; errors so far out that hardly any comes there are cut off."""
+
+    def grid(level: int, cut: float) -> Grid:
+        more = 1 + 0.25 * level
+        along = 2 * int(more * (5 + 0.22 * min(cut, plane.long)))
+        across = int(more * (7 + 2.5 * plane.short))
+        followed = _share(checks, 0.7 + 0.15 * level)
+        return Grid(along, across, 8 + 4 * level, 12 + 3 * level, followed, cut, FINENESS[level])
+
+    cut = 8.0
+    for _ in range(CUTS):
+        coarse = plane.sums(grid(0, cut))
+        if cut >= plane.long or coarse.outskirts() < FAR:
+            break
+        cut *= 1.5
+    else:
+        raise NoQuadratureError("errors that are kept spread too far for this quadrature; simulate instead")
+    yield coarse
+    for level in range(1, len(FINENESS)):
+        yield plane.sums(grid(level, cut * (1 + 0.15 * level)))
+
+
+def _refined(levels: Iterator[Sums], accuracy: float) -> Renewal:
+    """Return what the first level says that differs from the one before by no more than the accuracy, or the last."""
+    found = np.full(2, np.nan)
+    change = np.full(2, np.inf)
+    sums = None
+    for sums in levels:
+        before = found
+        checks, cost = sums.cycle()
+        found = np.array([1 / checks, cost / checks])
+        change = SAFETY * np.abs(found - before) + FLOOR * np.abs(found)
+        if (change <= accuracy * np.abs(found)).all():
+            break
+    assert sums is not None
+    rate, excess = (float(value) for value in found)
+    return Renewal(rate, excess, float(change[0]), float(change[1]), sums.intervals(1 / rate), sums.basis.shape[0])
+
+
+def _reduced(A: Array, G: Array, chain: Chain) -> tuple[Array, Array, Array, Array, Array]:
+    """Return A, G, F, Ψ and Γ on the directions that jumps reach and that Ψ or Γ see."""
+    reached = _span(A, G)
+    A, G, F = reached.T @ A @ reached, reached.T @ G, reached.T @ chain.F @ reached
+    Psi, Gamma = symmetrised(reached.T @ chain.Psi @ reached), symmetrised(reached.T @ chain.Gamma @ reached)
+    seen = _span(A.T, np.hstack([root(Psi), root(Gamma)])) if len(A) else np.zeros((0, 0))
+    A, G, F = seen.T @ A @ seen, seen.T @ G, seen.T @ F @ seen
+    return A, G, F, symmetrised(seen.T @ Psi @ seen), symmetrised(seen.T @ Gamma @ seen)
+
+
+def _span(A: Array, start: Array) -> Array:
+    """Return an orthonormal basis of the least space that holds ``start`` and that A maps into itself."""
+    basis, fresh = np.zeros((len(A), 0)), start
+    while fresh.shape[1]:
+        fresh = fresh - basis @ (basis.T @ fresh)
+        lengths = np.linalg.norm(fresh, axis=0)
+        fresh = fresh[:, lengths > 0]
+        left, sizes, _ = np.linalg.svd(fresh, full_matrices=False)
+        scale = max(float(np.linalg.norm(A, 2)), 1e-300) if basis.shape[1] else float(sizes.max(initial=0.0))
+        added = left[:, sizes > RANK * scale]
+        basis = np.hstack([basis, added])
+        fresh = A @ added
+    return basis
