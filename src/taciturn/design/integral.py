@@ -54,7 +54,7 @@ def integral(
         h_max: longest interval, seconds; may be infinite.
 
     Returns:
-        The policy, analysed as a renewal process: J ≤ tr(PλW) + c min(1, ε/E[θ]), and J ≤ J_per(E[θ]).
+        The policy, analysed as a renewal process. With h_min = 0: J ≤ tr(PλW) + c min(1, ε/E[θ]), and J ≤ J_per(E[θ]).
 
     Raises:
         ProblemError: a discrete plant, no jumps, C or V, a parameter out of range, a slope for which f < g fails, or
@@ -89,7 +89,7 @@ def integral(
         replace(search.trigger, c=found.value * slope),
         price.base,
         found,
-        "J ≤ tr(PλW) + ξ f(E[θ]), and no more than periodic control at its mean interval",
+        None if h_min > 0 else "J ≤ tr(PλW) + ξ f(E[θ]), and no more than periodic control at its mean interval",
         "khashooei2017",
     )
 

@@ -24,7 +24,7 @@ class EventPolicy:
         trigger: when it is sent.
         cost_all_time: cost per second of a state that is always known, tr(PλW).
         alpha: α, with c = αC; with a standard error where it was computed.
-        statement: the theorem in one line.
+        statement: the theorem in one line, or None.
         source: key in ``docs/sources.bib``.
         notes: what a reader of its numbers must know.
     """
@@ -36,11 +36,16 @@ class EventPolicy:
     trigger: IntegralTrigger
     cost_all_time: float
     alpha: Estimate
-    statement: str
+    statement: str | None
     source: str
     notes: tuple[str, ...] = ()
 
-    def bound(self, interval: float = 0.0) -> float:
-        """Return what the cost cannot exceed at a mean interval between sends; at 0: at any."""
+    def bound(self, interval: float = 0.0) -> float | None:
+        """Return what the cost cannot exceed at a mean interval between sends; at 0: at any.
+
+        None where a shortest interval lets the cost of an interval pass what is allowed.
+        """
+        if self.trigger.h_min > 0:
+            return None
         share = min(1.0, self.trigger.saturation / interval) if interval > 0 else 1.0
         return self.cost_all_time + self.trigger.c * share

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from taciturn.analyse.renewal import solve_renewal
+from taciturn.analyse.renewal import expect_affordable, solve_renewal
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -144,7 +144,7 @@ def evaluate(
     found, notes = None, policy.notes
     if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
         try:
-            found = _solved(loop)
+            found = _solved(loop, method == "exact")
         except NoQuadratureError as error:
             if method == "exact":
                 raise ProblemError(f"method is 'exact', and {error}") from None
@@ -223,8 +223,8 @@ def _events(
     )
 
 
-def _solved(loop: Loop) -> Averages:
-    """Return exact cost and rates, or those of a quadrature.
+def _solved(loop: Loop, whatever_it_takes: bool) -> Averages:
+    """Return exact cost and rates, or those of a quadrature, if it is affordable.
 
     Raises:
         NoQuadratureError: the loop has neither.
@@ -234,6 +234,8 @@ def _solved(loop: Loop) -> Averages:
         form = policy.closed_form
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         return Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
+    if not whatever_it_takes:
+        expect_affordable(loop)
     renewal = solve_renewal(loop)
     assert policy.identity is not None
     cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, policy.identity.constant)
