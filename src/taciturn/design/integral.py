@@ -7,18 +7,28 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import number
-from taciturn.design.consistent import refuse_what_is_not_predicted
+from taciturn._modes import radius
+from taciturn.design.certainty import SEND
+from taciturn.design.consistent import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
+from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
+from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
+from taciturn.renewal.sampled import LATE, SampledProcess
 
+MARGIN, SINCE = "margin", "since"
+NEVER = 1e30  # beside any cost
 FIRST_CYCLES, CYCLES = 20_000, 2_000_000  # of the search for the fixed point, and of its last steps
 ROUNDS = 60
+LOOKS = 6  # rounds of the search for a period
+COARSE, FINE = 50, 200  # looks per mean interval
 PRINTED = 1e-6  # relative: a slope given with as many digits as its limit is printed
 SURE = 4.0  # standard errors
 
@@ -32,7 +42,8 @@ def integral(
     alpha: float | None = None,
     h_min: float = 0.0,
     h_max: float = np.inf,
-) -> EventPolicy:
+    period: float | None = None,
+) -> Policy | EventPolicy:
     """Design the policy that sends when the integrated cost of the prediction's error reaches what is allowed.
 
     Both ends run dx̂/dt = (A + BL)x̂, set to x at a send. With e = x − x̂ the state is sent β seconds after the last
@@ -41,24 +52,31 @@ def integral(
         (1/α) ∫_0^β e'L'RLe ds ≥ f(β),  f(β) = C min(β, ε),
 
     and at h_max at the latest. With L(α) the mean interval that follows, α ≤ L(α), and f below what periodic control
-    costs beyond tr(PλW), the policy costs no more than periodic control at its own mean interval. Only c = αC
-    matters; α* = L(α*) makes the most of a slope.
+    costs beyond tr(PW), the policy costs no more than periodic control at its own mean interval. Only c = αC matters;
+    α* = L(α*) makes the most of a slope.
+
+    With a period the error is looked at every τ seconds only. The integral is then counted in expectation given the
+    errors seen, η ← η + e'Γ(τ)e + τ g(τ), and the state is sent before η passes what is allowed: iff
+    η + e'Γe + τ g(τ) > α f(β + τ). The same bounds hold. Wiener noise is always looked at so.
 
     Args:
-        plant: continuous in time, its full state measured, pushed by jumps.
+        plant: continuous in time, its full state measured; jumps or Wiener noise.
         cost: an average.
         slope: C > 0, cost per second and second.
         saturation: ε > 0, seconds after which f rises no more; omitted: never.
         alpha: α > 0, seconds; omitted: the fixed point, by simulation.
         h_min: shortest interval, seconds.
         h_max: longest interval, seconds; may be infinite.
+        period: τ, seconds between looks; omitted: under jumps every instant, and under Wiener noise a two-hundredth of
+            the mean interval, with a note on what looking twice as often would change.
 
     Returns:
-        The policy, analysed as a renewal process. With h_min = 0: J ≤ tr(PλW) + c min(1, ε/E[θ]), and J ≤ J_per(E[θ]).
+        With looks a policy of nodes and packets; without, one that is analysed as a renewal process. With h_min = 0:
+        J ≤ tr(PW) + c min(1, ε/E[θ]), and J ≤ J_per(E[θ]).
 
     Raises:
-        ProblemError: a discrete plant, no jumps, C or V, a parameter out of range, a slope for which f < g fails, or
-            α > L(α).
+        ProblemError: a discrete plant, C or V, a parameter out of range, a slope for which f < g fails, α > L(α), or a
+            period that is too long for what is allowed.
         UnstableError: no stabilising gain, or an interval that does not end.
 
     Source: khashooei2017
@@ -71,27 +89,30 @@ def integral(
         (1.0, 1.4)
     """
     plant = refuse_what_is_not_predicted("integral", plant, cost)
-    if plant.jumps is None:
-        raise ProblemError("the plant has Wiener noise, and integral is triggered between jumps; expected plant.jumps")
-    slope = number("slope", slope, 0.0)
-    search = _Search(
-        JumpProcess(plant.A, plant.jumps, (price := _price(plant, cost)).S),
-        IntegralTrigger(1.0, saturation, h_min, h_max),
-        slope,
-        _largest_slope(price, saturation, h_min, h_max),
-    )
-    found = search.fixed_point() if alpha is None else search.given(number("alpha", alpha, 0.0))
-    return EventPolicy(
-        "integral",
-        plant,
-        cost,
-        search.process,
-        replace(search.trigger, c=found.value * slope),
-        price.base,
-        found,
-        None if h_min > 0 else "J ≤ tr(PλW) + ξ f(E[θ]), and no more than periodic control at its mean interval",
-        "khashooei2017",
-    )
+    price = _price(plant, cost)
+    slope, trigger = number("slope", slope, 0.0), IntegralTrigger(1.0, saturation, h_min, h_max)
+    largest = _largest_slope(price, trigger)
+
+    def found(process: JumpProcess | SampledProcess) -> tuple[Estimate, IntegralTrigger]:
+        search = _Search(process, trigger, slope, largest)
+        value = search.fixed_point() if alpha is None else search.given(number("alpha", alpha, 0.0))
+        return value, replace(trigger, c=value.value * slope)
+
+    statement = "J ≤ tr(PW) + ξ f(E[θ]), and no more than periodic control at its mean interval" if h_min == 0 else None
+    if period is None and plant.jumps is not None:
+        process = JumpProcess(plant.A, plant.jumps, price.S)
+        value, rule = found(process)
+        return EventPolicy("integral", plant, cost, process, rule, price.base, value, statement, "khashooei2017")
+    if period is not None:
+        process = _sampled(plant, price, number("period", period, 0.0))
+        return _looking(plant, cost, price, process, found(process)[1], statement, ())
+    length = 1.0
+    for _ in range(LOOKS):  # the interval decides how often it is looked at, which hardly decides the interval
+        process = _sampled(plant, price, length / COARSE)
+        length = estimate_cycles(process, replace(trigger, c=slope * length), cycles=FIRST_CYCLES).interval.value
+    process = _sampled(plant, price, length / FINE)
+    _, rule = found(process)
+    return _looking(plant, cost, price, process, rule, statement, (_resolution(plant, price, process, rule),))
 
 
 def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
@@ -104,11 +125,95 @@ def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
     return price
 
 
-def _largest_slope(price: PredictionCost, saturation: float, h_min: float, h_max: float) -> float:
+def _largest_slope(price: PredictionCost, trigger: IntegralTrigger) -> float:
     """Return the slope up to which C min(h, ε) stays below g(h) on (h_min, h_max)."""
-    if saturation <= h_min:
-        return price.growth(h_min) / saturation
-    return price.least_ratio(h_min, min(saturation, h_max))[0]
+    if trigger.saturation <= trigger.h_min:
+        return price.growth(trigger.h_min) / trigger.saturation
+    return price.least_ratio(trigger.h_min, min(trigger.saturation, trigger.h_max))[0]
+
+
+def _sampled(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
+    """Return the error as it is seen every period."""
+    noise = price.spread(period) if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
+    return SampledProcess(price.flow(period), noise, price.weight(period), period * price.growth(period), period)
+
+
+def _resolution(
+    plant: ContinuousPlant, price: PredictionCost, process: SampledProcess, trigger: IntegralTrigger
+) -> str:
+    """Say what looking twice as often would change."""
+    finer = _sampled(plant, price, process.period / 2)
+    one, other = (estimate_cycles(p, trigger, cycles=CYCLES // 10) for p in (process, finer))
+    changes: list[str] = []
+    for name, before, after in (("mean interval", one.interval, other.interval), ("cost", one.cost, other.cost)):
+        change = after.value - before.value
+        error = float(np.hypot(before.standard_error, after.standard_error))
+        changes.append(f"the {name} by {Estimate(change, error, 'simulation')}")
+    return (
+        f"the error is looked at every {process.period:.4g} s; twice as often changes {' and '.join(changes)}, "
+        "and every instant about twice that"
+    )
+
+
+def _looking(
+    plant: ContinuousPlant,
+    cost: Cost,
+    price: PredictionCost,
+    process: SampledProcess,
+    trigger: IntegralTrigger,
+    statement: str | None,
+    notes: tuple[str, ...],
+) -> Policy:
+    """Return the policy that looks every period.
+
+    The sensor remembers by how much the cost since the last send passes what was allowed until now, ``margin``, and
+    by a location how many looks ago that was, as far as this matters.
+    """
+    period = process.period
+    problem = discretise(plant, cost, period, price.L)
+    allowed = trigger.c * np.minimum(period * np.arange(_places(trigger, period) + 2), trigger.saturation)
+    if process.running > allowed[1] * LATE:
+        raise ProblemError(
+            f"period is {period:g}, in which the noise alone costs {process.running:.4g}, and {allowed[1]:.4g} is "
+            "allowed; expected a shorter period, or a larger slope or alpha"
+        )
+    more = process.running - np.diff(allowed)  # by which the margin grows from look to look, beside e'Γe
+    looks = np.arange(1, len(more))
+    gate = np.where((looks + 1) * period > trigger.h_max * LATE, NEVER, 0.0)
+    gate[looks * period * LATE < trigger.h_min] = -NEVER
+    closed, Gamma = problem.plant.A + problem.plant.B, process.Gamma
+    location = Location(SINCE, np.stack([np.minimum(looks, len(looks) - 1), 0 * looks], axis=1), "sensor", SEND)
+    ahead = Form((ERROR,), Gamma, Scheduled(SINCE, more[1:]), {MARGIN: 1.0})
+    afresh = Form(constant=float(more[0]))
+    rule = Trigger({"silent": Form((ERROR,), Gamma, Scheduled(SINCE, more[1:] + gate), {MARGIN: 1.0}), SEND: Form()})
+    base = price.periodic(period)
+    return Policy(
+        kind="integral",
+        steps=(
+            *predicted_steps(closed, rule),
+            Evaluate("sensor", MARGIN, (ahead, Form(constant=float(more[0]))), SEND),
+        ),
+        model=problem.plant,
+        cost_all_time=base,
+        scheduled=("sensor",),
+        sites=(frozenset({"controller", "actuator"}),),
+        locations=(location,),
+        initial={"prediction": plant.mean, "forecast": plant.mean, MARGIN: more[:1]},
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        settling=1 / (1 - radius(closed)),
+        cost=cost,
+        prediction_gain=price.L,
+        guarantee=Guarantee(price.base + trigger.c, statement, "khashooei2017") if statement is not None else None,
+        identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
+        notes=notes,
+    )
+
+
+def _places(trigger: IntegralTrigger, period: float) -> int:
+    """Return the looks after a send from which on nothing changes any more."""
+    limits = [t for t in (trigger.h_min, trigger.saturation, trigger.h_max) if np.isfinite(t)]
+    return max(1, int(np.ceil(max(limits) / period)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +227,7 @@ class _Search:
         largest: slope up to which f < g.
     """
 
-    process: JumpProcess
+    process: JumpProcess | SampledProcess
     trigger: IntegralTrigger
     slope: float
     largest: float
@@ -158,7 +263,7 @@ class _Search:
                 f"slope is {self.slope:g}, and f stays below what periodic control costs up to {self.largest:.6g}; "
                 f"expected 0 < slope ≤ {self.largest:.6g}"
             )
-        alpha = max(self.trigger.h_min, 1 / self.process.jumps.rate)
+        alpha = max(self.trigger.h_min, self._first())
         gain, before = 0.0, None
         for round in range(ROUNDS):
             found = self.after(alpha, min(CYCLES, FIRST_CYCLES * 2**round)).interval
@@ -173,6 +278,10 @@ class _Search:
             f"no alpha with alpha = L(alpha) was found within {ROUNDS} steps, the last being {alpha:g}; expected a "
             "smaller slope, or a given alpha"
         )
+
+    def _first(self) -> float:
+        """Return seconds that are no longer than an interval."""
+        return 1 / self.process.jumps.rate if isinstance(self.process, JumpProcess) else 4 * self.process.period
 
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
         """Return what cycles under an α look like."""

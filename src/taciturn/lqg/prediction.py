@@ -38,6 +38,10 @@ class PredictionCost:
     S: Array
     base: float
 
+    def flow(self, length: float) -> Array:
+        """Return e^{Ah}, (n, n)."""
+        return self._over(length).Phi
+
     def spread(self, length: float) -> Array:
         """Return V(h), the covariance of the error after so many seconds, (n, n)."""
         return self._over(length).G

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, count, number
+from taciturn._arrays import Array, count, instance, number
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.program import machine
@@ -33,6 +33,7 @@ from taciturn.renewal.events import (
     cycle_program,
     start,
 )
+from taciturn.renewal.sampled import SampledProcess, sampled_program, sampled_start
 
 PATHS = 4096
 FEWEST_PATHS, CYCLES_PER_PATH = 64, 16  # few cycles are spread over fewer paths
@@ -43,6 +44,7 @@ BUDGET = 10_000_000_000  # attempts of all paths together
 ENDLESS = 100_000  # attempts within which a cycle ends
 RECORD = 1 << 22  # attempts recorded at once
 RECORDED_PER_CYCLE = 8
+Process: TypeAlias = JumpProcess | SampledProcess
 Runner: TypeAlias = Callable[[Array, int], Run]
 
 
@@ -77,7 +79,7 @@ class Sample:
 
 
 def estimate_cycles(
-    process: JumpProcess,
+    process: Process,
     trigger: Trigger,
     *,
     cycles: int | None = None,
@@ -106,7 +108,6 @@ def estimate_cycles(
 
     Source: khashooei2017
     """
-    check(process, trigger)
     count("seed", seed, 0)
     count("paths", paths, 2)
     if threads is not None:
@@ -127,7 +128,7 @@ def estimate_cycles(
 
 
 def sweep(
-    process: JumpProcess,
+    process: Process,
     cs: Sequence[float],
     *,
     trigger: IntegralTrigger | None = None,
@@ -188,12 +189,11 @@ def sample_cycles(
         ProblemError: an effort that means nothing.
         UnstableError: a cycle that does not end.
     """
-    check(process, trigger)
     count("seed", seed, 0)
     paths = min(count("paths", paths), count("cycles", cycles))
     each = -(-cycles // paths)
-    program = cycle_program(process, trigger).keep(outputs={ENDED, DURATION, COST})
-    run, states = _prepare(program, threads), start(process, program, paths, seed)
+    program = _written(process, trigger).keep(outputs={ENDED, DURATION, COST})
+    run, states = _prepare(program, threads), _start(process, program, paths, seed)
     found, seen, ticks = np.zeros((2, paths, each)), np.zeros(paths, dtype=np.int64), 0
     while seen.min() < each:
         chunk = max(1, min(RECORD // paths, FIRST_TICKS + RECORDED_PER_CYCLE * int(each - seen.min())))
@@ -213,10 +213,10 @@ def sample_cycles(
 class _Counting:
     """Paths on their way, and what they have counted."""
 
-    def __init__(self, process: JumpProcess, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
-        self.program = cycle_program(process, trigger).keep({CYCLES, DURATION, COST}, states={OPEN, CLOSING})
+    def __init__(self, process: Process, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
+        self.program = _written(process, trigger).keep({CYCLES, DURATION, COST}, states={OPEN, CLOSING})
         self.run = _prepare(self.program, threads)
-        self.states = start(process, self.program, paths, seed)
+        self.states = _start(process, self.program, paths, seed)
         self.sums = {name: np.zeros(paths) for name in (CYCLES, DURATION, COST)}
         self.paths, self.ticks = paths, 0
 
@@ -269,6 +269,22 @@ class _Counting:
             int(self.sums[CYCLES].sum()),
             self.ticks * self.paths,
         )
+
+
+def _written(process: Process, trigger: Trigger) -> Program:
+    """Return the program of a process, once its data are checked."""
+    if isinstance(process, SampledProcess):
+        instance("trigger", trigger, IntegralTrigger)
+        assert isinstance(trigger, IntegralTrigger)
+        return sampled_program(process, trigger)
+    check(process, trigger)
+    return cycle_program(process, trigger)
+
+
+def _start(process: Process, program: Program, paths: int, seed: int) -> Array:
+    if isinstance(process, SampledProcess):
+        return sampled_start(program, paths, seed)
+    return start(process, program, paths, seed)
 
 
 def _prepare(program: Program, threads: int | None) -> Runner:

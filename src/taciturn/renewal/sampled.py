@@ -1,0 +1,107 @@
+"""Cycles of an error that is looked at every τ seconds, under the integral trigger: jumps or Wiener noise alike.
+
+What an interval has cost is counted in expectation given the errors seen: e'Γ(τ)e for a period that begins with the
+error e, and what the noise of a period costs on average. So E[cost]/E[θ] is that of the loop exactly. At each look the
+cost of the period to come is known, and the state is sent before it passes what is allowed: at the first time t at
+which cost + e'Γe + noise > c min(t + τ, ε), never before h_min, and no later than the last look before h_max.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn._modes import factor
+from taciturn.model.plant import JumpNoise
+from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
+from taciturn.program.ir import Builder, Program, State
+from taciturn.program.jumps import add_jumps
+from taciturn.program.lower import Tick
+from taciturn.renewal.events import CLOSING, COST, CYCLES, DURATION, ENDED, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger
+
+LATE = 1 + 1e-12  # of a limit that is a whole number of periods
+
+
+@dataclass(frozen=True, eq=False)
+class SampledProcess:
+    """An error that moves by e⁺ = F e + w from look to look.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n), or jumps.
+        Gamma: Γ(τ), (n, n).
+        running: mean cost of the noise of one period, τ g(τ).
+        period: τ, seconds.
+    """
+
+    F: Array
+    noise: Array | JumpNoise
+    Gamma: Array
+    running: float
+    period: float
+
+
+def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Program:
+    """Return the program of one period and the look at its end, with the sums and outputs of ``cycle_program``."""
+    n = len(process.F)
+    tick = Tick(Builder(), {}, {}, ())
+    b = tick.builder
+    zero, one, period = b.constant(0.0), b.constant(1.0), b.constant(process.period)
+    state = {name: b.state(State(name, 0, start=(name, 0))) for name in (INTEGRAL, TIME, OPEN, CLOSING)}
+    error = [b.state(State(ERROR, i, start=(ERROR, i))) for i in range(n)]
+
+    def ahead(e: list[int]) -> int:
+        square = b.quadratic([[float(entry) for entry in row] for row in process.Gamma], e)
+        return tick.value(b.add(square, b.constant(process.running)))
+
+    moved = [tick.value(b.combine([float(entry) for entry in row], error)) for row in process.F]
+    moved = [b.emit("add", x, w) for x, w in zip(moved, _noise(tick, process.noise), strict=True)]
+    spent, time = b.emit("add", state[INTEGRAL], ahead(error)), b.emit("add", state[TIME], period)
+    after = b.emit("add", time, period)
+    allowed = after
+    if np.isfinite(trigger.saturation):
+        flat = b.constant(trigger.saturation)
+        allowed = b.emit("select", b.emit("greater", after, flat), flat, after)
+    allowed = b.emit("mul", b.constant(trigger.c), allowed)
+    ended = b.emit("greater", b.emit("add", spent, ahead(moved)), allowed)
+    if trigger.h_min > 0:
+        ended = b.emit("and", ended, b.emit("not", b.emit("greater", b.constant(trigger.h_min / LATE), time)))
+    if np.isfinite(trigger.h_max):
+        late = b.emit("greater", after, b.constant(trigger.h_max * LATE))
+        ended = b.emit("not", b.emit("and", b.emit("not", ended), b.emit("not", late)))
+    opened, closing = state[OPEN], state[CLOSING]
+    counted = b.emit("and", ended, b.emit("greater", opened, b.constant(0.5)))
+    last = b.emit("and", ended, b.emit("greater", closing, b.constant(0.5)))
+    following = [
+        *(b.emit("select", ended, zero, value) for value in (spent, time)),
+        b.emit("select", last, zero, opened),
+        closing,
+        *(b.emit("select", ended, zero, value) for value in moved),
+    ]
+    found = {CYCLES: one, DURATION: time, COST: spent}
+    sums = {name: b.emit("select", counted, value, zero) for name, value in found.items()}
+    outputs = {name: b.emit("select", ended, value, zero) for name, value in found.items()}
+    outputs[ENDED] = outputs.pop(CYCLES)
+    return with_draws(b.finish(following, sums, outputs))
+
+
+def sampled_start(program: Program, paths: int, seed: int) -> Array:
+    """Return the states of paths that were reset just now."""
+    generators = seed_generators(seed, paths)
+    states = np.zeros((len(program.states), paths))
+    for row, state in zip(states, program.states, strict=True):
+        if state.name == GENERATOR:
+            row[:] = generators[state.index]
+        elif state.name == OPEN:
+            row[:] = 1.0
+    return states
+
+
+def _noise(tick: Tick, noise: Array | JumpNoise) -> list[int]:
+    if isinstance(noise, JumpNoise):
+        return add_jumps(tick, noise)
+    spread, b = factor(noise), tick.builder
+    drawn = [b.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
+    return [tick.value(b.combine([float(g) for g in row], drawn)) for row in spread]
