@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from taciturn.simulation.trajectory import simulate as simulate
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
+    from taciturn.study.losses import find_losses as find_losses
     from taciturn.study.reproduce import reproduce as reproduce
     from taciturn.study.tradeoff import Tradeoff as Tradeoff
     from taciturn.study.tradeoff import tradeoff as tradeoff
@@ -72,6 +73,7 @@ _HOME = {
     "close": "loop",
     "course": "simulation.course",
     "evaluate": "study.evaluate",
+    "find_losses": "study.losses",
     "load": "problem",
     "plant_from": "model.plant",
     "reproduce": "study.reproduce",

@@ -191,7 +191,7 @@ def _looking(
         kind="integral",
         steps=(
             *predicted_steps(closed, rule),
-            Evaluate("sensor", MARGIN, (ahead, Form(constant=float(more[0]))), SEND),
+            Evaluate("sensor", MARGIN, (ahead, afresh), SEND),
         ),
         model=problem.plant,
         cost_all_time=base,

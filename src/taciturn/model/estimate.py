@@ -32,7 +32,7 @@ class Estimate:
     def __str__(self) -> str:
         """Return the value with as many digits as its standard error, or its claimed error, supports."""
         spread = self.standard_error or self.error
-        if spread == 0:
+        if spread <= 1e-14 * abs(self.value):  # nothing but rounding
             return f"{self.value:.6g}"
         digits = max(0, 1 - _exponent(spread))
         if digits > 12 or abs(self.value) >= 1e15:

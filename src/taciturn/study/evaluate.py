@@ -174,7 +174,7 @@ def evaluate(
         reached=found.reached,
         schedule=policy.schedule,
         cost_periodic_same_rate=_periodic(problem, policy, per_tick),
-        mean_interval=None if policy.reset is None else _interval(found.rates[policy.scheduled[0]], policy.tick),
+        mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
 
@@ -253,9 +253,14 @@ def _clocked(loop: Loop, found: Averages) -> Averages:
     return replace(found, rates={**found.rates, **{link: Estimate(rate, 0.0, "exact") for link, rate in known.items()}})
 
 
+def _predicts(policy: Policy) -> bool:
+    """Whether both ends predict in continuous time, and events decide when the prediction is corrected."""
+    return policy.prediction_gain is not None and policy.closed_form is None
+
+
 def _periodic(problem: Problem, policy: Policy, rate: float) -> float | None:
     """Return the cost of periodic control at a rate of sends per tick, for a policy that is compared with it."""
-    return None if policy.reset is None else periodic_cost_at(problem, rate / policy.tick, actuation_of(problem))
+    return periodic_cost_at(problem, rate / policy.tick, actuation_of(problem)) if _predicts(policy) else None
 
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:

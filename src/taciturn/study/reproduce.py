@@ -8,6 +8,7 @@ from taciturn.errors import ProblemError
 from taciturn.simulation.average import Progress
 from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
+from taciturn.study.chapter4 import chapter4
 from taciturn.study.chapter5 import chapter5
 from taciturn.study.chapter6 import chapter6
 from taciturn.study.chapter7 import chapter7
@@ -16,6 +17,7 @@ from taciturn.study.reproduction import Reproduction
 CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {
     "chapter2": chapter2,
     "chapter3": chapter3,
+    "chapter4": chapter4,
     "chapter5": chapter5,
     "chapter6": chapter6,
     "chapter7": chapter7,

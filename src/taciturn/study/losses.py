@@ -1,0 +1,181 @@
+"""Does a threshold lose to a clock? Any weight of the error against periodic control at the same rate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, number, semidefinite
+from taciturn._figure import Panel, Series, draw
+from taciturn.design.consistent import refuse_what_is_not_predicted
+from taciturn.errors import ProblemError
+from taciturn.lqg.prediction import PredictionCost, prediction_cost
+from taciturn.model.cost import Cost
+from taciturn.model.estimate import Estimate
+from taciturn.model.plant import ContinuousPlant
+from taciturn.renewal.chain import Chain
+from taciturn.renewal.cycles import estimate_cycles
+from taciturn.renewal.events import JumpProcess, LevelTrigger
+from taciturn.renewal.gaussian import solve_gaussian
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+CYCLES = 400_000
+LEVELS = 16
+SURE = 4.0  # standard errors
+
+
+@dataclass(frozen=True)
+class ThresholdPoint:
+    """One threshold, and periodic control at its rate.
+
+    Args:
+        level: Y²; the state is sent where e'Ψe passes it.
+        rate: sends per second.
+        cost: per second.
+        cost_periodic: of periodic control at this rate, exact.
+    """
+
+    level: float
+    rate: Estimate
+    cost: Estimate
+    cost_periodic: float
+
+    @property
+    def loses(self) -> bool:
+        """Whether the threshold costs more than periodic control, beyond what chance or quadrature explain."""
+        return self.cost.value - SURE * self.cost.standard_error - self.cost.error > self.cost_periodic
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Thresholds of one weight, from the least to the largest.
+
+    Args:
+        points: by level.
+    """
+
+    points: tuple[ThresholdPoint, ...]
+
+    @property
+    def rates(self) -> tuple[tuple[float, float], ...]:
+        """The ranges of rates, lowest first, at which every threshold that was tried loses to periodic control."""
+        ranges: list[tuple[float, float]] = []
+        before = False
+        for point in sorted(self.points, key=lambda point: point.rate.value):
+            if point.loses:
+                low = ranges.pop()[0] if before else point.rate.value
+                ranges.append((low, point.rate.value))
+            before = point.loses
+        return tuple(ranges)
+
+    def document(self) -> dict[str, Any]:
+        """Return what JSON holds of it."""
+        return {
+            "points": [
+                {
+                    "level": p.level,
+                    "rate": p.rate.value,
+                    "cost": p.cost.value,
+                    "cost_standard_error": p.cost.standard_error,
+                    "method": p.cost.method,
+                    "cost_periodic": p.cost_periodic,
+                    "loses": p.loses,
+                }
+                for p in self.points
+            ],
+            "rates": [list(ends) for ends in self.rates],
+        }
+
+    def plot(self) -> Figure:
+        """Return a figure of cost against rate: the threshold, and periodic control."""
+        points = sorted(self.points, key=lambda point: point.rate.value)
+        rates = [p.rate.value for p in points]
+        series = [
+            Series(rates, [p.cost.value for p in points], "threshold", error=[p.cost.standard_error for p in points]),
+            Series(rates, [p.cost_periodic for p in points], "periodic control", "dashed", color=7),
+        ]
+        lost = [f"{low:.3g} … {high:.3g}" for low, high in self.rates]
+        title = f"loses at the rates {', '.join(lost)}" if lost else "loses nowhere here"
+        return draw([Panel(series, "sends per second", "cost per second", title)])
+
+
+def find_losses(
+    plant: ContinuousPlant,
+    cost: Cost,
+    weight: ArrayLike | None = None,
+    *,
+    levels: Sequence[float] | None = None,
+    period: float | None = None,
+    h_max: float = np.inf,
+    seed: int = 0,
+    cycles: int = CYCLES,
+) -> Losses:
+    """Compare thresholds e'Ψe > Y² on the error of a prediction with periodic control at the same rate.
+
+    Under jumps the threshold is watched every instant, event-exactly; with a period, under Wiener noise, at every look,
+    by quadrature.
+
+    Args:
+        plant: continuous in time, its full state measured.
+        cost: an average.
+        weight: Ψ, (n, n), semidefinite; omitted: the identity, the Euclidean norm.
+        levels: Y² > 0; omitted: the mean of e'Ψe after intervals from a hundredth of to ten times the slowest second.
+        period: seconds between looks; with Wiener noise, and only there.
+        h_max: longest interval, seconds; under jumps.
+        seed: of the draws.
+        cycles: intervals that are drawn for each threshold, at least.
+
+    Returns:
+        Rate and cost of each threshold, and the ranges of rates at which it loses.
+
+    Raises:
+        ProblemError: data that do not fit; period missing or out of place.
+        NoQuadratureError: more dimensions than the quadrature serves.
+
+    Source: khashooei2017
+
+    Example:
+        >>> from taciturn import Jumps
+        >>> plant = ContinuousPlant([[0.0]], [[1.0]], jumps=Jumps(2.0, [[0.5]]))
+        >>> find_losses(plant, Cost([[1.0]], [[1.0]]), levels=[1.0], cycles=10_000).rates  # of one state: none
+        ()
+    """
+    plant = refuse_what_is_not_predicted("find_losses", plant, cost)
+    price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
+    Psi = np.eye(plant.states) if weight is None else semidefinite("weight", weight, plant.states, "(states, states)")
+    tried = _levels(price, Psi) if levels is None else [number("level", level, 0.0) for level in levels]
+    points: list[ThresholdPoint] = []
+    for level in tried:
+        if plant.jumps is None:
+            rate, excess = _looked_at(price, Psi, level, period)
+        else:
+            if period is not None:
+                raise ProblemError("period is given under jumps, which are watched every instant; expected none")
+            process = JumpProcess(plant.A, plant.jumps, price.S)
+            found = estimate_cycles(process, LevelTrigger(Psi, level, h_max), cycles=cycles, seed=seed)
+            interval, excess = found.interval, found.cost
+            rate = Estimate(1 / interval.value, interval.standard_error / interval.value**2, "simulation")
+        points.append(ThresholdPoint(level, rate, excess.scaled(1.0, price.base), price.periodic(1 / rate.value)))
+    return Losses(tuple(points))
+
+
+def _looked_at(price: PredictionCost, Psi: Array, level: float, period: float | None) -> tuple[Estimate, Estimate]:
+    """Return rate and cost beyond tr(PW) of a threshold that is looked at every period, under Wiener noise."""
+    if period is None:
+        raise ProblemError("period is missing; expected the seconds between looks, as the noise is Wiener noise")
+    chain = Chain(price.flow(period), price.spread(period), Psi, level, price.weight(period) / period)
+    found = solve_gaussian(chain)
+    rate = Estimate(found.rate, 0.0, "quadrature", found.rate_error).scaled(1 / period)
+    return rate, Estimate(found.excess, 0.0, "quadrature", found.excess_error).scaled(1.0, price.growth(period))
+
+
+def _levels(price: PredictionCost, Psi: Array) -> list[float]:
+    """Return the mean of e'Ψe after intervals of many lengths."""
+    slowest = 1 / max(float(np.abs(np.linalg.eigvals(price.A)).max(initial=0.0)), 1.0)
+    found = [float(np.sum(Psi * price.spread(h))) for h in slowest * np.geomspace(1e-2, 10.0, LEVELS)]
+    return [level for level in found if level > 0]
