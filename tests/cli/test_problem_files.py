@@ -37,7 +37,7 @@ def actual(**entries: str) -> dict[str, str]:
 
 def test_a_file_that_is_not_there_is_told_with_the_built_in_problems(run: Run) -> None:
     """And with the one that was perhaps meant."""
-    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems lossy-double"
+    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems double-integrator, lossy-double"
     assert run("evaluate", "xyzzy").sentence.startswith(told)
     assert run("evaluate", "twomass").sentence.endswith("Did you mean 'two-mass'?")
     assert run("evaluate", "two-mass.toml").sentence.startswith("there is no file 'two-mass.toml'")
@@ -188,7 +188,7 @@ def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) 
         ({"policy": PERIODIC + "every = true"}, "policy.every is True; expected a whole number"),
         (
             {"policy": "[policy]\nkind = 1"},
-            "policy.kind is 1; expected one of all-time, periodic, lqg, remote-lqg, lossy-lqg",
+            "policy.kind is 1; expected one of all-time, periodic, lqg, remote-lqg, lossy-lqg, integral, consistent",
         ),
         ({"plant": "policy = 1\n" + plant()["plant"], "policy": ""}, "policy is 1; expected a table"),
     ],
@@ -265,8 +265,8 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         (continuous(policy=LQG + "theta = 1\nperiod = 0"), "period is 0; expected 0 < period"),
         (continuous(policy=PERIODIC + "every = 9"), "every is given with a continuous-time plant; expected period, in"),
         (
-            continuous(JUMPS, LQG + "theta = 1\nperiod = 0.1", ""),
-            "the plant has Poisson jumps, which lqg does not sample",
+            continuous(JUMPS.replace("rate = 5", "rate = 5000"), LQG + "theta = 1\nperiod = 0.1", ""),
+            "a tick of 0.1 s sees 500 jumps on average, too many to draw one by one; expected shorter ticks, or Wiener",
         ),
         ({"policy": PERIODIC}, "every is missing; expected the steps between sends, at least 1"),
         ({"policy": PERIODIC + "every = 0"}, "every is 0; expected a whole number, at least 1"),

@@ -121,9 +121,9 @@ def test_many_small_jumps_come_near_wiener_noise() -> None:
         loop = close(plant, design.consistent(plant, cost, period=0.1))
         found.append(average(loop, seed=1, steps=2_000_000).rates["sensor"])
     gaps = [found[-1].value - one.value for one in found[:-1]]
-    assert gaps[0] > 5 * gaps[1] / 2 > 0
-    error = np.hypot(found[-1].standard_error, found[-2].standard_error)
-    assert abs(gaps[2]) <= 4 * error + 0.01
+    error = 4 * np.hypot(found[-1].standard_error, found[-2].standard_error)
+    assert gaps[0] - error > 2 * gaps[1] > 4 * gaps[2] - error
+    assert abs(gaps[2]) <= 0.04 * found[-1].value
 
 
 def test_a_threshold_above_its_largest_consistent_value_is_allowed_and_told() -> None:

@@ -69,18 +69,16 @@ def chain_of(loop: Loop) -> Chain:
     """
     policy, problem = loop.policy, loop.problem
     if loop.departures:
-        raise NoQuadratureError(
-            f"{loop.departures[0]}; expected the loop of the design, or method 'auto' or 'simulation'"
-        )
+        raise NoQuadratureError(f"{loop.departures[0]}; expected the loop of the design, or 'auto' or 'simulation'")
     weights = _weights(policy)
     if weights is None or loop.horizon is not None:
         raise NoQuadratureError(
-            f"{policy.kind} has no closed form here, and no error that alone decides and that every send resets; "
-            "expected method 'auto' or 'simulation'"
+            f"{policy.kind} has no closed form here, and no error that alone decides until a send resets it; "
+            "expected 'auto' or 'simulation'"
         )
     Psi, delta, Gamma = weights
     if delta <= 0:
-        raise NoQuadratureError(f"the threshold is {delta:g}; expected one above 0, or method 'simulation'")
+        raise NoQuadratureError(f"the threshold is {delta:g}; expected one above 0, or 'simulation'")
     noise = problem.plant.W if problem.jumps is None else problem.jumps
     return Chain(problem.plant.A, noise, Psi, delta, Gamma)
 

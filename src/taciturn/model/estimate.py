@@ -36,7 +36,7 @@ class Estimate:
             return f"{self.value:.6g}"
         digits = max(0, 1 - _exponent(spread))
         if digits > 12 or abs(self.value) >= 1e15:
-            return f"{self.value:.{min(digits, 12)}g} ± {spread:.2g}"
+            return f"{self.value:.{12 if digits > 12 else 6}g} ± {spread:.2g}"
         return f"{self.value:.{digits}f} ± {spread:.{digits}f}"
 
 

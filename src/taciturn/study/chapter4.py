@@ -115,7 +115,7 @@ def _counter_example(seed: int) -> tuple[PredictionCost, list[Row], Losses]:
     )
     rows = [
         Row(
-            {"C": slope},
+            {"C (α = 0.2)": slope},
             {},
             {
                 "E[θ]": found.interval,
