@@ -8,7 +8,8 @@ import numpy as np
 from hypothesis import assume
 from hypothesis import strategies as st
 
-from taciturn import Cost, Plant
+from taciturn import ContinuousPlant, Cost, Jumps, Plant
+from taciturn.lqg.prediction import PredictionCost, prediction_cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,3 +62,25 @@ def well_posed(A: np.ndarray, B: np.ndarray) -> bool:
     slow = [value for value in np.linalg.eigvals(A) if abs(value) > 0.9]
     unit = np.eye(len(A))
     return all(np.linalg.svd(np.hstack([A - value * unit, B]), compute_uv=False)[-1] > 0.1 for value in slow)
+
+
+def continuous_system(seed: int, law: str, states: int = 3) -> tuple[ContinuousPlant, Cost, float]:
+    """Return a random plant with a cross term in its cost, and a period; stable or unstable, noise of any rank."""
+    rng = np.random.default_rng(seed)
+    n, m = int(rng.integers(1, states + 1)), int(rng.integers(1, 3))
+    A, B = rng.normal(size=(n, n)), rng.normal(size=(n, m))
+    unit = np.eye(n)
+    slow = [value for value in np.linalg.eigvals(A) if value.real > -0.1]
+    assume(all(np.linalg.svd(np.hstack([A - value * unit, B]))[1][-1] > 0.1 for value in slow))
+    root = rng.normal(size=(n + m, n + m)) / np.sqrt(n + m)
+    joint, noise = root @ root.T + 0.05 * np.eye(n + m), 0.5 * rng.normal(size=(n, int(rng.integers(1, n + 1))))
+    cost, period = Cost(joint[:n, :n], joint[n:, n:], joint[:n, n:]), float(rng.uniform(0.05, 0.5))
+    if law == "wiener":
+        return ContinuousPlant(A, B, noise @ noise.T), cost, period
+    rate = float(rng.uniform(0.5, 8.0))
+    return ContinuousPlant(A, B, jumps=Jumps(rate, noise @ noise.T / rate, law)), cost, period
+
+
+def price_of(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
+    """Return what acting on predictions costs."""
+    return prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)

@@ -152,7 +152,7 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
         ),
         (
             ("evaluate", "two-mass", "--method", "exact"),
-            "method is 'exact', and lqg has no closed form here, and no error that alone decides until a send resets it; expe",
+            "method is 'exact', and lqg has no closed form here, and no error that alone decides",
         ),
         (("tradeoff", "two-mass"), "Missing option '--over'"),
         (("tradeoff", "two-mass", "--over"), "Option '--over' requires an argument"),

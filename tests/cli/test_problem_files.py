@@ -37,7 +37,7 @@ def actual(**entries: str) -> dict[str, str]:
 
 def test_a_file_that_is_not_there_is_told_with_the_built_in_problems(run: Run) -> None:
     """And with the one that was perhaps meant."""
-    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems double-integrator, lossy-double"
+    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems double-integrator, lossy"
     assert run("evaluate", "xyzzy").sentence.startswith(told)
     assert run("evaluate", "twomass").sentence.endswith("Did you mean 'two-mass'?")
     assert run("evaluate", "two-mass.toml").sentence.startswith("there is no file 'two-mass.toml'")

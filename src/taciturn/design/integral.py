@@ -27,6 +27,7 @@ MARGIN, SINCE = "margin", "since"
 NEVER = 1e30  # beside any cost
 FIRST_CYCLES, CYCLES = 20_000, 2_000_000  # of the search for the fixed point, and of its last steps
 ROUNDS = 60
+LONGEST = 1e6  # times the first α that is tried
 LOOKS = 6  # rounds of the search for a period
 COARSE, FINE = 50, 200  # looks per mean interval
 PRINTED = 1e-6  # relative: a slope given with as many digits as its limit is printed
@@ -104,13 +105,13 @@ def integral(
         value, rule = found(process)
         return EventPolicy("integral", plant, cost, process, rule, price.base, value, statement, "khashooei2017")
     if period is not None:
-        process = _sampled(plant, price, number("period", period, 0.0))
+        process = sampled_error(plant, price, number("period", period, 0.0))
         return _looking(plant, cost, price, process, found(process)[1], statement, ())
     length = 1.0
     for _ in range(LOOKS):  # the interval decides how often it is looked at, which hardly decides the interval
-        process = _sampled(plant, price, length / COARSE)
+        process = sampled_error(plant, price, length / COARSE)
         length = estimate_cycles(process, replace(trigger, c=slope * length), cycles=FIRST_CYCLES).interval.value
-    process = _sampled(plant, price, length / FINE)
+    process = sampled_error(plant, price, length / FINE)
     _, rule = found(process)
     return _looking(plant, cost, price, process, rule, statement, (_resolution(plant, price, process, rule),))
 
@@ -132,7 +133,7 @@ def _largest_slope(price: PredictionCost, trigger: IntegralTrigger) -> float:
     return price.least_ratio(trigger.h_min, min(trigger.saturation, trigger.h_max))[0]
 
 
-def _sampled(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
+def sampled_error(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
     """Return the error as it is seen every period."""
     noise = price.spread(period) if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return SampledProcess(price.flow(period), noise, price.weight(period), period * price.growth(period), period)
@@ -142,7 +143,7 @@ def _resolution(
     plant: ContinuousPlant, price: PredictionCost, process: SampledProcess, trigger: IntegralTrigger
 ) -> str:
     """Say what looking twice as often would change."""
-    finer = _sampled(plant, price, process.period / 2)
+    finer = sampled_error(plant, price, process.period / 2)
     one, other = (estimate_cycles(p, trigger, cycles=CYCLES // 10) for p in (process, finer))
     changes: list[str] = []
     for name, before, after in (("mean interval", one.interval, other.interval), ("cost", one.cost, other.cost)):
@@ -253,7 +254,7 @@ class _Search:
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return α* = L(α*), by a secant method on common random numbers.
+        """Return the largest α* = L(α*), by chords on common random numbers.
 
         Raises:
             ProblemError: the slope is too large.
@@ -263,21 +264,46 @@ class _Search:
                 f"slope is {self.slope:g}, and f stays below what periodic control costs up to {self.largest:.6g}; "
                 f"expected 0 < slope ≤ {self.largest:.6g}"
             )
-        alpha = max(self.trigger.h_min, self._first())
-        gain, before = 0.0, None
+        low, high = self._bracket()
+        below, above = (self.after(alpha, FIRST_CYCLES).interval.value for alpha in (low, high))
+        gain = min(max(0.0, (above - below) / (high - low)), 0.9)
+        alpha = low + (below - low) / (1 - gain)
         for round in range(ROUNDS):
-            found = self.after(alpha, min(CYCLES, FIRST_CYCLES * 2**round)).interval
+            cycles = min(CYCLES, FIRST_CYCLES * 2**round)
+            found = self.after(alpha, cycles).interval
             miss = found.value - alpha
-            if before is not None and before[0] != alpha:
-                gain = float(np.clip((found.value - before[1]) / (alpha - before[0]), 0.0, 0.9))
-            error = found.standard_error / (1 - gain)
-            if FIRST_CYCLES * 2**round >= CYCLES and abs(miss) <= 0.1 * found.standard_error:
-                return Estimate(alpha, error, "simulation")
-            before, alpha = (alpha, found.value), alpha + miss / (1 - gain)
+            if cycles == CYCLES and abs(miss) <= 0.1 * found.standard_error:
+                return Estimate(alpha, found.standard_error / (1 - gain), "simulation")
+            alpha = min(max(alpha + miss / (1 - gain), low / 2), 2 * high)
         raise ProblemError(
             f"no alpha with alpha = L(alpha) was found within {ROUNDS} steps, the last being {alpha:g}; expected a "
             "smaller slope, or a given alpha"
         )
+
+    def _bracket(self) -> tuple[float, float]:
+        """Return an α below L(α) and one above, neighbours among powers of two.
+
+        Raises:
+            ProblemError: α ≤ L(α) for no α that is long against a look, or for every α.
+        """
+        least = 8 * self.process.period if isinstance(self.process, SampledProcess) else 0.0
+        low = high = max(self.trigger.h_min, self._first())
+        while self.after(high, FIRST_CYCLES).interval.value >= high:
+            low, high = high, 2 * high
+            if high > LONGEST * self._first():
+                raise ProblemError(
+                    f"the mean interval L(alpha) is above every alpha up to {high:g}; "
+                    "expected a smaller slope, a finite h_max, or a given alpha"
+                )
+        while self.after(low, FIRST_CYCLES).interval.value < low:
+            low, high = low / 2, low
+            if low < least:
+                raise ProblemError(
+                    f"slope is {self.slope:g}, and no alpha is below the mean interval L(alpha) that follows from it; "
+                    f"expected a slope nearer to {self.largest:.6g}, up to which f stays below what periodic control "
+                    "costs, or a shorter period"
+                )
+        return low, high
 
     def _first(self) -> float:
         """Return seconds that are no longer than an interval."""
