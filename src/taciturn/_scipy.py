@@ -55,6 +55,6 @@ def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
     return upper[:count, :count].T, basis[:, :count].T
 
 
-def crossing(function: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function changes its sign, by bisection to 1e-9."""
-    return float(scipy.optimize.bisect(function, low, high, xtol=1e-9))
+def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:
+    """Return where a function changes its sign, by Brent's method to a width."""
+    return float(scipy.optimize.brentq(function, low, high, xtol=width))

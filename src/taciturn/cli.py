@@ -133,7 +133,7 @@ def tradeoff(
 def reproduce(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME…]", help="chapter2, 3, 6 or 7, or all (the default)."),
+        typer.Argument(metavar="[NAME…]", help="chapter2 to chapter7, or all (the default)."),
     ] = None,
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,

@@ -133,12 +133,14 @@ def test_looking_more_often_comes_to_every_instant() -> None:
 def test_wiener_noise_is_looked_at_and_the_resolution_is_told() -> None:
     """Without a period one is chosen; the note says what a finer one would change."""
     policy = design.integral(WIENER, COST, slope=8.0, h_max=2.0)
-    (note,) = policy.notes
+    fixed, note = policy.notes
+    assert fixed.startswith("alpha = ")
     assert note.startswith("the error is looked at every 0.0")
     assert "twice as often changes the mean interval by " in note
     assert policy.tick < 0.02
 
 
+STABLE = ContinuousPlant([[-1.0]], [[1.0]], jumps=Jumps(2.0, [[0.5]]))
 REFUSED = [
     ({"slope": 0.0}, "slope is 0; expected 0 < slope"),
     ({"slope": 10.0}, "slope is 10, and f stays below what periodic control costs up to 9.15569; expected 0 < slope ≤"),
@@ -149,6 +151,15 @@ REFUSED = [
     ({"slope": 5.0, "alpha": 0.0}, "alpha is 0; expected 0 < alpha"),
     ({"slope": 5.0, "alpha": 0.3, "period": -1.0}, "period is -1; expected 0 < period"),
     ({"slope": 1.0, "alpha": 0.3, "period": 0.5}, "period is 0.5, in which the noise alone costs "),
+    ({"slope": 5.0, "alpha": 0.3, "period": 3.0}, "period is 3 and h_max is 2; expected period ≤ h_max"),
+    (
+        {"slope": 5.0, "alpha": 0.3, "period": 0.01, "h_max": 1e4},
+        "period is 0.01, and 1000000 looks after a send h_min",
+    ),
+    (
+        {"slope": 0.1, "plant": STABLE, "cost": Cost([[1.0]], [[1.0]]), "h_max": np.inf},
+        "no slope is admissible: f rises",
+    ),
     ({"slope": 5.0, "cost": Cost(np.eye(2), [[10.0]], horizon=3)}, "cost.horizon is 3, which integral does not use"),
     ({"slope": 5.0, "plant": ContinuousPlant(DOUBLE.A, DOUBLE.B, np.zeros((2, 2)))}, "no noise reaches an error that "),
 ]
@@ -179,6 +190,9 @@ def test_a_policy_without_ticks_is_evaluated_and_has_no_loop() -> None:
     assert document["cost"]["standard_error"] <= 0.01
     assert document["cost"]["value"] < document["cost_bound_at_rate"] <= document["cost_bound"]
     assert document["mean_interval"]["value"] * document["rates"]["sensor"]["value"] == pytest.approx(1)
+    clipped = parse({**tables, "plant": {**tables["plant"], "input_limit": [1.0]}}, "here")
+    with pytest.raises(ProblemError, match=r"plant.input_limit is given, which integral without a period does not use"):
+        taciturn.evaluate(clipped)
     for refused in (problem.design, lambda: taciturn.evaluate(problem, method="exact")):
         with pytest.raises(ProblemError, match=r"expected policy.period|expected 'auto' or 'simulation'"):
             refused()
@@ -198,5 +212,10 @@ def test_a_weight_that_the_cost_does_not_know_can_lose_and_is_found_to() -> None
     assert own.rates == ()
     assert json.loads(json.dumps(euclidean.document(), allow_nan=False))["points"][0]["loses"]
     assert euclidean.plot().axes[0].get_title().startswith("loses at the rates")
-    with pytest.raises(ProblemError, match="period is missing; expected the seconds between looks"):
-        find_losses(skewed, weights, levels=levels)
+    for wrong, sentence in (
+        ({}, "period is missing; expected the seconds between looks"),
+        ({"period": 0.1, "h_max": 1.0}, "h_max is given under Wiener noise"),
+        ({"period": 0.1, "weight": np.zeros((2, 2))}, "the weight sees no error that noise reaches"),
+    ):
+        with pytest.raises(ProblemError, match=sentence):
+            find_losses(skewed, weights, levels=levels, **wrong)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, instance
 from taciturn.loop import Loop
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled
@@ -67,6 +67,7 @@ def chain_of(loop: Loop) -> Chain:
     Raises:
         NoQuadratureError: the loop is none.
     """
+    instance("loop", loop, Loop)
     policy, problem = loop.policy, loop.problem
     if loop.departures:
         raise NoQuadratureError(f"{loop.departures[0]}; expected the loop of the design, or 'auto' or 'simulation'")

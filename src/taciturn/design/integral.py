@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn._modes import radius
 from taciturn.design.certainty import SEND
@@ -24,10 +25,12 @@ from taciturn.renewal.policy import EventPolicy
 from taciturn.renewal.sampled import LATE, SampledProcess
 
 MARGIN, SINCE = "margin", "since"
+MOST_PLACES = 20_000  # looks after a send that a node can tell from one another
 NEVER = 1e30  # beside any cost
 FIRST_CYCLES, CYCLES = 20_000, 2_000_000  # of the search for the fixed point, and of its last steps
-ROUNDS = 60
-LONGEST = 1e6  # times the first α that is tried
+ROUNDS = 20
+LONGEST = 2000  # times the first α that is tried
+RESOLVED = 3e-5  # relative, of the fixed point: far below its standard error
 LOOKS = 6  # rounds of the search for a period
 COARSE, FINE = 50, 200  # looks per mean interval
 PRINTED = 1e-6  # relative: a slope given with as many digits as its limit is printed
@@ -93,27 +96,39 @@ def integral(
     price = _price(plant, cost)
     slope, trigger = number("slope", slope, 0.0), IntegralTrigger(1.0, saturation, h_min, h_max)
     largest = _largest_slope(price, trigger)
+    if largest <= 0:
+        raise ProblemError(
+            "no slope is admissible: f rises for ever, and what periodic control costs stays bounded, or begins too "
+            "slowly; expected a finite h_max or saturation, or h_min > 0"
+        )
+
+    notes: list[str] = []
 
     def found(process: JumpProcess | SampledProcess) -> tuple[Estimate, IntegralTrigger]:
         search = _Search(process, trigger, slope, largest)
         value = search.fixed_point() if alpha is None else search.given(number("alpha", alpha, 0.0))
+        if alpha is None:
+            notes.append(f"alpha = {value} s is the fixed point L(alpha) = alpha")
         return value, replace(trigger, c=value.value * slope)
 
     statement = "J ≤ tr(PW) + ξ f(E[θ]), and no more than periodic control at its mean interval" if h_min == 0 else None
     if period is None and plant.jumps is not None:
         process = JumpProcess(plant.A, plant.jumps, price.S)
         value, rule = found(process)
-        return EventPolicy("integral", plant, cost, process, rule, price.base, value, statement, "khashooei2017")
+        return EventPolicy(
+            "integral", plant, cost, process, rule, price.base, value, statement, "khashooei2017", tuple(notes)
+        )
     if period is not None:
         process = sampled_error(plant, price, number("period", period, 0.0))
-        return _looking(plant, cost, price, process, found(process)[1], statement, ())
+        return _looking(plant, cost, price, process, found(process)[1], statement, notes)
     length = 1.0
     for _ in range(LOOKS):  # the interval decides how often it is looked at, which hardly decides the interval
         process = sampled_error(plant, price, length / COARSE)
-        length = estimate_cycles(process, replace(trigger, c=slope * length), cycles=FIRST_CYCLES).interval.value
+        reached = replace(trigger, c=slope * (length if alpha is None else alpha))
+        length = estimate_cycles(process, reached, cycles=FIRST_CYCLES).interval.value
     process = sampled_error(plant, price, length / FINE)
     _, rule = found(process)
-    return _looking(plant, cost, price, process, rule, statement, (_resolution(plant, price, process, rule),))
+    return _looking(plant, cost, price, process, rule, statement, [*notes, _resolution(plant, price, process, rule)])
 
 
 def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
@@ -121,7 +136,7 @@ def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
     if price.growth(1.0) <= 0:
         raise ProblemError(
             "no noise reaches an error that costs anything, so that nothing would ever be sent; "
-            "expected jumps of states that L'RL weighs, now or later"
+            "expected noise on states that L'RL weighs, now or later"
         )
     return price
 
@@ -163,7 +178,7 @@ def _looking(
     process: SampledProcess,
     trigger: IntegralTrigger,
     statement: str | None,
-    notes: tuple[str, ...],
+    notes: list[str],
 ) -> Policy:
     """Return the policy that looks every period.
 
@@ -171,6 +186,13 @@ def _looking(
     by a location how many looks ago that was, as far as this matters.
     """
     period = process.period
+    if period > trigger.h_max * LATE:
+        raise ProblemError(f"period is {period:g} and h_max is {trigger.h_max:g}; expected period ≤ h_max")
+    if _places(trigger, period) > MOST_PLACES:
+        raise ProblemError(
+            f"period is {period:g}, and {_places(trigger, period)} looks after a send h_min, h_max or the saturation "
+            f"still counts; expected at most {MOST_PLACES}: a longer period, or infinite limits"
+        )
     problem = discretise(plant, cost, period, price.L)
     allowed = trigger.c * np.minimum(period * np.arange(_places(trigger, period) + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:
@@ -187,7 +209,7 @@ def _looking(
     ahead = Form((ERROR,), Gamma, Scheduled(SINCE, more[1:]), {MARGIN: 1.0})
     afresh = Form(constant=float(more[0]))
     rule = Trigger({"silent": Form((ERROR,), Gamma, Scheduled(SINCE, more[1:] + gate), {MARGIN: 1.0}), SEND: Form()})
-    base = price.periodic(period)
+    base, bound = price.periodic(period), price.base + trigger.c
     return Policy(
         kind="integral",
         steps=(
@@ -205,9 +227,9 @@ def _looking(
         settling=1 / (1 - radius(closed)),
         cost=cost,
         prediction_gain=price.L,
-        guarantee=Guarantee(price.base + trigger.c, statement, "khashooei2017") if statement is not None else None,
+        guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
         identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
-        notes=notes,
+        notes=tuple(notes),
     )
 
 
@@ -254,7 +276,7 @@ class _Search:
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return the largest α* = L(α*), by chords on common random numbers.
+        """Return the largest α* = L(α*), on common random numbers.
 
         Raises:
             ProblemError: the slope is too large.
@@ -266,19 +288,17 @@ class _Search:
             )
         low, high = self._bracket()
         below, above = (self.after(alpha, FIRST_CYCLES).interval.value for alpha in (low, high))
-        gain = min(max(0.0, (above - below) / (high - low)), 0.9)
-        alpha = low + (below - low) / (1 - gain)
-        for round in range(ROUNDS):
-            cycles = min(CYCLES, FIRST_CYCLES * 2**round)
-            found = self.after(alpha, cycles).interval
-            miss = found.value - alpha
-            if cycles == CYCLES and abs(miss) <= 0.1 * found.standard_error:
-                return Estimate(alpha, found.standard_error / (1 - gain), "simulation")
-            alpha = min(max(alpha + miss / (1 - gain), low / 2), 2 * high)
-        raise ProblemError(
-            f"no alpha with alpha = L(alpha) was found within {ROUNDS} steps, the last being {alpha:g}; expected a "
-            "smaller slope, or a given alpha"
-        )
+        gain = min(max(0.0, (above - below) / (high - low)), 0.95)  # how much an error of α comes back in L(α)
+
+        def excess(alpha: float) -> float:
+            return alpha - self.after(alpha, CYCLES).interval.value
+
+        for _ in range(ROUNDS):  # more cycles may move a root that is near an end
+            low, high = (low if excess(low) <= 0 else 0.99 * low), (high if excess(high) > 0 else 1.01 * high)
+            if excess(low) <= 0 < excess(high):
+                alpha = _scipy.crossing(excess, low, high, RESOLVED * low)
+                return Estimate(alpha, self.after(alpha, CYCLES).interval.standard_error / (1 - gain), "simulation")
+        raise ProblemError(f"alpha = L(alpha) is not found near {low:g}; expected another slope, or a given alpha")
 
     def _bracket(self) -> tuple[float, float]:
         """Return an α below L(α) and one above, neighbours among powers of two.

@@ -173,7 +173,7 @@ def evaluate(
         steps=found.steps,
         reached=found.reached,
         schedule=policy.schedule,
-        cost_periodic_same_rate=_periodic(problem, policy, per_tick),
+        cost_periodic_same_rate=_periodic(problem, policy, per_tick) if loop.nominal else None,
         mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
@@ -196,8 +196,11 @@ def _events(
     """Return the evaluation of a policy without ticks."""
     if method == "exact":
         raise ProblemError(f"method is 'exact', and {policy.kind} has no exact method; expected 'auto' or 'simulation'")
-    if problem.actual is not None:
-        raise ProblemError(f"[plant.actual] is given, which {policy.kind} without a period does not use: remove it")
+    for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
+        if given is not None:
+            raise ProblemError(
+                f"{name} is given, which {policy.kind} without a period does not use; expected policy.period, or none"
+            )
     found = average_events(policy, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)

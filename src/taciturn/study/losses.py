@@ -124,7 +124,8 @@ def find_losses(
         plant: continuous in time, its full state measured.
         cost: an average.
         weight: Ψ, (n, n), semidefinite; omitted: the identity, the Euclidean norm.
-        levels: Y² > 0; omitted: the mean of e'Ψe after intervals from a hundredth of to ten times the slowest second.
+        levels: Y² > 0; omitted: the mean of e'Ψe after intervals from a hundredth of to ten times the slowest second,
+            or with a period of one to six looks.
         period: seconds between looks; with Wiener noise, and only there.
         h_max: longest interval, seconds; under jumps.
         seed: of the draws.
@@ -148,10 +149,15 @@ def find_losses(
     plant = refuse_what_is_not_predicted("find_losses", plant, cost)
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     Psi = np.eye(plant.states) if weight is None else semidefinite("weight", weight, plant.states, "(states, states)")
-    tried = _levels(price, Psi) if levels is None else [number("level", level, 0.0) for level in levels]
+    if not np.sum(Psi * price.spread(1.0)) > 0:
+        raise ProblemError("the weight sees no error that noise reaches; expected noise, and a weight that is not zero")
+    listed = [levels] if isinstance(levels, int | float) else levels
+    tried = _levels(price, Psi, period) if listed is None else [number("level", level, 0.0) for level in listed]
     points: list[ThresholdPoint] = []
     for level in tried:
         if plant.jumps is None:
+            if np.isfinite(h_max):
+                raise ProblemError("h_max is given under Wiener noise, where no interval is limited; expected none")
             rate, excess = _looked_at(price, Psi, level, period)
         else:
             if period is not None:
@@ -174,8 +180,10 @@ def _looked_at(price: PredictionCost, Psi: Array, level: float, period: float | 
     return rate, Estimate(found.excess, 0.0, "quadrature", found.excess_error).scaled(1.0, price.growth(period))
 
 
-def _levels(price: PredictionCost, Psi: Array) -> list[float]:
-    """Return the mean of e'Ψe after intervals of many lengths."""
+def _levels(price: PredictionCost, Psi: Array, period: float | None) -> list[float]:
+    """Return the mean of e'Ψe after intervals of many lengths: of one to six looks, or about the slowest second."""
     slowest = 1 / max(float(np.abs(np.linalg.eigvals(price.A)).max(initial=0.0)), 1.0)
-    found = [float(np.sum(Psi * price.spread(h))) for h in slowest * np.geomspace(1e-2, 10.0, LEVELS)]
-    return [level for level in found if level > 0]
+    lengths = (
+        slowest * np.geomspace(1e-2, 10.0, LEVELS) if period is None else period * np.geomspace(1.0, 6.0, LEVELS // 2)
+    )
+    return [float(np.sum(Psi * price.spread(h))) for h in lengths]
