@@ -41,6 +41,11 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
     return (X + X.T) / 2
 
 
+def exponential(A: Array) -> Array:
+    """Return e^A."""
+    return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
+
+
 def balancing(A: Array) -> Array:
     """Return the powers of two d for which D^{-1}AD has rows and columns of like size."""
     if not A.size:

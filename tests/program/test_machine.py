@@ -241,7 +241,7 @@ class Absent:
 
 sys.meta_path.insert(0, Absent())
 import taciturn
-from taciturn.simulation.engine import prepare
+from taciturn.program.engine import prepare
 problem = taciturn.load("two-mass")
 loop = problem.close(problem.design())
 with warnings.catch_warnings(record=True) as caught:

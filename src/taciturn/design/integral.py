@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 
@@ -188,13 +189,14 @@ def _looking(
     period = process.period
     if period > trigger.h_max * LATE:
         raise ProblemError(f"period is {period:g} and h_max is {trigger.h_max:g}; expected period ≤ h_max")
-    if _places(trigger, period) > MOST_PLACES:
+    places = _places(trigger, period)
+    if places > MOST_PLACES:
         raise ProblemError(
-            f"period is {period:g}, and {_places(trigger, period)} looks after a send h_min, h_max or the saturation "
+            f"period is {period:g}, and {places} looks after a send h_min, h_max or the saturation "
             f"still counts; expected at most {MOST_PLACES}: a longer period, or infinite limits"
         )
     problem = discretise(plant, cost, period, price.L)
-    allowed = trigger.c * np.minimum(period * np.arange(_places(trigger, period) + 2), trigger.saturation)
+    allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:
         raise ProblemError(
             f"period is {period:g}, in which the noise alone costs {process.running:.4g}, and {allowed[1]:.4g} is "
@@ -290,14 +292,18 @@ class _Search:
         below, above = (self.after(alpha, FIRST_CYCLES).interval.value for alpha in (low, high))
         gain = min(max(0.0, (above - below) / (high - low)), 0.95)  # how much an error of α comes back in L(α)
 
+        @cache
+        def interval(alpha: float) -> Estimate:
+            return self.after(alpha, CYCLES).interval
+
         def excess(alpha: float) -> float:
-            return alpha - self.after(alpha, CYCLES).interval.value
+            return alpha - interval(alpha).value
 
         for _ in range(ROUNDS):  # more cycles may move a root that is near an end
             low, high = (low if excess(low) <= 0 else 0.99 * low), (high if excess(high) > 0 else 1.01 * high)
             if excess(low) <= 0 < excess(high):
                 alpha = _scipy.crossing(excess, low, high, RESOLVED * low)
-                return Estimate(alpha, self.after(alpha, CYCLES).interval.standard_error / (1 - gain), "simulation")
+                return Estimate(alpha, interval(alpha).standard_error / (1 - gain), "simulation")
         raise ProblemError(f"alpha = L(alpha) is not found near {low:g}; expected another slope, or a given alpha")
 
     def _bracket(self) -> tuple[float, float]:

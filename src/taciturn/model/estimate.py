@@ -29,6 +29,11 @@ class Estimate:
         size = abs(factor)
         return Estimate(offset + factor * self.value, size * self.standard_error, self.method, size * self.error)
 
+    def inverse(self, factor: float = 1.0) -> Estimate:
+        """Return factor/estimate, its errors to first order."""
+        slope = abs(factor) / self.value**2
+        return Estimate(factor / self.value, slope * self.standard_error, self.method, slope * self.error)
+
     def __str__(self) -> str:
         """Return the value with as many digits as its standard error, or its claimed error, supports."""
         spread = self.standard_error or self.error

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import Array
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
-from taciturn.model.plant import JumpNoise
+from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.program.draws import NORMAL, minus_two_log
 from taciturn.program.ir import Builder
 from taciturn.program.lower import Tick, Vector
@@ -38,17 +37,17 @@ def add_jumps(tick: Tick, noise: JumpNoise) -> Vector:
     """
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, factor(noise.jumps.covariance)
-    draw = _DRAWS[noise.jumps.distribution]
+    law = noise.jumps.distribution
     pause, end, zero = b.constant(0.5 / noise.jumps.rate), b.constant(noise.period), b.constant(0.0)
     time, total = zero, [zero] * n
     for _ in range(_drawn(noise)):
         time = b.emit("add", time, b.emit("mul", pause, minus_two_log(b, tick.uniform())))
         inside = b.emit("greater", end, time)
-        size = [draw(tick) for _ in range(spread.shape[1])]
+        size = [jump_size(b, law, _draw(tick, law)) for _ in range(spread.shape[1])]
         jump = [tick.value(b.combine([float(g) for g in row], size)) for row in spread]
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
         total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
-    middle = _exponential(noise.A * half)
+    middle = _scipy.exponential(noise.A * half)
     return [tick.value(b.combine([float(entry) for entry in row], total)) for row in middle]
 
 
@@ -74,12 +73,6 @@ def _terms(A: Array, reach: float) -> int:
     return k - 1 if not term.any() else k
 
 
-def _exponential(A: Array) -> Array:
-    from scipy.linalg import expm
-
-    return np.asarray(expm(A), dtype=np.float64)
-
-
 def _drawn(noise: JumpNoise) -> int:
     """Return how many jumps all but a share MISSED of the ticks have at most."""
     mean = noise.jumps.rate * noise.period
@@ -97,19 +90,16 @@ def _drawn(noise: JumpNoise) -> int:
     return count
 
 
-def _normal(tick: Tick) -> int:
-    return tick.builder.input(f"{NORMAL} {len(tick.builder.inputs)}")
+def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
+    """Return one component of mean 0 and variance 1 of a jump, from a normal draw, or for other laws a uniform one."""
+    if distribution == "normal":
+        return drawn
+    centred = b.emit("sub", drawn, b.constant(0.5))
+    if distribution == "uniform":
+        return b.emit("mul", b.constant(float(np.sqrt(12.0))), centred)
+    return b.emit("select", b.emit("greater", centred, b.constant(0.0)), b.constant(1.0), b.constant(-1.0))
 
 
-def _uniform(tick: Tick) -> int:
+def _draw(tick: Tick, distribution: JumpDistribution) -> int:
     b = tick.builder
-    centred = b.emit("sub", tick.uniform(), b.constant(0.5))
-    return b.emit("mul", b.constant(float(np.sqrt(12.0))), centred)
-
-
-def _two_point(tick: Tick) -> int:
-    b = tick.builder
-    return b.emit("select", b.emit("greater", tick.uniform(), b.constant(0.5)), b.constant(1.0), b.constant(-1.0))
-
-
-_DRAWS: dict[str, Callable[[Tick], int]] = {"normal": _normal, "uniform": _uniform, "two-point": _two_point}
+    return b.input(f"{NORMAL} {len(b.inputs)}") if distribution == "normal" else tick.uniform()

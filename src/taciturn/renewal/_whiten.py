@@ -141,9 +141,7 @@ def _reached(data: _Data) -> _Data:
     unit = np.where(lengths > 0, lengths, 1.0)  # the units of the states decide nothing
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
     basis: Array = np.asarray(left[:, values > RANK * values.max(initial=0.0)], dtype=np.float64)
-    weight: Array = np.asarray(
-        values[: basis.shape[1]], dtype=np.float64
-    )  # each direction in units of what noise does to it
+    weight: Array = np.asarray(values[: basis.shape[1]], dtype=np.float64)
     # each direction in units of what the noise does to it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 

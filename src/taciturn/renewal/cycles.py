@@ -6,7 +6,7 @@ is a stopping time, and by Wald's identity neither the durations nor the costs a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -15,10 +15,8 @@ import numpy as np
 from taciturn._arrays import Array, count, instance, number
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.estimate import Estimate
-from taciturn.program import machine
-from taciturn.program import numpy as interpreter
+from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
-from taciturn.program.numpy import Run
 from taciturn.renewal.events import (
     CLOSING,
     COST,
@@ -45,7 +43,6 @@ ENDLESS = 100_000  # attempts within which a cycle ends
 RECORD = 1 << 22  # attempts recorded at once
 RECORDED_PER_CYCLE = 8
 Process: TypeAlias = JumpProcess | SampledProcess
-Runner: TypeAlias = Callable[[Array, int], Run]
 
 
 @dataclass(frozen=True)
@@ -193,14 +190,14 @@ def sample_cycles(
     paths = min(count("paths", paths), count("cycles", cycles))
     each = -(-cycles // paths)
     program = _written(process, trigger).keep(outputs={ENDED, DURATION, COST})
-    run, states = _prepare(program, threads), _start(process, program, paths, seed)
+    run, states = prepare(program), _start(process, program, paths, seed)
     found, seen, ticks = np.zeros((2, paths, each)), np.zeros(paths, dtype=np.int64), 0
     while seen.min() < each:
         chunk = max(1, min(RECORD // paths, FIRST_TICKS + RECORDED_PER_CYCLE * int(each - seen.min())))
         ticks += chunk
         if ticks > ENDLESS * each:
             raise _endless(ticks)
-        result = run(states, chunk)
+        result = run(states, chunk, threads)
         states, ended = result.states, result.outputs[ENDED] > 0
         place = seen + np.cumsum(ended, axis=0) - 1
         tick, path = np.nonzero(ended & (place < each))
@@ -215,7 +212,7 @@ class _Counting:
 
     def __init__(self, process: Process, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
         self.program = _written(process, trigger).keep({CYCLES, DURATION, COST}, states={OPEN, CLOSING})
-        self.run = _prepare(self.program, threads)
+        self.run, self.threads = prepare(self.program), threads
         self.states = _start(process, self.program, paths, seed)
         self.sums = {name: np.zeros(paths) for name in (CYCLES, DURATION, COST)}
         self.paths, self.ticks = paths, 0
@@ -223,7 +220,7 @@ class _Counting:
     def advance(self, ticks: int) -> None:
         """Run so many ticks, or as many as a look at what was found should wait for."""
         ticks = max(1, min(ticks, CHUNK // self.paths))
-        result = self.run(self.states, ticks)
+        result = self.run(self.states, ticks, self.threads)
         self.states = result.states
         for name, total in self.sums.items():
             total += result.sums[name]
@@ -285,14 +282,6 @@ def _start(process: Process, program: Program, paths: int, seed: int) -> Array:
     if isinstance(process, SampledProcess):
         return sampled_start(program, paths, seed)
     return start(process, program, paths, seed)
-
-
-def _prepare(program: Program, threads: int | None) -> Runner:
-    """Compile a program where there is a compiler."""
-    if not machine.available():
-        return lambda states, ticks: interpreter.run(program, states, ticks)
-    kernel = machine.Kernel(program)
-    return lambda states, ticks: kernel.run(program, states, ticks, threads=threads)
 
 
 def _ratio(above: Array, below: Array) -> Estimate:

@@ -17,7 +17,7 @@ trigger, which makes comparisons of triggers sharp.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from math import inf
@@ -30,6 +30,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
 from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw, minus_two_log, seed_generators
 from taciturn.program.ir import Builder, Program, State
+from taciturn.program.jumps import jump_size
 from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
 
 ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
@@ -150,11 +151,39 @@ def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Arra
         PIECE: np.full((1, paths), _motion(process).longest),
         OPEN: np.ones((1, paths)),
     }
+    return filled(program, paths, values)
+
+
+def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
+    """Return the states of a program, (states, paths): those that are named, and 0."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:
             row[:] = values[state.name][state.index]
     return states
+
+
+def count_cycle(
+    b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
+) -> tuple[int, dict[str, int], dict[str, int]]:
+    """Return whether cycles still count after this tick, the sums of those that do, and the outputs of every one.
+
+    Args:
+        b: collects the operations.
+        ended: truth value, whether a cycle ends in this tick.
+        duration: of that cycle.
+        cost: of that cycle.
+        opened: 1 while cycles count.
+        closing: 1 where the next end is the last that counts.
+    """
+    zero, half = b.constant(0.0), b.constant(0.5)
+    last = b.emit("and", ended, b.emit("greater", closing, half))
+    counted = b.emit("and", ended, b.emit("greater", opened, half))
+    found = {CYCLES: b.constant(1.0), DURATION: duration, COST: cost}
+    sums = {name: b.emit("select", counted, value, zero) for name, value in found.items()}
+    outputs = {name: b.emit("select", ended, value, zero) for name, value in found.items()}
+    outputs[ENDED] = outputs.pop(CYCLES)
+    return b.emit("select", last, zero, opened), sums, outputs
 
 
 def _time(name: str, value: object, low: float) -> None:
@@ -228,17 +257,10 @@ class _Attempt:
         return following
 
     def _finish(self, following: dict[tuple[str, int], int], ended: int, duration: int, cost: int) -> Program:
-        b, half = self.b, self.b.constant(0.5)
         opened, closing = self._state(OPEN), self._state(CLOSING)
-        last = b.emit("and", ended, b.emit("greater", closing, half))
-        following[OPEN, 0] = b.emit("select", last, self.zero, opened)
+        following[OPEN, 0], sums, outputs = count_cycle(self.b, ended, duration, cost, opened, closing)
         following[CLOSING, 0] = closing
-        counted = b.emit("and", ended, b.emit("greater", opened, half))
-        found = {CYCLES: self.one, DURATION: duration, COST: cost}
-        sums = {name: b.emit("select", counted, value, self.zero) for name, value in found.items()}
-        outputs = {name: b.emit("select", ended, value, self.zero) for name, value in found.items()}
-        outputs[ENDED] = outputs.pop(CYCLES)
-        return b.finish([following[state.name, state.index] for state in b.states], sums, outputs)
+        return self.b.finish([following[state.name, state.index] for state in self.b.states], sums, outputs)
 
     def _length(self) -> tuple[int, int]:
         """Return the length of the piece, which ends at the latest where something happens, and if that is h_max."""
@@ -313,17 +335,9 @@ class _Attempt:
 
     def _jump(self, supplied: dict[str, int]) -> list[int | None]:
         """Return G·ξ."""
-        b, G, half = self.b, factor(self.process.jumps.covariance), self.b.constant(0.5)
-        drawn: list[int] = []
-        for i in range(G.shape[1]):
-            if self.process.jumps.distribution == "normal":
-                drawn.append(supplied[f"{NORMAL} {i}"])
-                continue
-            centred = b.emit("sub", supplied[f"{UNIFORM} {i + 1}"], half)
-            if self.process.jumps.distribution == "uniform":
-                drawn.append(b.emit("mul", b.constant(float(np.sqrt(12.0))), centred))
-            else:
-                drawn.append(b.emit("select", b.emit("greater", centred, self.zero), self.one, b.constant(-1.0)))
+        b, G, law = self.b, factor(self.process.jumps.covariance), self.process.jumps.distribution
+        names = [f"{NORMAL} {i}" if law == "normal" else f"{UNIFORM} {i + 1}" for i in range(G.shape[1])]
+        drawn = [jump_size(b, law, supplied[name]) for name in names]
         return [b.combine([float(g) for g in row], drawn) for row in G]
 
     def _waited(self, uniform: int) -> int:

@@ -19,7 +19,7 @@ from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draw
 from taciturn.program.ir import Builder, Program, State
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import Tick
-from taciturn.renewal.events import CLOSING, COST, CYCLES, DURATION, ENDED, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger
+from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled
 
 LATE = 1 + 1e-12  # of a limit that is a whole number of periods
 
@@ -48,7 +48,7 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
     n = len(process.F)
     tick = Tick(Builder(), {}, {}, ())
     b = tick.builder
-    zero, one, period = b.constant(0.0), b.constant(1.0), b.constant(process.period)
+    zero, period = b.constant(0.0), b.constant(process.period)
     state = {name: b.state(State(name, 0, start=(name, 0))) for name in (INTEGRAL, TIME, OPEN, CLOSING)}
     error = [b.state(State(ERROR, i, start=(ERROR, i))) for i in range(n)]
 
@@ -71,32 +71,19 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
     if np.isfinite(trigger.h_max):
         late = b.emit("greater", after, b.constant(trigger.h_max * LATE))
         ended = b.emit("not", b.emit("and", b.emit("not", ended), b.emit("not", late)))
-    opened, closing = state[OPEN], state[CLOSING]
-    counted = b.emit("and", ended, b.emit("greater", opened, b.constant(0.5)))
-    last = b.emit("and", ended, b.emit("greater", closing, b.constant(0.5)))
+    opened, sums, outputs = count_cycle(b, ended, time, spent, state[OPEN], state[CLOSING])
     following = [
         *(b.emit("select", ended, zero, value) for value in (spent, time)),
-        b.emit("select", last, zero, opened),
-        closing,
+        opened,
+        state[CLOSING],
         *(b.emit("select", ended, zero, value) for value in moved),
     ]
-    found = {CYCLES: one, DURATION: time, COST: spent}
-    sums = {name: b.emit("select", counted, value, zero) for name, value in found.items()}
-    outputs = {name: b.emit("select", ended, value, zero) for name, value in found.items()}
-    outputs[ENDED] = outputs.pop(CYCLES)
     return with_draws(b.finish(following, sums, outputs))
 
 
 def sampled_start(program: Program, paths: int, seed: int) -> Array:
     """Return the states of paths that were reset just now."""
-    generators = seed_generators(seed, paths)
-    states = np.zeros((len(program.states), paths))
-    for row, state in zip(states, program.states, strict=True):
-        if state.name == GENERATOR:
-            row[:] = generators[state.index]
-        elif state.name == OPEN:
-            row[:] = 1.0
-    return states
+    return filled(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
 
 
 def _noise(tick: Tick, noise: Array | JumpNoise) -> list[int]:

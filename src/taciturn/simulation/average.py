@@ -11,8 +11,8 @@ from taciturn._arrays import Array, count, number
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, SENT, Loop
 from taciturn.model.estimate import Estimate
+from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
-from taciturn.simulation.engine import prepare
 
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked

@@ -10,8 +10,8 @@ import numpy as np
 from taciturn._arrays import Array, count
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
+from taciturn.program.engine import prepare
 from taciturn.simulation.average import mean
-from taciturn.simulation.engine import prepare
 
 PATHS = 4096
 

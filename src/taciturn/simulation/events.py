@@ -59,9 +59,7 @@ def _missing(policy: EventPolicy, found: CycleEstimate, standard_error: float | 
 
 
 def _averages(policy: EventPolicy, found: CycleEstimate, reached: bool) -> Averages:
-    interval = found.interval
-    rate = Estimate(1 / interval.value, interval.standard_error / interval.value**2, "simulation")
     trigger, cost = policy.trigger, found.cost.scaled(1.0, policy.cost_all_time)
     if trigger.h_min == 0 and np.isinf(trigger.h_max) and np.isinf(trigger.saturation):  # every interval costs cθ
         cost = Estimate(policy.cost_all_time + trigger.c, 0.0, "exact")
-    return Averages(cost, {"sensor": rate}, found.ticks, 0, reached)
+    return Averages(cost, {"sensor": found.interval.inverse()}, found.ticks, 0, reached)

@@ -12,7 +12,7 @@ from taciturn._arrays import Array, count
 from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.loop import SENT, Loop
-from taciturn.simulation.engine import prepare
+from taciturn.program.engine import prepare
 
 if TYPE_CHECKING:
     import pandas

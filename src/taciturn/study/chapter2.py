@@ -103,8 +103,7 @@ def chapter2(seed: int, progress: Progress) -> Reproduction:
 def _figure_point(problem: Problem, theta: float, seed: int) -> Row:
     found = evaluate(problem.changed({"theta": theta}), seed=seed, standard_error=PRECISION)
     rate = found.rates["actuator"]
-    interval = Estimate(1 / rate.value, rate.standard_error / rate.value**2, rate.method)
-    computed = {"mean interval": interval, "event-triggered": found.cost}
+    computed = {"mean interval": rate.inverse(), "event-triggered": found.cost}
     periodic = periodic_cost_at(problem, rate.value, "hold")
     if periodic is not None:
         computed["periodic at the same interval"] = Estimate(periodic, 0.0, "exact")

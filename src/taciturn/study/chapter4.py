@@ -134,7 +134,7 @@ def _lost(losses: Losses, counter: PredictionCost) -> list[Row]:
             {"Y": float(np.sqrt(point.level))},
             {},
             {
-                "E[θ]": Estimate(1 / point.rate.value, point.rate.standard_error / point.rate.value**2, "simulation"),
+                "E[θ]": point.rate.inverse(),
                 "g": point.cost.scaled(1.0, -counter.base),
                 "g periodic": Estimate(point.cost_periodic - counter.base, 0.0, "exact"),
             },

@@ -268,10 +268,7 @@ def _periodic(problem: Problem, policy: Policy, rate: float) -> float | None:
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:
     """Return the mean seconds between sends, or None where nothing is sent."""
-    if rate.value <= 0:
-        return None
-    mean, slope = tick / rate.value, tick / rate.value**2
-    return Estimate(mean, slope * rate.standard_error, rate.method, slope * rate.error)
+    return rate.inverse(tick) if rate.value > 0 else None
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:

@@ -164,8 +164,7 @@ def find_losses(
                 raise ProblemError("period is given under jumps, which are watched every instant; expected none")
             process = JumpProcess(plant.A, plant.jumps, price.S)
             found = estimate_cycles(process, LevelTrigger(Psi, level, h_max), cycles=cycles, seed=seed)
-            interval, excess = found.interval, found.cost
-            rate = Estimate(1 / interval.value, interval.standard_error / interval.value**2, "simulation")
+            rate, excess = found.interval.inverse(), found.cost
         points.append(ThresholdPoint(level, rate, excess.scaled(1.0, price.base), price.periodic(1 / rate.value)))
     return Losses(tuple(points))
 
