@@ -256,9 +256,9 @@ class Density:
         """
         shower, period = self.shower, self.shower.period
         sizes, weights = _composite(6, np.r_[0.0, np.exp2(np.arange(-14.0, 1.0))])
-        close, crowd = _composite(8, np.linspace(0.0, 14.0, 6))
+        close, crowd = _composite(8, np.array([0.0, 1.0, 3.0, 6.0, 10.0, 16.0, 32.0]))
         near, near_weights = -np.expm1(-close), crowd * np.exp(-close)
-        far, far_weights = _composite(8, np.array([0.0, 0.03, 0.15, 0.5, 1.0]))
+        far, far_weights = _composite(8, np.array([0.0, 0.002, 0.03, 0.15, 0.5, 1.0]))
         inside = left == left
         corner = left if inside else period / 2
         above, up = (corner, period - corner) if inside else (0.0, corner)

@@ -38,8 +38,8 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
         accuracy: relative error to try for; what is reached stands in the result.
 
     Returns:
-        Rate and excess with claimed errors: sixteen times the change at the last refinement. In two dimensions a few
-        1e-6 are reached, in ten seconds to a minute.
+        Rate and excess with claimed errors: sixteen times the change at the last refinement. In two dimensions some
+        five digits take seconds, six up to a minute.
 
     Raises:
         NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
