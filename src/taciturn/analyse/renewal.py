@@ -10,8 +10,6 @@ from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.jumps import solve_jumps
 
-ACCURACY, ACCURACY_OF_JUMPS = 1e-8, 1e-5  # relative, that is aimed at
-
 
 def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
     """Return the sends per tick and the cost beyond sending always, by quadrature of the renewal equations.
@@ -24,7 +22,8 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
 
     Args:
         loop: closed with the plant and network of the design.
-        accuracy: relative, that is aimed at; omitted: 1e-8 under Gaussian noise, 1e-5 under jumps.
+        accuracy: relative, that is aimed at; omitted: 1e-8 under Gaussian noise (1e-6 in three dimensions), 1e-5 under
+            jumps.
 
     Returns:
         Rate per tick, excess in the units of the cost (the cost is the identity's constant plus it), the errors that
@@ -45,7 +44,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
     """
     chain = chain_of(loop)
     if loop.problem.jumps is None:
-        return solve_gaussian(chain, ACCURACY if accuracy is None else accuracy)
+        return solve_gaussian(chain, accuracy)
     return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy)
 
 

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, frozen
+from taciturn.renewal._check import Grid, Matrix
 from taciturn.renewal.chain import Intervals
 
 NEGLIGIBLE = 1e-14  # survival
 SETTLED = 1e-12  # change of the kept error's distribution between looks: then survival is geometric
 SMALL = 1e-3
 STEPS = 1024  # checks that are taken one by one; after them so many at once
+SLOW_STEPS = 128  # the same on a grid
 MOST_NODES = 2500  # whose map is raised to a power
 MOST_CHECKS = 1 << 22
 
 
-def intervals(start: Array, kernel: Array, checks: Array, mean: float) -> Intervals:
+def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) -> Intervals:
     """Return the survival check by check, until it is negligible or geometric.
 
     The survival after the last check is given the factor with which it sums to the mean interval: where survival is
@@ -23,7 +25,7 @@ def intervals(start: Array, kernel: Array, checks: Array, mean: float) -> Interv
 
     Args:
         start: of each node, its share of errors after the first check, (nodes,).
-        kernel: the share that goes from rows to columns in a check, (nodes, nodes).
+        check: the map.
         checks: mean of the checks that are still to come, the next one included, (nodes,).
         mean: interval in checks.
 
@@ -32,9 +34,9 @@ def intervals(start: Array, kernel: Array, checks: Array, mean: float) -> Interv
 
     Source: khashooei2017
     """
-    survival, error, done = _one_by_one(start, kernel)
-    if not done and len(start) <= MOST_NODES:
-        more, error = _many_at_once(error, kernel)
+    survival, error, done = _one_by_one(start, check)
+    if not done and isinstance(check, Matrix) and len(start) <= MOST_NODES:
+        more, error = _many_at_once(error, check.entries)
         survival = np.concatenate([survival, more])
     left = mean - float(survival.sum())
     if left < SMALL * mean:  # the difference has lost its digits, and the sum of the rest has few to lose
@@ -43,13 +45,14 @@ def intervals(start: Array, kernel: Array, checks: Array, mean: float) -> Interv
     return Intervals(frozen(survival), left / (1 + left))
 
 
-def _one_by_one(start: Array, kernel: Array) -> tuple[Array, Array, bool]:
+def _one_by_one(start: Array, check: Matrix | Grid) -> tuple[Array, Array, bool]:
     """Return the survival, what is kept after its last check, and whether no more is needed."""
     survival, error = [1.0, float(start.sum())], start
+    steps = STEPS if isinstance(check, Matrix) else SLOW_STEPS
     while survival[-1] > NEGLIGIBLE:
-        if len(survival) > STEPS:
+        if len(survival) > steps:
             return np.array(survival), error, False
-        before, error = error, error @ kernel
+        before, error = error, check.after(error)
         survival.append(float(error.sum()))
         if _same(before, error):
             break

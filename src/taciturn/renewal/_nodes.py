@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn.renewal._whiten import White
@@ -38,11 +39,43 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False)
+class Level:
+    """The places of nested nodes on one axis.
+
+    Args:
+        x: (places,).
+        first: the first of the places that share each place of the outer axes, ascending, (outer places,).
+    """
+
+    x: Array
+    first: npt.NDArray[np.int64]
+
+    def gathered(self, fall: Array, sums: Array) -> Array:
+        """Return Σ fall ⊗ sums over what shares an outer place; (places, points), (places, k) to (outer, points·k)."""
+        ends = (*self.first[1:], len(self.x))
+        parts = [fall[low:high].T @ sums[low:high] for low, high in zip(self.first, ends, strict=True)]
+        return np.stack(parts).reshape(len(parts), -1)
+
+    def scattered(self, fall: Array, sums: Array) -> Array:
+        """Return the transpose of gathering, (outer, points·k) to (places, k)."""
+        ends = (*self.first[1:], len(self.x))
+        cubes = sums.reshape(len(self.first), fall.shape[1], -1)
+        return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
+
+
+@dataclass(frozen=True, eq=False)
 class Nodes:
-    """One of every pair ±x of nodes, (nodes, n), and its weight, (nodes,)."""
+    """One of every pair ±x of nodes.
+
+    Args:
+        x: (nodes, n).
+        weight: (nodes,).
+        levels: the axes, outer ones first.
+    """
 
     x: Array
     weight: Array
+    levels: tuple[Level, ...]
 
 
 class TooManyNodes(Exception):  # noqa: N818
@@ -79,6 +112,7 @@ def place(white: White, window: Window, density: float, more: int, most: int) ->
         TooManyNodes: more than ``most``.
     """
     n = len(white.m)
+    levels = list[Level]()
     x, weight, left = np.zeros((1, 0)), np.ones(1), np.ones(1)
     bends = np.maximum(1.0, np.linalg.norm(white.F, axis=0) / STEEP)
     for axis in range(n):
@@ -89,12 +123,14 @@ def place(white: White, window: Window, density: float, more: int, most: int) ->
         inner, inner_weight = rule(span, density * float(bends[axis]), more, afforded)
         if axis == 0:
             inner, inner_weight = _upper_half(inner, inner_weight)
+        outer = np.repeat(np.arange(len(x)), inner.shape[1])
         x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
         weight = (weight[:, None] * inner_weight).ravel()
         left = np.maximum(left[:, None] - white.m[axis] * inner * inner, 0.0).ravel()
         kept = weight > 0
         x, weight, left = x[kept], weight[kept], left[kept]
-    return Nodes(x, weight)
+        levels.append(Level(x[:, axis], np.searchsorted(outer[kept], np.arange(len(span.low)))))
+    return Nodes(x, weight, tuple(levels))
 
 
 def _span(centre: Array, reach: float, left: Array, m: float) -> _Span:

@@ -8,14 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, number, symmetrised
+from taciturn.renewal._check import INTERPOLATED, Grid, Matrix
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Nodes, TooManyNodes, Window, place
 from taciturn.renewal._whiten import White, spread, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
-MOST_NODES = 6000  # a dense system of this size takes seconds
+MOST_NODES = 40_000  # whose equations take seconds
+DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is quicker than a grid, and up to which it is affordable
 COARSE = 0.5  # density of the nodes that tell where kept errors are
 FIRST, USUAL = 0.53, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
+LARGE = 1e-6  # in three dimensions
 LOOSEST = 1e-5  # coarser nodes would not know their own error
 NARROW = 0.85  # of the windows that the coarse nodes ask for
 FINER, WIDER = 1.25, 1.1  # from one answer to the next
@@ -35,13 +38,13 @@ class _System:
     Args:
         x: (nodes, n).
         start: (nodes,).
-        kernel: K, from rows to columns, (nodes, nodes).
+        check: the map.
         cost: x'Γx, (nodes,).
     """
 
     x: Array
     start: Array
-    kernel: Array
+    check: Matrix | Grid
     cost: Array
 
 
@@ -68,7 +71,7 @@ class _Answer:
         return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 
 
-def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
+def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
     """Return rate and cost of a chain with Gaussian noise.
 
     With k the density of the next error, E = {e: e'Ψe ≤ δ}: T = 1 + ∫_E k T and C = e'Γe + ∫_E k C are the checks
@@ -80,7 +83,8 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
 
     Args:
         chain: with Gaussian noise.
-        accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained.
+        accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained. Omitted:
+            1e-8, in three dimensions 1e-6.
 
     Returns:
         Rate, excess, their errors and the distribution of the intervals.
@@ -97,15 +101,18 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
         >>> round(found.rate, 6)
         0.359334
     """
-    number("accuracy", accuracy, 0.0, 1.0)
     white = whiten(chain)
+    if accuracy is None:
+        accuracy = USUAL if len(white.m) < 3 else LARGE
+    number("accuracy", accuracy, 0.0, 1.0)
     asked = min(accuracy, LOOSEST)
     window = _window(white, asked)
+    dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
     density, factor = FIRST * float(np.sqrt(np.log(asked) / np.log(USUAL))), NARROW
     previous, best = None, None
     for step in range(RUNGS):
         try:
-            found = _solve(white, place(white, window.scaled(factor), density, step, MOST_NODES))
+            found = _solve(white, place(white, window.scaled(factor), density, step, MOST_NODES), dense)
         except TooManyNodes:
             break
         if previous is not None and found is not None:
@@ -113,6 +120,8 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
             best = answer if best is None or answer.off <= best.off else best
             if best.off <= accuracy:
                 break
+        if previous is None and found is None and step:
+            break  # hardly ever sent: finer nodes find no solution either
         previous = found
         density, factor = density * FINER, factor * WIDER
     if best is None:
@@ -126,7 +135,7 @@ def solve_gaussian(chain: Chain, accuracy: float = 1e-8) -> Renewal:
             f"themselves; expected {USELESS:g}; take a smaller δ, or simulate instead"
         )
     system = best.found.system
-    distribution = intervals(system.start, system.kernel, best.found.checks, 1 / best.found.rate)
+    distribution = intervals(system.start, system.check, best.found.checks, 1 / best.found.rate)
     return Renewal(
         best.found.rate, best.found.excess, best.rate_error, best.excess_error, distribution, len(system.start)
     )
@@ -138,10 +147,10 @@ def _window(white: White, accuracy: float) -> Window:
     window = Window(covariance, np.full(len(covariance), REACH))
     for _ in range(PASSES):
         try:
-            system = _discretise(white, place(white, window, COARSE, 0, MOST_NODES // 2))
+            system = _discretise(white, place(white, window, COARSE, 0, MOST_NODES // 2), DENSE)
         except TooManyNodes:
             break
-        visits = _solution(system.kernel.T, system.start)
+        visits = system.check.settled_shares(system.start)
         if not np.isfinite(visits).all() or visits.sum() <= 0:
             break
         found = symmetrised((system.x * visits[:, None]).T @ system.x / visits.sum())
@@ -176,15 +185,19 @@ def _reach(system: _System, visits: Array, window: Window, share: float) -> tupl
     return reach, cut
 
 
-def _discretise(white: White, nodes: Nodes) -> _System:
-    """Return the map of a check on even functions: what comes to −x counts for x."""
+def _discretise(white: White, nodes: Nodes, dense: int) -> _System:
+    """Return the map of a check on even functions: what comes to −x counts for x; a matrix for so many nodes."""
     n = len(white.m)
     density = (2 * np.pi) ** (-n / 2) * nodes.weight
-    kernel = _gauss(nodes.x @ white.F.T, nodes.x)
-    kernel += _gauss(nodes.x @ white.F.T, -nodes.x)
-    kernel *= density
     start = 2 * density * np.exp(-0.5 * (nodes.x * nodes.x).sum(axis=1))
-    return _System(nodes.x, start, kernel, ((nodes.x @ white.Gamma) * nodes.x).sum(axis=1))
+    if len(start) > dense:
+        check = Grid(white, nodes)
+    else:
+        kernel = _gauss(nodes.x @ white.F.T, nodes.x)
+        kernel += _gauss(nodes.x @ white.F.T, -nodes.x)
+        kernel *= density
+        check = Matrix(kernel)
+    return _System(nodes.x, start, check, ((nodes.x @ white.Gamma) * nodes.x).sum(axis=1))
 
 
 def _gauss(means: Array, x: Array) -> Array:
@@ -199,25 +212,20 @@ def _gauss(means: Array, x: Array) -> Array:
     return np.exp(power, out=power)
 
 
-def _solve(white: White, nodes: Nodes) -> _Solved | None:
+def _solve(white: White, nodes: Nodes, dense: int) -> _Solved | None:
     """Return the solution on some nodes, or None where they are too coarse to have one."""
-    system = _discretise(white, nodes)
+    system = _discretise(white, nodes, dense)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
-    solution = _solution(system.kernel, known)
+    solution = system.check.settled(known)
     checks, cost = 1 + float(system.start @ solution[:, 0]), float(system.start @ solution[:, 1])
     if not np.isfinite(solution).all() or checks < 1 or cost < 0:
         return None
     return _Solved(system, solution[:, 0], 1 / checks, cost / checks)
 
 
-def _solution(kernel: Array, known: Array) -> Array:
-    """Return X with X = known + kernel X."""
-    return np.asarray(np.linalg.solve(np.eye(len(kernel)) - kernel, known), dtype=np.float64)
-
-
 def _compared(found: _Solved, previous: _Solved) -> _Answer:
     """Return a solution with what it moved by, which is about the error of the coarser one, and with rounding."""
-    rounding = ROUNDING * (1 + 1 / found.rate)
+    rounding = ROUNDING * (1 + 1 / found.rate) + found.system.check.slack
     return _Answer(
         found,
         SAFETY * abs(found.rate - previous.rate) + rounding * found.rate,

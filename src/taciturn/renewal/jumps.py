@@ -16,6 +16,7 @@ from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
 
 RANK = 1e-10  # relative: a smaller singular value is rounding
 SAFETY = 16.0  # a claimed error over the change at the last refinement: in the plane the levels share some of theirs
+USELESS = 0.01  # relative error claimed
 FLOOR = 1e-11  # relative error that rounding leaves
 FORGOTTEN = 1e-12  # probability of a run of checks without a jump that is followed no further
 LONGEST = {1: 400, 2: 80}  # checks without a jump that are followed one by one, by dimension
@@ -43,7 +44,8 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
 
     Raises:
         NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
-            flat or rare, an error that is never sent, or a threshold too large against the noise.
+            flat or rare, an error that is never sent, a threshold too large against the noise, or digits that do not
+            settle.
         ProblemError: an accuracy that is not positive.
 
     Source: khashooei2017
@@ -124,6 +126,12 @@ def _refined(levels: Iterator[Sums], accuracy: float) -> Renewal:
         if (change <= accuracy * np.abs(found)).all():
             break
     assert sums is not None
+    off = float((change / np.abs(found)).max())
+    if off > USELESS:
+        raise NoQuadratureError(
+            f"rate and excess settle to {off:.1g} of themselves; expected {USELESS:g}; take a smaller δ, or simulate "
+            "instead"
+        )
     rate, excess = (float(value) for value in found)
     return Renewal(rate, excess, float(change[0]), float(change[1]), sums.intervals(1 / rate), sums.basis.shape[0])
 

@@ -1,0 +1,157 @@
+"""A check as a linear map between nodes: a matrix, or for many nodes sums over one axis after the other on a grid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse
+import scipy.sparse.linalg
+
+from taciturn._arrays import Array
+from taciturn.renewal._nodes import Nodes, TooManyNodes
+from taciturn.renewal._whiten import White
+
+STEP = 0.2  # noise standard deviations between points of the grid
+STENCIL = 10  # points per axis that a value between them is taken from
+INTERPOLATED = 1e-7  # relative error that this leaves in a rate or an excess, at most
+NEAR = 7.0  # noise standard deviations beyond which nothing comes
+MOST_POINTS = 20_000_000
+SOLVED = 1e-11  # residual of the equations, relative
+DIRECTIONS, RESTARTS = 80, 2
+
+
+@dataclass(frozen=True, eq=False)
+class Matrix:
+    """The map as a matrix.
+
+    Args:
+        entries: the share that goes from rows to columns in a check, (nodes, nodes).
+    """
+
+    entries: Array
+
+    @property
+    def slack(self) -> float:
+        """Relative error that the map itself brings."""
+        return 0.0
+
+    def ahead(self, values: Array) -> Array:
+        """Return what is expected, from each node, of values after the check that keeps the error."""
+        return np.asarray(self.entries @ values, dtype=np.float64)
+
+    def after(self, share: Array) -> Array:
+        """Return the shares at the nodes after a check, given those before it."""
+        return np.asarray(share @ self.entries, dtype=np.float64)
+
+    def settled(self, known: Array) -> Array:
+        """Return X with X = known + ahead(X), for every column."""
+        return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
+
+    def settled_shares(self, known: Array) -> Array:
+        """Return X with X = known + after(X)."""
+        return Matrix(self.entries.T).settled(known)
+
+
+class Grid:
+    """The map without a matrix.
+
+    What the noise makes of values at the nodes is smooth in where the error would be without it. So it is summed on a
+    grid, axis by axis as the nodes are nested, and read off between the points of the grid.
+
+    Args:
+        white: the chain.
+        nodes: at which values are given.
+
+    Raises:
+        TooManyNodes: the grid is too large.
+    """
+
+    slack = INTERPOLATED
+
+    def __init__(self, white: White, nodes: Nodes) -> None:
+        self.scale = (2 * np.pi) ** (-len(white.m) / 2) * nodes.weight
+        self.levels = nodes.levels
+        means = nodes.x @ white.F.T
+        reach = np.minimum(np.abs(nodes.x).max(axis=0) + NEAR, np.abs(means).max(axis=0) + STEP)
+        halves = np.ceil(reach / STEP).astype(int) + STENCIL
+        self.shape = tuple(int(2 * half + 1) for half in halves)
+        widest = max(len(nodes.levels[0].x), self.shape[0]) * np.prod(self.shape[1:], dtype=float)
+        if widest > MOST_POINTS:
+            raise TooManyNodes
+        axes = [np.linspace(-STEP * int(half), STEP * int(half), 2 * int(half) + 1) for half in halves]
+        self.falls = [
+            np.exp(-0.5 * np.square(level.x[:, None] - axis)) for level, axis in zip(self.levels, axes, strict=True)
+        ]
+        self.read = _stencils(means, halves, self.shape)
+
+    def ahead(self, values: Array) -> Array:
+        """Return what is expected, from each node, of values after the check that keeps the error."""
+        sums = (self.scale * values)[:, None]
+        for level, fall in zip(reversed(self.levels), reversed(self.falls), strict=True):
+            sums = level.gathered(fall, sums)
+        even = sums.reshape(self.shape)
+        return np.asarray(self.read @ (even + np.flip(even)).ravel(), dtype=np.float64)
+
+    def after(self, share: Array) -> Array:
+        """Return the shares at the nodes after a check, given those before it."""
+        even = np.asarray(self._read_back @ share, dtype=np.float64).reshape(self.shape)
+        sums = (even + np.flip(even)).reshape(1, -1)
+        for level, fall in zip(self.levels, self.falls, strict=True):
+            sums = level.scattered(fall, sums)
+        return self.scale * sums[:, 0]
+
+    @cached_property
+    def _read_back(self) -> scipy.sparse.csc_matrix:
+        return self.read.T
+
+    def settled(self, known: Array) -> Array:
+        """Return X with X = known + ahead(X), for every column; not a number where it is not found."""
+        operator = scipy.sparse.linalg.LinearOperator(
+            (len(known), len(known)), matvec=lambda values: values - self.ahead(values), dtype=np.float64
+        )
+        return np.stack([_solved(operator, column) for column in known.T], axis=1)
+
+    def settled_shares(self, known: Array) -> Array:
+        """Return X with X = known + after(X); not a number where it is not found."""
+        operator = scipy.sparse.linalg.LinearOperator(
+            (len(known), len(known)), matvec=lambda share: share - self.after(share), dtype=np.float64
+        )
+        return _solved(operator, known)
+
+
+def _solved(operator: scipy.sparse.linalg.LinearOperator, known: Array) -> Array:
+    found, failed = scipy.sparse.linalg.gmres(
+        operator, known, rtol=SOLVED, atol=0.0, restart=DIRECTIONS, maxiter=RESTARTS
+    )
+    return np.full(len(known), np.nan) if failed else np.asarray(found, dtype=np.float64)
+
+
+def _stencils(means: Array, halves: Array, shape: tuple[int, ...]) -> scipy.sparse.csr_matrix:
+    """Return the matrix that reads values at means off a grid: Lagrange's polynomial through the points around each."""
+    place = means / STEP
+    inside = np.flatnonzero((np.abs(place) <= halves - STENCIL // 2).all(axis=1))
+    first = np.floor(place[inside]).astype(int) - STENCIL // 2 + 1
+    points = np.zeros((len(inside), 1), dtype=np.int64)
+    weights = np.ones((len(inside), 1))
+    for axis, size in enumerate(shape):
+        along = first[:, axis, None] + np.arange(STENCIL)
+        each = _lagrange(place[inside, axis, None] - along)
+        points = (points[:, :, None] * size + (along + int(halves[axis]))[:, None]).reshape(len(inside), -1)
+        weights = (weights[:, :, None] * each[:, None]).reshape(len(inside), -1)
+    rows = np.zeros(len(means) + 1, dtype=np.int64)
+    rows[inside + 1] = points.shape[1]
+    return scipy.sparse.csr_matrix(
+        (weights.ravel(), points.ravel(), np.cumsum(rows)), shape=(len(means), int(np.prod(shape)))
+    )
+
+
+def _lagrange(away: Array) -> Array:
+    """Return the weights of STENCIL points one apart, at places so far from each of them, (places, STENCIL)."""
+    weights = np.ones_like(away)
+    for k in range(STENCIL):
+        for other in range(STENCIL):
+            if other != k:
+                weights[:, k] *= away[:, other] / (k - other)
+    return weights
