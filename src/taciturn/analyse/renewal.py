@@ -10,6 +10,8 @@ from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.jumps import solve_jumps
 
+ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
+
 
 def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
     """Return the sends per tick and the cost beyond sending always, by quadrature of the renewal equations.
