@@ -45,6 +45,7 @@ def it_beats_periodic_control(seed: int, law: str) -> None:
     policy = design.integral(plant, cost, slope=0.9 * limit, h_max=h_max)
     assert isinstance(policy, EventPolicy)
     found = estimate_cycles(policy.process, policy.trigger, cycles=100_000, seed=seed)
+    assert found.undisturbed == 0
     mean, cost_of = found.interval.value, policy.cost_all_time + found.cost.value
     assert abs(mean - policy.alpha.value) <= 5 * np.hypot(found.interval.standard_error, policy.alpha.standard_error)
     error = 4 * found.cost.standard_error + 1e-9 * cost_of

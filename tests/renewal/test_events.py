@@ -17,6 +17,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.plant import Jumps
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
+from taciturn.program.engine import prepare
 from taciturn.program.machine import Kernel
 from taciturn.renewal.bernstein import Motion
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles, sample_cycles, sweep
@@ -58,6 +59,30 @@ def test_the_fixed_points_of_the_double_integrator_are_the_known_ones(C: int) ->
     found = sweep(DOUBLE, [C * alpha], trigger=IntegralTrigger(1.0, h_max=2.0), cycles=300_000)[0]
     assert near(found.interval, alpha, 0.001)
     assert near(found.cost, cost - JUMP_COST, 0.001 * (1 + C))
+
+
+@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(
+    "trigger",
+    [IntegralTrigger(5.0, h_max=0.3), IntegralTrigger(9.0, 0.2, 0.1), LevelTrigger(np.eye(2), 0.4, h_max=0.2)],
+    ids=["linear", "saturating", "level"],
+)
+def test_no_cycle_ends_before_something_has_jumped(law: str, trigger: Trigger) -> None:
+    """The second property of consistency, in every one of 200,000 cycles, many of which end at h_max."""
+    process = JumpProcess(DOUBLE.A, Jumps(5.0, np.diag([0.0, 0.5]), law), DOUBLE.S)
+    assert estimate_cycles(process, trigger, cycles=200_000).undisturbed == 0
+
+
+def test_a_cycle_that_ends_without_a_jump_is_counted() -> None:
+    """An error that starts far out, which no jump has brought there."""
+    program = cycle_program(DOUBLE, IntegralTrigger(5.0, h_max=2.0))
+    states = start(DOUBLE, program, 500, 0)
+    for row, state in zip(states, program.states, strict=True):
+        if state.name == "error":
+            row[:] = 30.0
+    sums = prepare(program)(states, 400, None).sums
+    ended = -np.expm1(-5 * 0.001)  # chance of a jump before the integral gets there, at the most
+    assert sums["undisturbed"].sum() == pytest.approx(500 * (1 - ended), abs=10)
 
 
 @pytest.mark.parametrize("count", [1_000_000, pytest.param(40_000_000, marks=pytest.mark.evidence)])

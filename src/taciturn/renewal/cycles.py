@@ -24,6 +24,7 @@ from taciturn.renewal.events import (
     DURATION,
     ENDED,
     OPEN,
+    UNDISTURBED,
     IntegralTrigger,
     JumpProcess,
     Trigger,
@@ -54,12 +55,15 @@ class CycleEstimate:
         cost: mean of e'Se, E[∫_0^θ e'Se ds]/E[θ].
         cycles: that were counted.
         ticks: attempts at pieces that this took, of all paths.
+        undisturbed: how many of them ended below h_max though nothing had jumped since the last send: none where the
+            second property of consistency holds; None where a process is looked at every period.
     """
 
     interval: Estimate
     cost: Estimate
     cycles: int
     ticks: int
+    undisturbed: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,10 +215,11 @@ class _Counting:
     """Paths on their way, and what they have counted."""
 
     def __init__(self, process: Process, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
-        self.program = _written(process, trigger).keep({CYCLES, DURATION, COST}, states={OPEN, CLOSING})
+        kept = {CYCLES, DURATION, COST, UNDISTURBED}
+        self.program = _written(process, trigger).keep(kept, states={OPEN, CLOSING})
         self.run, self.threads = prepare(self.program), threads
         self.states = _start(process, self.program, paths, seed)
-        self.sums = {name: np.zeros(paths) for name in (CYCLES, DURATION, COST)}
+        self.sums = {name: np.zeros(paths) for name in self.program.sums}
         self.paths, self.ticks = paths, 0
 
     def advance(self, ticks: int) -> None:
@@ -265,6 +270,7 @@ class _Counting:
             _ratio(self.sums[COST], self.sums[DURATION]),
             int(self.sums[CYCLES].sum()),
             self.ticks * self.paths,
+            int(self.sums[UNDISTURBED].sum()) if UNDISTURBED in self.sums else None,
         )
 
 

@@ -34,7 +34,9 @@ from taciturn.program.jumps import jump_size
 from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
 
 ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
+UNDISTURBED = "undisturbed"  # cycles that count and ended below h_max though nothing had jumped since the last send
 ERROR, INTEGRAL, TIME, WAIT, PIECE = "error", "integral", "time", "wait", "piece"  # states
+JUMPED = "jumped"  # state: whether anything has jumped since the last send
 OPEN, CLOSING = "open", "closing"  # states: whether cycles count, and whether the next end is the last that counts
 SHORTEST = 1e-13  # of a piece, relative to the time since the last send plus a mean wait
 LONGEST_WAIT = 64.0  # in mean waits; none that is drawn is longer: 53 bits
@@ -131,8 +133,8 @@ def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
         trigger: when it is sent.
 
     Returns:
-        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count, and, as outputs,
-        whether a cycle ``ended`` in the tick, with its ``duration`` and ``cost``.
+        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count and how many of them
+        ended ``undisturbed``, and, as outputs, whether a cycle ``ended`` in the tick, with its ``duration`` and ``cost``.
 
     Raises:
         ProblemError: the trigger has another number of states.
@@ -214,7 +216,8 @@ class _Attempt:
         self.b = Builder()
         self.zero, self.one = self.b.constant(0.0), self.b.constant(1.0)
         self.error = [self._state(ERROR, i) for i in range(len(process.A))]
-        self.gone, self.time, self.wait, self.piece = [self._state(x) for x in (INTEGRAL, TIME, WAIT, PIECE)]
+        names = (INTEGRAL, TIME, WAIT, PIECE, JUMPED)
+        self.gone, self.time, self.wait, self.piece, self.jumped = [self._state(name) for name in names]
         self.longest = self.b.constant(self.motion.longest)
 
     def program(self) -> Program:
@@ -237,8 +240,12 @@ class _Attempt:
         following[INTEGRAL, 0] = b.emit("select", ended, self.zero, gone)
         following[TIME, 0] = b.emit("select", ended, b.emit("select", idles, rest, self.zero), time)
         following[PIECE, 0] = b.emit("select", whole, self.longest, verdict.next_piece)
+        before = b.emit("greater", self.jumped, b.constant(0.5))
+        kept = b.emit("and", before, b.emit("not", ended))
+        following[JUMPED, 0] = b.emit("select", self._either(kept, fresh), self.one, self.zero)
+        undisturbed = b.emit("and", ended, b.emit("not", self._either(before, limited)))
         duration = b.emit("select", limited, b.constant(min(self.trigger.h_max, 1e300)), time)
-        return self._finish(following, ended, duration, gone)
+        return self._finish(following, ended, undisturbed, duration, gone)
 
     def _moved(self, advance: int, ended: int, fresh: int, rest: int) -> dict[tuple[str, int], int]:
         """Return the next error, with a jump where it is fresh, the wait after that, and the generator's words."""
@@ -256,9 +263,12 @@ class _Attempt:
             following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("double", word), old))
         return following
 
-    def _finish(self, following: dict[tuple[str, int], int], ended: int, duration: int, cost: int) -> Program:
+    def _finish(
+        self, following: dict[tuple[str, int], int], ended: int, undisturbed: int, duration: int, cost: int
+    ) -> Program:
         opened, closing = self._state(OPEN), self._state(CLOSING)
         following[OPEN, 0], sums, outputs = count_cycle(self.b, ended, duration, cost, opened, closing)
+        sums[UNDISTURBED] = self.b.emit("select", undisturbed, sums[CYCLES], self.zero)
         following[CLOSING, 0] = closing
         return self.b.finish([following[state.name, state.index] for state in self.b.states], sums, outputs)
 
