@@ -7,6 +7,7 @@ import pytest
 import scipy.special
 import scipy.stats
 
+from taciturn.errors import ProblemError
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
 from taciturn.model.plant import Jumps
@@ -318,3 +319,16 @@ def test_what_no_quadrature_serves_is_refused_with_a_sentence(chain, sentence):
     """Too many states, too little noise, no sends, unbounded errors, too many nodes, too few digits, jumps."""
     with pytest.raises(NoQuadratureError, match=sentence):
         solve_gaussian(chain)
+
+
+def test_intervals_are_asked_in_any_shape_and_refuse_what_is_no_number_of_checks():
+    """A list, a table, one number; not −1, a half or nan."""
+    intervals = solve_gaussian(scalar(0.5, 1.0)).intervals
+    assert intervals.beyond([0, 1, 400]).shape == (3,)
+    assert intervals.beyond(np.array([[0, 1], [2, 3]])).shape == (2, 2)
+    assert intervals.beyond(0) == 1
+    for wrong in (-1, [0.5], np.nan):
+        with pytest.raises(ProblemError, match="no whole number"):
+            intervals.beyond(wrong)
+    with pytest.raises(ProblemError, match="checks is 0"):
+        intervals.probability(0)

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from taciturn._arrays import Array, number
+from taciturn._arrays import Array, count, number
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpNoise
 
@@ -55,12 +56,24 @@ class Intervals:
         return float(self.survival.sum() + self.survival[-1] * self.decay / (1 - self.decay))
 
     def probability(self, checks: int) -> Array:
-        """Return P(interval = k) for k = 1, …, checks."""
+        """Return P(interval = k) for k = 1, …, checks.
+
+        Raises:
+            ProblemError: no whole number of at least 1.
+        """
+        count("checks", checks)
         ticks = np.arange(checks + 1)
         return -np.diff(self.beyond(ticks.astype(np.float64)))
 
-    def beyond(self, checks: Array) -> Array:
-        """Return P(interval > k) for whole numbers k ≥ 0."""
+    def beyond(self, checks: npt.ArrayLike) -> Array:
+        """Return P(interval > k) for whole numbers k ≥ 0, in the shape that they come in.
+
+        Raises:
+            ProblemError: what is no number of checks.
+        """
+        checks = np.asarray(checks, dtype=np.float64)
+        if not (np.isfinite(checks) & (checks >= 0) & (checks == np.floor(checks))).all():
+            raise ProblemError("checks holds what is no whole number of at least 0; expected numbers of checks")
         last = len(self.survival) - 1
         inside = np.minimum(checks, last).astype(int)
         return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))

@@ -133,8 +133,9 @@ def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
         trigger: when it is sent.
 
     Returns:
-        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count and how many of them
-        ended ``undisturbed``, and, as outputs, whether a cycle ``ended`` in the tick, with its ``duration`` and ``cost``.
+        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count, how many of them
+        ended ``undisturbed``, and, as outputs, whether a cycle ``ended`` in the tick, with its ``duration`` and
+        ``cost``.
 
     Raises:
         ProblemError: the trigger has another number of states.
@@ -190,6 +191,8 @@ def count_cycle(
 
 def _time(name: str, value: object, low: float) -> None:
     """Refuse a time that is not above ``low``; infinity is one."""
+    if value != value:
+        raise ProblemError(f"{name} is {value}; expected a number above {low:g}, or inf")
     if value != inf:
         number(name, value, low)
 
