@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taciturn.model.schedule import Schedule
-    from taciturn.simulation.average import Progress
+    from taciturn.simulation.sampling import Progress
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff

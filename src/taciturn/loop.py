@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,14 +15,15 @@ from taciturn.model.cost import Cost
 from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send
-from taciturn.model.trigger import Form
+from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send, Step
+from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import Tick
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
+DRAWN = "drawn"  # the normals that an innovation is made of
 WEIGHT = "weight"  # of a tick in a discounted sum
 NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
 
@@ -109,12 +110,14 @@ class Loop:
             raise ProblemError(
                 "the loop has no innovations form: its plant, network or horizon is not that of the design"
             )
-        tick = self._tick({})
+        spread = factor(innovations.covariance)
+        tick = self._tick({DRAWN: spread.shape[1]})
+        tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
-                tick.signals[step.signal] = _noise(tick, factor(innovations.covariance), 0)
+                tick.signals[step.signal] = tick.combine({DRAWN: spread}, len(spread))
             else:
-                tick.take(step, self._losses(tick))
+                tick.take(_driven(step, innovations.signal, spread), self._losses(tick))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
@@ -301,7 +304,30 @@ def _bad(link: str) -> str:
     return f"{link} link is bad"
 
 
+def _driven(step: Step, innovation: str, spread: Array) -> Step:
+    """Return the step with what multiplies the innovation multiplied into the normals that it is made of."""
+    if not isinstance(step, Assign) or not any(innovation in terms for terms in step.branches):
+        return step
+    branches = [
+        {
+            (DRAWN if name == innovation else name): _times(matrix, spread) if name == innovation else matrix
+            for name, matrix in terms.items()
+        }
+        for terms in step.branches
+    ]
+    return replace(step, branches=tuple(branches))
+
+
+def _times(matrix: Matrix, other: Array) -> Matrix:
+    return Scheduled(matrix.by, matrix.values @ other) if isinstance(matrix, Scheduled) else matrix @ other
+
+
+def _normals(tick: Tick, number: int, first: int) -> list[int]:
+    """Return normals, drawn under names that count from ``first``."""
+    return [tick.builder.input(f"{NORMAL} {first + i}") for i in range(number)]
+
+
 def _noise(tick: Tick, spread: Array, first: int) -> list[int]:
     """Return G·normals, drawn under names that count from ``first``."""
-    drawn = [tick.builder.input(f"{NORMAL} {first + i}") for i in range(spread.shape[1])]
+    drawn = _normals(tick, spread.shape[1], first)
     return [tick.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]

@@ -9,7 +9,7 @@ import pytest
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
-from taciturn.simulation import average as module
+from taciturn.simulation import sampling as module
 from taciturn.simulation.average import average, completed_squares, plain_average
 
 PLANT = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]], [[0.1]])

@@ -11,7 +11,7 @@ from taciturn._arrays import Array, count
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
-from taciturn.simulation.average import mean
+from taciturn.simulation.sampling import mean
 
 PATHS = 4096
 

@@ -7,7 +7,8 @@ import numpy as np
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.policy import EventPolicy
-from taciturn.simulation.average import RELATIVE_ERROR, Averages, Progress, check_effort
+from taciturn.simulation.average import check_effort
+from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
 
 FIRST = 200_000  # cycles
 RELATIVE_INTERVAL = 3e-4  # standard error of the mean interval, where no draw decides the cost

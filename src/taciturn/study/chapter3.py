@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from taciturn._figure import Panel, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
-from taciturn.simulation.average import Progress
 from taciturn.simulation.course import course
+from taciturn.simulation.sampling import Progress
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table

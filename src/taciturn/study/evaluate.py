@@ -17,8 +17,9 @@ from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.policy import EventPolicy
-from taciturn.simulation.average import RELATIVE_ERROR, Averages, Progress, average, check_effort
+from taciturn.simulation.average import average, check_effort
 from taciturn.simulation.events import average_events
+from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from taciturn.errors import ProblemError
-from taciturn.simulation.average import Progress
+from taciturn.simulation.sampling import Progress
 from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
 from taciturn.study.chapter4 import chapter4

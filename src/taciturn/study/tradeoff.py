@@ -11,7 +11,7 @@ from taciturn._figure import Panel, Series, draw
 from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
-from taciturn.simulation.average import Progress
+from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation, evaluate
 from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve
 

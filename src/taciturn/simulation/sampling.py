@@ -1,0 +1,350 @@
+"""Paths of one loop, or of two with the same draws, on their way to a mean with its standard error."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import lcm
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.loop import COST, SENT, Loop
+from taciturn.model.estimate import Estimate
+from taciturn.program.engine import prepare
+from taciturn.program.ir import Program
+
+PATHS = 4096
+RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
+FEWEST_PATHS = 64  # where a slow loop makes every path long
+FEWEST_MISSIONS = 8
+BURN_IN = 512  # ticks, at least
+SETTLE = 12  # time constants of the loop that are dropped: e^-12 is left of the start
+KEEP = 8  # time constants, and mean intervals between sends, that are dropped and that are kept at least
+SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
+BUDGET = 4_000_000_000  # steps of all paths together
+DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
+RUNAWAY = 1e12  # times the cost of the median path
+HUGE = 1e150  # its square is still a number
+CHUNK = 1 << 26  # steps between two reports of progress
+DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Averages:
+    """What a simulation found.
+
+    Args:
+        cost: per unit of time, or the total of a finite horizon.
+        rates: sends per tick (finite horizon: mean fraction of the steps; discount: (1−α)Σα^k of them), by link.
+        steps: simulated steps of all paths together, burn-in included.
+        burn_in: ticks dropped at the start of each path.
+        reached: whether the asked standard error was met.
+    """
+
+    cost: Estimate
+    rates: Mapping[str, Estimate]
+    steps: int
+    burn_in: int
+    reached: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Estimator:
+    """Which program is run, and how the mean of a sum gives the cost: offset + scale·mean.
+
+    Args:
+        program: one tick of the loop.
+        sum: name of the sum.
+        offset: what is added, in the units of the cost.
+        scale: factor of the mean per tick.
+    """
+
+    program: Program
+    sum: str
+    offset: float
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A loop, how its cost is estimated, and the factor with which cost and rates are added up.
+
+    Args:
+        loop: the closed loop.
+        estimator: of its cost.
+        sign: 1, or −1 for what is subtracted.
+    """
+
+    loop: Loop
+    estimator: Estimator
+    sign: float = 1.0
+
+    @property
+    def names(self) -> list[str]:
+        """The sums that are read: that of the estimator, then the sends on each link."""
+        return [self.estimator.sum, *sends(self.loop)]
+
+    @property
+    def settling(self) -> float:
+        """Ticks of the slowest time constant of the loop."""
+        return self.loop.policy.settling
+
+    def diverges(self, how: str) -> UnstableError:
+        """Return the error that says so."""
+        return UnstableError(
+            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop; send more often, "
+            "or check [plant.actual] and input_limit"
+        )
+
+    def refuse_runaways(self, costs: Array, ticks: int) -> None:
+        """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
+        size = np.abs(costs)
+        largest, typical = float(size.max()), float(np.median(size))
+        all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
+        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
+            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as another")
+
+
+def sends(loop: Loop) -> list[str]:
+    """Return the sums that count the sends on each link that decides."""
+    return [f"{SENT} {link}" for link in loop.policy.scheduled]
+
+
+class Sampling:
+    """Runs the parts side by side on the same draws, and adds up their means path by path.
+
+    Args:
+        parts: one loop, or two that are compared.
+        seed: of the draws.
+        progress: called with the fraction done.
+        threads: omitted: all processors.
+    """
+
+    def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
+        """Compile."""
+        self.parts, self.seed, self.threads, self.progress = parts, seed, threads, progress
+        self.names = [part.names for part in parts]
+        self.runs = [prepare(part.estimator.program) for part in parts]
+        self.offset = sum(part.sign * part.estimator.offset for part in parts)
+        ends = np.cumsum([len(names) for names in self.names])
+        self.rows = [slice(int(end) - len(names), int(end)) for end, names in zip(ends, self.names, strict=True)]
+        self.counted: npt.NDArray[np.bool_] = np.array([k > 0 for names in self.names for k in range(len(names))])
+        self.steps, self.level = 0, 0.0
+
+    def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
+        """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
+        budget, width = steps or BUDGET, len(self.parts)
+        least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
+        paths = min(PATHS, max(8, budget // (2 * least * width) // 8 * 8))
+        states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
+        states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
+        kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
+        window = min(dropped, self._affordable(states, budget) // 2)  # two windows, to compare them
+        while True:
+            left = self._affordable(states, budget)
+            if left < 1.5 * window:  # no crumb is left over, whose mean would be compared with all before it
+                window = left
+            window = self._whole(max(1, window))
+            sums, states = self._advance(states, window)
+            for part, rows in zip(self.parts, self.rows, strict=True):
+                part.refuse_runaways(sums[rows][0], window)
+            kept.append((window, sums))
+            if len(kept) > 1 and not self._settled(kept):
+                dropped += sum(length for length, _ in kept[:-1])
+                kept = kept[-1:]
+            cost, rates = self._summary(kept)
+            measured, pace = sum(length for length, _ in kept), self._pace(_mean_rates(kept, self.counted))
+            long_enough = forgotten and measured >= pace and len(kept) > 1
+            target = self._target(standard_error)
+            if steps is None and long_enough and cost.standard_error <= target:
+                return Averages(cost, rates, self.steps, dropped, True)
+            if left <= window:
+                return Averages(cost, rates, self.steps, dropped, steps is not None and long_enough)
+            self._report(cost, None if steps else target, self.steps / budget)
+            missing = left if steps else _missing(measured, cost.standard_error, target)
+            window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
+
+    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
+        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
+        budget, width = steps or BUDGET, len(self.parts)
+        if FEWEST_MISSIONS * horizon * width > budget:
+            raise ProblemError(
+                f"a mission has {horizon} ticks, and {budget} steps are for fewer than {FEWEST_MISSIONS} of them; "
+                "expected more steps, a shorter horizon, or a discount further from 1"
+            )
+        paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
+        share = 1 / horizon if discount == 1 else 1 - discount  # of a tick in a rate
+        costs, level, rates = _Moments(), _Moments(), dict[str, _Moments]()
+        while True:
+            done = self.steps // horizon // width
+            states = [part.loop.start(part.estimator.program, paths, self.seed, first=done) for part in self.parts]
+            sums, states = self._advance(states, horizon)
+            for part, rows, state in zip(self.parts, self.rows, states, strict=True):
+                if part.estimator.sum == COST:
+                    final = part.loop.final_cost(part.estimator.program, state)
+                    sums[rows.start] += 0.0 if final is None else final
+            costs.add(self._contrast(sums))
+            level.add(sums[0] * self.parts[0].estimator.scale)
+            for link, row in self._sends(sums).items():
+                rates.setdefault(link, _Moments()).add(row)
+            cost = costs.mean().scaled(1.0, self.offset)
+            self.level = abs(level.center + self.parts[0].estimator.offset)
+            found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
+            target = self._target(standard_error)
+            reached = steps is None and cost.standard_error <= target
+            if reached or self.steps + paths * horizon * width > budget:
+                return Averages(cost, found, self.steps, 0, reached or steps is not None)
+            self._report(cost, None if steps else target, self.steps / budget)
+
+    def _affordable(self, states: Sequence[Array], budget: int) -> int:
+        """Return how many ticks the budget is still good for."""
+        return (budget - self.steps) // states[0].shape[1] // len(self.parts)
+
+    def _target(self, standard_error: float | None) -> float:
+        return RELATIVE_ERROR * self.level if standard_error is None else standard_error
+
+    def _whole(self, ticks: int) -> int:
+        """Return ticks as whole turns of the policies' clocks: all paths are at the same place of a schedule."""
+        cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
+        return -(-ticks // cycle) * cycle
+
+    def _burn_in(self, states: list[Array], length: int, budget: int) -> tuple[list[Array], int, bool]:
+        """Run until the start is forgotten: return the states, the ticks that took, and whether it was reached.
+
+        Forgotten means: a few time constants, a few mean intervals between sends, and a late send on nearly every path.
+        Where that takes long, fewer paths go on; half of the budget is left for what is kept.
+        """
+        least, dropped = length, length // 2
+        _, states = self._advance(states, dropped)  # what the start itself makes a path send says nothing
+        length -= dropped
+        while True:
+            sums, states = self._advance(states, length)
+            dropped += length
+            sent = sums[self.counted]
+            pace = self._pace(sent.mean(axis=1) / length)
+            silent = max((float((row == 0).mean()) for row in sent if row.any()), default=0.0)
+            if dropped >= max(least, pace) and silent <= SILENT:
+                return states, dropped, True
+            length = max(dropped, int(pace) - dropped + 1)
+            now = states[0].shape[1]
+            paths = min(now, (budget - self.steps) // 2 // length // len(self.parts) // 8 * 8)
+            if paths < min(FEWEST_PATHS, now):
+                return states, dropped, False
+            states = [state[:, :paths] for state in states]
+
+    def _pace(self, rates: Array) -> float:
+        """Return the ticks in which the loop forgets: some of its slowest mode, and some intervals between sends."""
+        return KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
+
+    def _advance(self, states: Sequence[Array], ticks: int) -> tuple[Array, list[Array]]:
+        """Run ticks in chunks that let progress be seen and the run be interrupted."""
+        paths, after = states[0].shape[1], list(states)
+        sums = np.zeros((len(self.counted), paths))
+        chunk = max(1, CHUNK // paths)
+        while ticks > 0:
+            now = min(ticks, chunk)
+            for k, (part, run, rows) in enumerate(zip(self.parts, self.runs, self.rows, strict=True)):
+                result = run(after[k], now, self.threads)
+                after[k] = result.states
+                sums[rows] += np.array([result.sums[name] for name in self.names[k]])
+                self.steps += now * paths
+                if not np.abs(sums[rows]).max() < HUGE:  # or not a number
+                    raise part.diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
+            ticks -= now
+        return sums, after
+
+    def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
+        """Compare the last window with what came before it, path by path."""
+        before, (length, last) = kept[:-1], kept[-1]
+        earlier = sum((sums for _, sums in before), np.zeros_like(last)) / sum(ticks for ticks, _ in before)
+        change = last / length - earlier
+        spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
+        for part, rows in zip(self.parts, self.rows, strict=True):
+            if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
+                raise part.diverges("its cost grew a million times between two windows")
+        drift = DRIFT * spread + self.counted / length + 1e-12 * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) <= drift).all())  # a window may end just before a send
+
+    def _contrast(self, sums: Array) -> Array:
+        """Return the costs of the paths without their constants, added up over the parts, (paths,)."""
+        terms = [
+            part.sign * part.estimator.scale * sums[rows.start]
+            for part, rows in zip(self.parts, self.rows, strict=True)
+        ]
+        return np.sum(terms, axis=0)
+
+    def _sends(self, sums: Array) -> dict[str, Array]:
+        """Return the sends of the paths on each link, added up over the parts, (paths,)."""
+        found: dict[str, Array] = {}
+        for part, names, rows in zip(self.parts, self.names, self.rows, strict=True):
+            for name, row in zip(names[1:], sums[rows][1:], strict=True):
+                link = name.split()[1]
+                found[link] = found.get(link, 0.0) + part.sign * row
+        return found
+
+    def _summary(self, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
+        ticks = sum(length for length, _ in kept)
+        means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
+        cost = mean(self._contrast(means))
+        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
+            length, last = kept[-1]
+            late = float(self._contrast(last).mean()) / length
+            cost = Estimate(cost.value, abs(late - cost.value), cost.method)
+        estimator = self.parts[0].estimator
+        self.level = abs(estimator.scale * float(means[0].mean()) + estimator.offset)
+        rates = {link: _rate(row, ticks * means.shape[1]) for link, row in self._sends(means).items()}
+        return cost.scaled(1.0, self.offset), rates
+
+    def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
+        precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
+        if self.progress is not None:
+            self.progress(min(1.0, max(spent, precise)))
+
+
+def _mean_rates(kept: Sequence[tuple[int, Array]], counted: npt.NDArray[np.bool_]) -> Array:
+    ticks = sum(length for length, _ in kept)
+    total = sum((sums for _, sums in kept), np.zeros_like(kept[0][1]))
+    return total[counted].mean(axis=1) / ticks
+
+
+class _Moments:
+    """Mean and spread of values that come in batches, in constant memory."""
+
+    def __init__(self) -> None:
+        self.count, self.center, self.squares = 0, 0.0, 0.0
+
+    def add(self, values: Array) -> None:
+        """Merge a batch (Chan's formula)."""
+        count, center = len(values), float(values.mean())
+        total, shift = self.count + count, center - self.center
+        self.squares += float(((values - center) ** 2).sum()) + shift**2 * self.count * count / total
+        self.center += shift * count / total
+        self.count = total
+
+    def mean(self) -> Estimate:
+        """Return the mean of all values with its standard error."""
+        return Estimate(self.center, float(np.sqrt(self.squares / (self.count - 1) / self.count)), "simulation")
+
+
+def _missing(measured: int, error: float, wanted: float) -> int:
+    """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
+    if error <= wanted:
+        return 0
+    return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
+
+
+def mean(values: Array) -> Estimate:
+    """Return the mean over independent paths, with its standard error."""
+    moments = _Moments()
+    moments.add(values)
+    return moments.mean()
+
+
+def _rate(values: Array, seen: int) -> Estimate:
+    """Return a mean rate; a send that never or always came in so many steps may still be as rare as one in them."""
+    found = mean(values)
+    return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
