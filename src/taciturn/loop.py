@@ -264,7 +264,7 @@ def close(
     network = policy.network if network is None else network
     instance("network", network, Network)
     period = policy.tick if isinstance(plant, ContinuousPlant) else None
-    problem = discretise(plant, cost, period, policy.prediction_gain)
+    problem = discretise(plant, cost, period, policy.prediction)
     for name in ("states", "inputs", "outputs"):
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:

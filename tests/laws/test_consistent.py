@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from systems import continuous_system, price_of
 
 from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design, simulate
+from taciturn.model.policy import Policy
 from taciturn.simulation.average import completed_squares, plain_average
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -141,3 +142,58 @@ def test_what_does_not_fit_is_refused(change: dict, sentence: str) -> None:
     with pytest.raises(ProblemError) as told:
         design.consistent(**{"plant": plant, "cost": Cost(Q, R), "period": 0.5, **change})
     assert str(told.value).startswith(sentence)
+
+
+def extrapolated(a: float, gain: float, period: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return cost and rate per second of a plant dx = (ax + u)dt + dw under u = −gain·x̂, on a fine grid, by path."""
+    rng, paths, looks, parts = np.random.default_rng(0), 4000, 150, 50
+    h = period / parts
+    flow, push, spread = np.exp(a * h), np.expm1(a * h) / a, np.sqrt(np.expm1(2 * a * h) / (2 * a))
+    x, seen, costs, sends = np.zeros((4, paths))
+    for look in range(looks + 30):
+        sent = gain**2 * 100 * period * (x - seen) ** 2 > delta
+        seen = np.where(sent, x, seen)
+        for k in range(parts):
+            u = -gain * seen * np.exp(-gain * (k + 0.5) * h)  # the model of the design: closed loop −gain
+            after = flow * x + push * u + spread * rng.standard_normal(paths)
+            if look >= 30:
+                costs += ((x * x + after * after) / 2 + 100 * u * u) * h
+            x = after
+        seen = seen * np.exp(-gain * period)
+        if look >= 30:
+            sends += sent
+    return costs / looks / period, sends / looks / period
+
+
+def test_the_actuator_predicts_with_the_model_of_the_design() -> None:
+    """Where the plant in the loop is another one: an integrator is expected, an unstable plant is there."""
+    cost, period = Cost([[1.0]], [[100.0]]), 4.0
+    policy = design.consistent(ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), cost, period=period)
+    found = average(close(ContinuousPlant([[0.05]], [[1.0]], [[1.0]]), policy), standard_error=0.05)
+    # Γ(τ) = τ L'RL to scale: the plant of the design has A = 0, so δ* = L'RL τ²/2
+    costs, sends = extrapolated(0.05, 0.1, period, 0.1**2 * 100 * period**2 / 2)
+    for value, error, seen in (
+        (found.cost.value, found.cost.standard_error, costs),
+        (found.rates["sensor"].value / period, found.rates["sensor"].standard_error / period, sends),
+    ):
+        assert abs(seen.mean() - value) <= 4 * np.hypot(error, seen.std() / np.sqrt(len(seen))) + 2e-3 * value
+
+
+@pytest.mark.parametrize("kind", ["consistent", "integral"])
+def test_a_clipped_input_that_changes_between_looks_is_refused(kind: str) -> None:
+    """In the design, and where the plant in the loop has a limit."""
+    free = ContinuousPlant([[0.0]], [[1.0]], [[1.0]])
+    clipped = ContinuousPlant([[0.0]], [[1.0]], [[1.0]], input_limit=[2.0])
+    cost = Cost([[1.0]], [[1.0]])
+
+    def designed(plant: ContinuousPlant) -> Policy:
+        if kind == "consistent":
+            return design.consistent(plant, cost, period=0.1)
+        policy = design.integral(plant, cost, slope=0.3, alpha=0.1, h_max=5.0, period=0.02)
+        assert isinstance(policy, Policy)
+        return policy
+
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between ticks"):
+        close(clipped, designed(free))
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between ticks"):
+        designed(clipped)

@@ -18,7 +18,7 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
-from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
+from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy, Prediction
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
@@ -195,7 +195,8 @@ def _looking(
             f"period is {period:g}, and {places} looks after a send h_min, h_max or the saturation "
             f"still counts; expected at most {MOST_PLACES}: a longer period, or infinite limits"
         )
-    problem = discretise(plant, cost, period, price.L)
+    prediction = Prediction(price.L, plant.A + plant.B @ price.L)
+    problem = discretise(plant, cost, period, prediction)
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:
         raise ProblemError(
@@ -228,7 +229,7 @@ def _looking(
         noise_cost=problem.noise_cost,
         settling=1 / (1 - radius(closed)),
         cost=cost,
-        prediction_gain=price.L,
+        prediction=prediction,
         guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
         identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
         notes=tuple(notes),

@@ -23,7 +23,7 @@ from taciturn.lqg.periodic import lift, periodic_cost
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send, Step
+from taciturn.model.policy import Assign, ClosedForm, Policy, Prediction, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
@@ -155,7 +155,8 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
             "expected no C and V, or actuation = 'hold'"
         )
     L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
-    problem: Discrete = discretise(plant, cost, period, L)
+    prediction = Prediction(L, plant.A + plant.B @ L)
+    problem: Discrete = discretise(plant, cost, period, prediction)
     unit = np.eye(plant.states)
     closed = problem.plant.A + problem.plant.B
     spread = solve_discrete_lyapunov(closed, problem.plant.W)
@@ -175,6 +176,6 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
         noise_cost=problem.noise_cost,
         settling=1 / (1 - radius(closed)),
         cost=cost,
-        prediction_gain=L,
+        prediction=prediction,
         closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
     )

@@ -9,6 +9,7 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
+from taciturn.model.policy import Prediction
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +40,7 @@ class Discrete:
 
 
 def discretise(
-    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction_gain: Array | None = None
+    plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
 ) -> Discrete:
     """Return the problem from tick to tick.
 
@@ -47,13 +48,14 @@ def discretise(
         plant: discrete, or continuous and then sampled exactly at ``period``.
         cost: per step, or per second.
         period: seconds between ticks; only with a continuous plant.
-        prediction_gain: gain L of an actuator that runs the model between ticks; then the input is the model's state.
+        prediction: of an actuator that runs a model between ticks; then the input is the model's state.
 
     Returns:
         The discrete plant with the weights of one tick.
 
     Raises:
-        ProblemError: no plant or no cost, their sizes differ, period missing or out of place.
+        ProblemError: no plant or no cost, their sizes differ, period missing or out of place, or a clipped input that
+            changes between ticks.
 
     Source: vanloan1978
     """
@@ -74,10 +76,17 @@ def discretise(
     if period is None:
         raise ProblemError("period is missing; expected the seconds between ticks, as the plant is continuous in time")
     number("period", period, 0.0)
-    if prediction_gain is None:
+    if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
     else:
-        sampled = sample_prediction(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction_gain, period)
+        if plant.input_limit is not None:
+            raise ProblemError(
+                f"input_limit is {plant.input_limit.tolist()}, and the input changes between ticks, where nothing "
+                "exact is known of a clipped one; expected no input_limit, or a policy that holds its input"
+            )
+        sampled = sample_prediction(
+            plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics
+        )
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)

@@ -65,12 +65,13 @@ def sample_prediction(
     W: ArrayLike,
     L: ArrayLike,
     period: float,
+    dynamics: ArrayLike | None = None,
 ) -> Sampled:
     """Return the discrete problem of a continuous one whose actuator predicts the state between samples.
 
     Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
     x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost as in :func:`sample`, with
-    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]].
+    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. An actuator with another model has its dynamics in F.
 
     Args:
         A: (n, n) dynamics, per unit of time.
@@ -81,6 +82,7 @@ def sample_prediction(
         W: (n, n) semidefinite noise intensity, covariance per unit of time.
         L: (m, n) gain, u = L x̂.
         period: h > 0, in the same unit of time.
+        dynamics: (n, n), what the actuator takes for A + BL; omitted: that.
 
     Returns:
         The sampled problem with an input of n entries: B is (n, n), R is (n, n), N is (n, n).
@@ -98,7 +100,8 @@ def sample_prediction(
     A, B, Q, R, N, W = _checked(A, B, Q, R, N, W)
     n, m = B.shape
     L = _arrays.array("L", L, (m, n), "inputs × states")
-    F = np.block([[A, B @ L], [np.zeros((n, n)), A + B @ L]])
+    dynamics = A + B @ L if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
+    F = np.block([[A, B @ L], [np.zeros((n, n)), dynamics]])
     M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
     units = np.tile(_scipy.balancing(A), 2)
     return split(integrate(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)

@@ -196,6 +196,19 @@ class Location:
 
 
 @dataclass(frozen=True, eq=False)
+class Prediction:
+    """An actuator that runs a model between ticks: u = L x̂, dx̂/dt = (A + BL) x̂ of the plant it was designed for.
+
+    Args:
+        L: (inputs, states).
+        dynamics: A + BL, (states, states).
+    """
+
+    L: Array
+    dynamics: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Policy:
     """Nodes that exchange packets, as data: what each computes within a tick, in order.
 
@@ -213,7 +226,7 @@ class Policy:
         network: the network it was designed for.
         settling: ticks in which the loop forgets its start when everything is sent, 1/(1 − |slowest eigenvalue|).
         cost: the cost it was designed for; with an identity, a guarantee or a closed form.
-        prediction_gain: gain L of an actuator that runs the model continuously between ticks.
+        prediction: of an actuator that runs the model continuously between ticks.
         guarantee, identity, innovations, closed_form: where the theory gives them.
         reset: the signal e⁺ = A e (1−σ) + w that a send sets to zero, where a renewal process decides all.
         tracking: where the policy follows a reference.
@@ -238,7 +251,7 @@ class Policy:
     network: Network = field(default_factory=Network)
     settling: float = 0.0
     cost: Cost | None = None
-    prediction_gain: Array | None = None
+    prediction: Prediction | None = None
     guarantee: Guarantee | None = None
     identity: Identity | None = None
     innovations: Innovations | None = None

@@ -259,7 +259,7 @@ def _clocked(loop: Loop, found: Averages) -> Averages:
 
 def _predicts(policy: Policy) -> bool:
     """Whether both ends predict in continuous time, and events decide when the prediction is corrected."""
-    return policy.prediction_gain is not None and policy.closed_form is None
+    return policy.prediction is not None and policy.closed_form is None
 
 
 def _periodic(problem: Problem, policy: Policy, rate: float) -> float | None:
