@@ -22,7 +22,7 @@ FLOORS = {
     "design": 5,
     "simulation": 6, "analyse": 6, "export": 6, "runtime": 6,
     "problem": 7, "study": 7,
-    "twin": 8, "cli": 8,
+    "twin": 8, "_print": 8, "cli": 8,
     "": 9,  # the package itself: its names are imported when they are asked for
 }  # fmt: skip
 # siblings that may meet, in one direction; the command line uses the package as its users do
@@ -30,7 +30,7 @@ MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_scipy"), ("_scipy", "_arrays"),
     ("_table", "errors"), ("_table", "_arrays"),
-    ("study", "problem"), ("cli", ""), ("renewal", "program"),
+    ("study", "problem"), ("cli", ""), ("cli", "_print"), ("renewal", "program"),
 }  # fmt: skip
 
 

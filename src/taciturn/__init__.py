@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
     from taciturn.simulation.average import average as average
+    from taciturn.simulation.average import difference as difference
     from taciturn.simulation.course import Course as Course
     from taciturn.simulation.course import course as course
     from taciturn.simulation.trajectory import Trajectory as Trajectory
@@ -70,6 +71,7 @@ _HOME = {
     "Trigger": "model.trigger",
     "UnstableError": "errors",
     "average": "simulation.average",
+    "difference": "simulation.average",
     "close": "loop",
     "course": "simulation.course",
     "evaluate": "study.evaluate",

@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from taciturn import _print
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from taciturn.model.schedule import Schedule
     from taciturn.simulation.sampling import Progress
-    from taciturn.study.evaluate import Evaluation
-    from taciturn.study.reproduction import Reproduction, Table
-    from taciturn.study.tradeoff import Tradeoff
 
 app = typer.Typer(
     name="taciturn",
@@ -67,7 +65,7 @@ def evaluate(
 
     _check_effort(standard_error, steps)
     problem = taciturn.load(file)
-    with _progress("simulating") as progress:
+    with _progress("computing") as progress:
         found = taciturn.evaluate(
             problem,
             seed=seed,
@@ -79,9 +77,14 @@ def evaluate(
     if as_json:
         _print_json(found.document())
     else:
-        _print_evaluation(found)
+        _print.evaluation(found)
     if not found.reached and steps is not None:
         _refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
+    if not found.reached and standard_error is not None and found.cost.standard_error <= standard_error:
+        _refuse(
+            f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "
+            "are too many ticks; take a longer period"
+        )
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"
         _refuse(
@@ -110,12 +113,12 @@ def tradeoff(
     if plot is not None:
         check_format(plot)
     problem = taciturn.load(file)
-    with _progress("simulating") as progress:
+    with _progress("computing") as progress:
         found = taciturn.tradeoff(problem, values, seed=seed, standard_error=standard_error, progress=progress)
     if as_json:
         _print_json(found.document())
     else:
-        _print_tradeoff(found)
+        _print.tradeoff(found)
     if plot is not None:  # after the numbers, which a picture that cannot be written must not take away
         save(found.plot(), plot)
         if not as_json:
@@ -166,7 +169,7 @@ def reproduce(
         documents.append(found.document())
         pictures |= {folder / f"{file}.svg": picture for file, picture in found.pictures.items()}
         if not as_json:
-            _print_reproduction(found)
+            _print.reproduction(found)
     if as_json:
         _print_json(documents)
     for path, picture in pictures.items():  # after the numbers, which must not be lost with a picture
@@ -247,8 +250,8 @@ def _progress(what: str) -> Generator[Progress]:
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=1.0)
-        yield lambda fraction: bar.update(task, completed=fraction)
+        task = bar.add_task(what, total=None)  # it moves to and fro until a fraction is known
+        yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 
 
 def _parse_grid(items: list[str]) -> dict[str, list[object]]:
@@ -290,107 +293,6 @@ def _parse_value(text: str) -> object:
         except ValueError:
             continue
     return text
-
-
-def _print_evaluation(found: Evaluation) -> None:
-    lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({found.cost.method})")]
-    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
-    if found.cost_all_time is not None:
-        above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""
-        lines.append(("all-time cost", f"{found.cost_all_time:.6g}{above}"))
-    if found.cost_bound is not None:
-        lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
-    if found.cost_bound_at_rate is not None:
-        lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
-    if found.mean_interval is not None:
-        lines.append(("mean interval", f"{found.mean_interval} s"))
-    if found.cost_periodic_same_rate is not None:
-        lines.append(("periodic", f"{found.cost_periodic_same_rate:.6g} at this rate"))
-    if found.schedule is not None:
-        lines.append(("sensor queries", _queries(found.schedule)))
-    lines += [("note", note) for note in found.notes]
-    for name, text in lines:
-        typer.echo(f"{name:14s} {text}")
-
-
-def _queries(schedule: Schedule) -> str:
-    """Say when the sensor is queried."""
-    ticks = schedule.ticks
-    if schedule.period == 1:
-        return "at every tick" if ticks else "never"
-    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
-    if schedule.start is None:
-        return f"{len(ticks)} of {len(schedule.queries)} ticks" + (f": {listed}" if ticks else "")
-    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} ticks, again and again"
-    return once if schedule.start == 0 else f"{once} from tick {schedule.start} on: {listed}"
-
-
-def _print_tradeoff(found: Tradeoff) -> None:
-    names = list(found.points[0].values)
-    first = found.points[0].evaluation
-    of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
-    header = [*names, *(f"rate per {first.rate_unit}{text}" for text in of.values()), "saved %"]
-    header += [f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "periodic, same rate"]
-    rows: list[list[str]] = []
-    for point in found.points:
-        e = point.evaluation
-        rates = list(e.rates.values())
-        rows.append(
-            [
-                *(str(value) for value in point.values.values()),
-                *(f"{rate.value:.4f} ± {rate.standard_error:.4f}" for rate in rates),
-                " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates) if e.base_rate else "",
-                str(e.cost),
-                _above(e) if e.cost_all_time else "",
-                "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
-                "none" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
-            ]
-        )
-    _print_table(header, rows)
-    if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
-        guarantee = f"; guarantee: {found.guarantee}" if found.guarantee else ""
-        typer.echo(f"all-time cost {first.cost_all_time:.6g}{guarantee}")
-    for note in first.notes:
-        typer.echo(note)
-
-
-def _above(found: Evaluation) -> str:
-    """By how many percent the cost exceeds that of sending at every tick."""
-    assert found.cost_all_time
-    percent = 100 * (found.cost.value / found.cost_all_time - 1)
-    return f"{percent:+.2f}" if abs(percent) < 1e6 else f"{percent:+.3g}"
-
-
-def _print_reproduction(found: Reproduction) -> None:
-    for table in found.tables:
-        typer.echo(f"\n{table.name}")
-        _print_table(*_beside(table))
-        for note in table.notes:
-            typer.echo(f"  {note}")
-
-
-def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
-    """Printed beside computed, column by column."""
-    columns = list(table.rows[0].computed)
-    printed = [name for name in columns if any(name in row.printed for row in table.rows)]
-    header = list(table.rows[0].setting)
-    for name in columns:
-        header += [f"{name}, printed", "computed"] if name in printed else [name]
-    rows: list[list[str]] = []
-    for row in table.rows:
-        cells = [str(value) for value in row.setting.values()]
-        for name in columns:
-            if name in printed:
-                cells.append(f"{row.printed[name]:g}" if name in row.printed else "")
-            cells.append(str(row.computed[name]) if name in row.computed else "")
-        rows.append(cells)
-    return header, rows
-
-
-def _print_table(header: list[str], rows: list[list[str]]) -> None:
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    for row in [header, *rows]:
-        typer.echo("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
 
 
 if __name__ == "__main__":

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
+from taciturn import ContinuousPlant, Cost, Network, Plant, ProblemError, close, design
+from taciturn.loop import Loop
+from taciturn.model.estimate import Estimate
 from taciturn.simulation import sampling as module
-from taciturn.simulation.average import average, completed_squares, plain_average
+from taciturn.simulation.average import average, completed_squares, difference, plain_average
 
 PLANT = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]], [[0.1]])
 COST = Cost([[1.0, 0.0], [0.0, 0.5]], [[0.3]])
@@ -211,3 +213,63 @@ def test_another_cost_than_the_design_s_is_measured_as_it_is() -> None:
     same, more = average(close(PLANT, policy), standard_error=2e-3), average(loop, standard_error=2e-2)
     error = np.hypot(10 * same.cost.standard_error, more.cost.standard_error)
     assert abs(10 * same.cost.value - more.cost.value) <= 4 * error
+
+
+def two(theta: float, other: float) -> list[Loop]:
+    """Return two loops of the same plant."""
+    return [close(PLANT, design.lqg(PLANT, COST, theta=value)) for value in (theta, other)]
+
+
+def test_a_loop_does_not_differ_from_itself() -> None:
+    """Path by path, so without any error."""
+    (loop,) = two(0.5, 0.5)[:1]
+    found = difference(loop, loop, steps=200_000)
+    assert found.cost == Estimate(0.0, 0.0, "simulation")
+    assert found.rates["actuator"].value == 0
+
+
+def test_95_percent_intervals_of_differences_cover_a_long_run() -> None:
+    """Over 400 seeds, and the long run is what two separate long runs say."""
+    loops = two(0.5, 0.45)
+    truth = difference(*loops, seed=1000, steps=60_000_000).cost
+    apart = [average(loop, seed=2000 + k, steps=40_000_000).cost for k, loop in enumerate(loops)]
+    spread = np.hypot(apart[0].standard_error, apart[1].standard_error)
+    assert abs(apart[0].value - apart[1].value - truth.value) <= 4 * np.hypot(spread, truth.standard_error)
+    found = [difference(*loops, seed=seed, steps=80_000).cost for seed in range(400)]
+    assert 0.92 <= coverage([(e.value, e.standard_error) for e in found], truth.value) <= 0.98
+
+
+def test_the_same_draws_make_a_difference_sharp() -> None:
+    """The variance is less than a third of that of two separate runs of as many steps."""
+    loops = two(0.5, 0.49)
+    together = difference(*loops, steps=4_000_000)
+    apart = [average(loop, steps=2_000_000, seed=k) for k, loop in enumerate(loops)]
+    spread = np.hypot(*(one.cost.standard_error for one in apart))
+    assert together.cost.standard_error**2 < spread**2 / 3
+    assert together.rates["actuator"].value < 0 < together.cost.value
+
+
+def test_differences_of_missions_and_of_loops_without_an_identity_are_those_of_their_means() -> None:
+    """A mission in the plain average, and a plant that is not the one of the design."""
+    mission = Cost(COST.Q, COST.R, horizon=40)
+    loops = [close(PLANT, design.lqg(PLANT, COST, theta=theta), cost=mission) for theta in (1.0, 0.2)]
+    other = Plant(1.01 * PLANT.A, PLANT.B, PLANT.W, PLANT.C, PLANT.V)
+    changed = [close(other, design.lqg(PLANT, COST, theta=theta)) for theta in (1.0, 0.2)]
+    for pair in (loops, changed):
+        found = difference(*pair, steps=2_000_000)
+        apart = [average(loop, seed=k + 1, steps=2_000_000) for k, loop in enumerate(pair)]
+        spread = np.hypot(*(one.cost.standard_error for one in apart))
+        gap = apart[0].cost.value - apart[1].cost.value
+        assert abs(found.cost.value - gap) <= 4.5 * np.hypot(found.cost.standard_error, spread)
+        rates = [one.rates["actuator"] for one in apart]
+        error = 4.5 * np.hypot(found.rates["actuator"].standard_error, np.hypot(*(r.standard_error for r in rates)))
+        assert abs(found.rates["actuator"].value - rates[0].value + rates[1].value) <= error
+
+
+def test_loops_with_other_ticks_or_horizons_are_not_compared() -> None:
+    """A sentence says which."""
+    plant = ContinuousPlant([[0.0]], [[1.0]], [[1.0]])
+    cost = Cost([[1.0]], [[1.0]])
+    slow, fast = (close(plant, design.lqg(plant, cost, theta=0.5, period=period)) for period in (0.1, 0.2))
+    with pytest.raises(ProblemError, match=r"period is 0.1 in one loop and 0.2 in the other; expected the same"):
+        difference(slow, fast)

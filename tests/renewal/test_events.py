@@ -320,3 +320,10 @@ def test_a_cycle_that_never_ends_is_told(monkeypatch: pytest.MonkeyPatch) -> Non
     unseen = JumpProcess(np.diag([5.0, 0.0]), Jumps(5.0, np.eye(2)), np.eye(2))
     with pytest.raises(TaciturnError):
         estimate_cycles(unseen, LevelTrigger(np.diag([0.0, 1.0]), 1e7), cycles=100)
+
+
+def test_a_sweep_over_no_list_is_refused() -> None:
+    """One number, or nothing."""
+    for wrong in (1.0, None):
+        with pytest.raises(ProblemError, match="cs "):
+            sweep(DOUBLE, wrong)

@@ -327,7 +327,8 @@ def test_intervals_are_asked_in_any_shape_and_refuse_what_is_no_number_of_checks
     assert intervals.beyond([0, 1, 400]).shape == (3,)
     assert intervals.beyond(np.array([[0, 1], [2, 3]])).shape == (2, 2)
     assert intervals.beyond(0) == 1
-    for wrong in (-1, [0.5], np.nan):
+    assert intervals.quantile(1e-300) == 1
+    for wrong in (-1, [0.5], np.nan, "3", True):
         with pytest.raises(ProblemError, match="no whole number"):
             intervals.beyond(wrong)
     with pytest.raises(ProblemError, match="checks is 0"):

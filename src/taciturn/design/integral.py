@@ -325,10 +325,13 @@ class _Search:
         while self.after(low, FIRST_CYCLES).interval.value < low:
             low, high = low / 2, low
             if low < least:
+                shorter = ""
+                if isinstance(self.process, SampledProcess):
+                    shorter = f", or a period below {self.process.period:g}"
                 raise ProblemError(
                     f"slope is {self.slope:g}, and no alpha is below the mean interval L(alpha) that follows from it; "
                     f"expected a slope nearer to {self.largest:.6g}, up to which f stays below what periodic control "
-                    "costs, or a shorter period"
+                    f"costs{shorter}"
                 )
         return low, high
 

@@ -9,7 +9,7 @@ from typing import Literal, Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, semidefinite
 from taciturn._modes import mode_text, uncontrollable_modes
 from taciturn.errors import ProblemError
 
@@ -190,6 +190,7 @@ class ContinuousPlant:
         if jumps is not None:
             if W is not None:
                 raise ProblemError("W and jumps are both given; expected one kind of noise: remove one")
+            instance("jumps", jumps, Jumps)
             covariance = semidefinite("jumps.covariance", jumps.covariance, self.states, "(states, states)")
             W = jumps.rate * covariance
         object.__setattr__(self, "W", semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)"))

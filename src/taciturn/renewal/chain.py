@@ -71,7 +71,8 @@ class Intervals:
         Raises:
             ProblemError: what is no number of checks.
         """
-        checks = np.asarray(checks, dtype=np.float64)
+        given = np.asarray(checks)
+        checks = np.asarray(given, dtype=np.float64) if given.dtype.kind in "iuf" else np.array(np.nan)
         if not (np.isfinite(checks) & (checks >= 0) & (checks == np.floor(checks))).all():
             raise ProblemError("checks holds what is no whole number of at least 0; expected numbers of checks")
         last = len(self.survival) - 1
@@ -87,7 +88,7 @@ class Intervals:
         left = 1 - number("share", share, 0.0, 1.0)
         found = np.flatnonzero(self.survival <= left)
         if found.size:
-            return int(found[0])
+            return max(int(found[0]), 1)
         last = len(self.survival) - 1
         return last + int(np.ceil(np.log(left / self.survival[-1]) / np.log(self.decay)))
 

@@ -12,7 +12,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, count, instance, number
+from taciturn._arrays import Array, array, count, instance, number
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
@@ -160,7 +160,8 @@ def sweep(
 
     Source: khashooei2017
     """
-    triggers = [IntegralTrigger(c) if trigger is None else replace(trigger, c=c) for c in cs]
+    values = array("cs", cs, (None,), "(values,)")
+    triggers = [IntegralTrigger(float(c)) if trigger is None else replace(trigger, c=float(c)) for c in values]
     return tuple(estimate_cycles(process, t, cycles=cycles, seed=seed, paths=paths, threads=threads) for t in triggers)
 
 
@@ -301,5 +302,5 @@ def _ratio(above: Array, below: Array) -> Estimate:
 def _endless(ticks: int) -> UnstableError:
     return UnstableError(
         f"a cycle has not ended after {ticks} pieces of time: the trigger may never fire; expected an error that grows "
-        "until it does, or a finite h_max"
+        "until it does, a finite h_max, or, where it is looked at every period, a longer one"
     )

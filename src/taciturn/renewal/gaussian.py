@@ -57,6 +57,11 @@ class _Solved:
     rate: float
     excess: float
 
+    @property
+    def rounding(self) -> float:
+        """Relative error that no finer nodes take away."""
+        return ROUNDING * (1 + 1 / self.rate) + self.system.check.slack
+
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
@@ -109,19 +114,20 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
     window = _window(white, asked)
     dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
     density, factor = FIRST * float(np.sqrt(np.log(asked) / np.log(USUAL))), NARROW
-    previous, best = None, None
+    previous, best, missed = None, None, 0
     for step in range(RUNGS):
         try:
             found = _solve(white, place(white, window.scaled(factor), density, step, MOST_NODES), dense)
         except TooManyNodes:
             break
+        missed += found is None
+        if missed > 1 or (found is not None and found.rounding > USELESS):
+            break  # hardly ever sent: finer nodes find no more digits
         if previous is not None and found is not None:
             answer = _compared(found, previous)
             best = answer if best is None or answer.off <= best.off else best
-            if best.off <= accuracy:
+            if best.off <= max(accuracy, 2 * found.rounding):
                 break
-        if previous is None and found is None and step:
-            break  # hardly ever sent: finer nodes find no solution either
         previous = found
         density, factor = density * FINER, factor * WIDER
     if best is None:
@@ -225,9 +231,8 @@ def _solve(white: White, nodes: Nodes, dense: int) -> _Solved | None:
 
 def _compared(found: _Solved, previous: _Solved) -> _Answer:
     """Return a solution with what it moved by, which is about the error of the coarser one, and with rounding."""
-    rounding = ROUNDING * (1 + 1 / found.rate) + found.system.check.slack
     return _Answer(
         found,
-        SAFETY * abs(found.rate - previous.rate) + rounding * found.rate,
-        SAFETY * abs(found.excess - previous.excess) + rounding * found.excess,
+        SAFETY * abs(found.rate - previous.rate) + found.rounding * found.rate,
+        SAFETY * abs(found.excess - previous.excess) + found.rounding * found.excess,
     )
