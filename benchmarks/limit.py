@@ -50,7 +50,8 @@ def numbers(loop: Loop) -> str:
     gain, L = (np.asarray(steps[a][b]) for a, b in (("estimate", "innovation"), ("command", "estimate")))
     silent, send = policy.decisions["send"].options.values()
     Psi = np.asarray(silent.Psi)
-    assert policy.innovations is not None and policy.identity is not None
+    assert policy.innovations is not None
+    assert policy.identity is not None
     driven = gain @ np.linalg.cholesky(policy.innovations.covariance)
     q = float(problem.Q[0, 0])
     singles = {
