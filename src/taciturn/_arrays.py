@@ -151,7 +151,7 @@ def symmetrised(matrix: Array) -> Array:
 def quoted(value: object) -> str:
     """Return a value as a sentence shows what it got: as it would be typed, and no longer than a line."""
     try:
-        text = repr(value)
+        text = " ".join(repr(value).split())
     except ValueError:  # a whole number of more than 4300 digits
         return "a number too long to be shown"
     return text if len(text) <= 60 else f"{text[:57]}…"

@@ -142,7 +142,7 @@ JUMPS = {"rate": 5.0, "covariance": [[0.0, 0.0], [0.0, 0.5]]}
         ({"W": -np.eye(2)}, "W has the eigenvalue -1; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"),
         ({"W": [[1], [1, 2]]}, "W is ragged: its rows differ in length; expected the shape (2, 2) = (states, states)"),
         ({"jumps": Jumps(**JUMPS)}, "W and jumps are both given; expected one kind of noise: remove one"),
-        ({"W": None, "jumps": (1.0, np.eye(2))}, "jumps is "),
+        ({"W": None, "jumps": (1.0, 2.0)}, "jumps is (1.0, 2.0); expected a Jumps"),
         (
             {"W": None, "jumps": Jumps(1.0, np.eye(3))},
             "jumps.covariance has shape (3, 3); expected (2, 2) = (states, states)",
