@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import warnings
@@ -81,6 +82,25 @@ def test_damaged_machine_code_is_compiled_again(
     assert kept.read_bytes() == whole
     assert play() == first
     assert len(compiled) == 2
+
+
+def test_the_cache_keeps_what_was_used_last(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of many compiled programs the oldest go, when another one comes."""
+    monkeypatch.setattr(machine, "MOST_KEPT", 3)
+    folder = tmp_path / "taciturn"
+    folder.mkdir()
+    for age in range(5):
+        (folder / f"{age}.o").write_bytes(b"")
+        os.utime(folder / f"{age}.o", (1000.0 - age, 1000.0 - age))
+    play()
+    (new,) = {path.name for path in folder.iterdir()} - {"0.o", "1.o"}
+    assert len(list(folder.iterdir())) == 3
+    os.utime(folder / new, (0.0, 0.0))
+    play()  # read, hence used
+    assert (folder / new).stat().st_mtime > 1000
+    assert len(compiled) == 1
 
 
 def test_a_cache_that_cannot_be_written_costs_time_alone(

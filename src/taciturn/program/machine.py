@@ -1,7 +1,7 @@
 """Compiles printed programs through llvmlite, keeps the object code, and runs it on threads.
 
-Object code is kept in memory and on disk (``$XDG_CACHE_HOME/taciturn``), by the text of the program, the processor and
-the version of llvmlite. This is the one typed door to llvmlite.
+Object code is kept in memory and on disk (``$XDG_CACHE_HOME/taciturn``, the latest few hundred), by the text of the
+program, the processor and the version of llvmlite. This is the one typed door to llvmlite.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from taciturn.program.ir import Program
 from taciturn.program.llvm import Build, constants_of, print_llvm
 from taciturn.program.numpy import Run
 
+MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
 
@@ -182,6 +183,8 @@ def _read_object(path: Path) -> bytes | None:
         content = path.read_bytes()
     except OSError:
         return None
+    with contextlib.suppress(OSError):  # a read-only home forgets when it was used
+        os.utime(path)
     digest, code = content[:32], content[32:]
     if hashlib.sha256(code).digest() != digest:
         warnings.warn(f"the kept machine code {path} is damaged; it is compiled again", stacklevel=2)
@@ -200,6 +203,9 @@ def _write_object(path: Path, code: bytes) -> None:
             os.replace(part, path)
         except OSError:
             os.unlink(part)
+        kept = sorted(path.parent.glob("*.o"), key=lambda file: file.stat().st_mtime)
+        for oldest in kept[:-MOST_KEPT]:
+            oldest.unlink()
 
 
 def _into_blocks(rows: Array, lanes: int) -> Array:
