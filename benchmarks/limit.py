@@ -31,12 +31,12 @@ class Limit:
         (folder / "numbers.h").write_text(numbers(loop))
         target = folder / "limit.so"
         subprocess.run([compiler, *FLAGS, f"-I{folder}", "-o", str(target), str(SOURCE)], check=True)
-        self.library = ctypes.CDLL(str(target))
+        self.code = ctypes.CDLL(str(target))
         self.sums = (ctypes.c_double * 3)()
 
     def run(self, form: str, seed: int, paths: int, ticks: int) -> tuple[float, float, float]:
         """Return cost, sends and completed squares of a form, as means per step."""
-        getattr(self.library, form)(
+        getattr(self.code, form)(
             ctypes.c_uint64(seed), ctypes.c_long(paths), ctypes.c_long(ticks), ctypes.byref(self.sums)
         )
         cost, sent, excess = (float(value) / (paths * ticks) for value in self.sums)

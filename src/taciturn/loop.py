@@ -308,14 +308,11 @@ def _driven(step: Step, innovation: str, spread: Array) -> Step:
     """Return the step with what multiplies the innovation multiplied into the normals that it is made of."""
     if not isinstance(step, Assign) or not any(innovation in terms for terms in step.branches):
         return step
-    branches = [
-        {
-            (DRAWN if name == innovation else name): _times(matrix, spread) if name == innovation else matrix
-            for name, matrix in terms.items()
-        }
-        for terms in step.branches
-    ]
-    return replace(step, branches=tuple(branches))
+
+    def driven(name: str, matrix: Matrix) -> tuple[str, Matrix]:
+        return (DRAWN, _times(matrix, spread)) if name == innovation else (name, matrix)
+
+    return replace(step, branches=tuple(dict(driven(*term) for term in terms.items()) for terms in step.branches))
 
 
 def _times(matrix: Matrix, other: Array) -> Matrix:

@@ -11,8 +11,8 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import prediction_cost
 from taciturn.model.cost import Cost
-from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Guarantee, Identity, Policy, Prediction, Received, Send, Step
+from taciturn.model.plant import ContinuousPlant, Plant, Prediction
+from taciturn.model.policy import Assign, Decide, Guarantee, Identity, Policy, Received, Send, Step
 from taciturn.model.trigger import Form, Trigger
 
 ERROR = "error"
@@ -53,7 +53,7 @@ def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, del
     """
     plant, period = refuse_what_is_not_predicted("consistent", plant, cost), number("period", period, 0.0)
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
-    prediction = Prediction(price.L, plant.A + plant.B @ price.L)
+    prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
     largest, base, Gamma = price.slope_in_rate(period), price.periodic(period), price.weight(period)
     delta = largest if delta is None else number("delta", delta, 0.0, closed=True)

@@ -17,8 +17,8 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
-from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy, Prediction
+from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
+from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
@@ -195,7 +195,7 @@ def _looking(
             f"period is {period:g}, and {places} looks after a send h_min, h_max or the saturation "
             f"still counts; expected at most {MOST_PLACES}: a longer period, or infinite limits"
         )
-    prediction = Prediction(price.L, plant.A + plant.B @ price.L)
+    prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:

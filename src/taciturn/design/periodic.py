@@ -22,8 +22,8 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.periodic import lift, periodic_cost
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
-from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, ClosedForm, Policy, Prediction, Received, Send, Step
+from taciturn.model.plant import ContinuousPlant, Plant, Prediction
+from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
@@ -155,7 +155,7 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
             "expected no C and V, or actuation = 'hold'"
         )
     L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
-    prediction = Prediction(L, plant.A + plant.B @ L)
+    prediction = Prediction.of(plant, L)
     problem: Discrete = discretise(plant, cost, period, prediction)
     unit = np.eye(plant.states)
     closed = problem.plant.A + problem.plant.B

@@ -8,8 +8,7 @@ from taciturn._arrays import Array, instance, number
 from taciturn.errors import ProblemError
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
-from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant
-from taciturn.model.policy import Prediction
+from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 
 
 @dataclass(frozen=True, eq=False)

@@ -123,6 +123,24 @@ class Jumps:
 
 
 @dataclass(frozen=True, eq=False)
+class Prediction:
+    """An actuator that runs a model between ticks: u = L x̂, dx̂/dt = (A + BL) x̂ of the plant it was designed for.
+
+    Args:
+        L: (inputs, states).
+        dynamics: A + BL, (states, states).
+    """
+
+    L: Array
+    dynamics: Array
+
+    @classmethod
+    def of(cls, plant: ContinuousPlant, L: Array) -> Prediction:
+        """Return that of a plant's own model."""
+        return cls(L, plant.A + plant.B @ L)
+
+
+@dataclass(frozen=True, eq=False)
 class JumpNoise:
     """What Poisson jumps add to a state within a tick: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
 

@@ -19,7 +19,7 @@ from taciturn._arrays import Array, ArrayLike, array, number
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
-from taciturn.model.plant import Plant
+from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
 from taciturn.model.schedule import Schedule
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations
@@ -193,19 +193,6 @@ class Location:
             visited[here] = len(visited)
             here = int(self.table[here])
         return len(visited) - visited[here]
-
-
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """An actuator that runs a model between ticks: u = L x̂, dx̂/dt = (A + BL) x̂ of the plant it was designed for.
-
-    Args:
-        L: (inputs, states).
-        dynamics: A + BL, (states, states).
-    """
-
-    L: Array
-    dynamics: Array
 
 
 @dataclass(frozen=True, eq=False)

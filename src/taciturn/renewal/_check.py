@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -37,16 +38,12 @@ class Matrix:
         """Relative error that the map itself brings."""
         return 0.0
 
-    def ahead(self, values: Array) -> Array:
-        """Return what is expected, from each node, of values after the check that keeps the error."""
-        return np.asarray(self.entries @ values, dtype=np.float64)
-
     def after(self, share: Array) -> Array:
         """Return the shares at the nodes after a check, given those before it."""
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return X with X = known + ahead(X), for every column."""
+        """Return X with X = known + entries X, for every column."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
@@ -108,20 +105,18 @@ class Grid:
 
     def settled(self, known: Array) -> Array:
         """Return X with X = known + ahead(X), for every column; not a number where it is not found."""
-        operator = scipy.sparse.linalg.LinearOperator(
-            (len(known), len(known)), matvec=lambda values: values - self.ahead(values), dtype=np.float64
-        )
-        return np.stack([_solved(operator, column) for column in known.T], axis=1)
+        return np.stack([_solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
         """Return X with X = known + after(X); not a number where it is not found."""
-        operator = scipy.sparse.linalg.LinearOperator(
-            (len(known), len(known)), matvec=lambda share: share - self.after(share), dtype=np.float64
-        )
-        return _solved(operator, known)
+        return _solved(self.after, known)
 
 
-def _solved(operator: scipy.sparse.linalg.LinearOperator, known: Array) -> Array:
+def _solved(check: Callable[[Array], Array], known: Array) -> Array:
+    """Return x with x = known + check(x), by GMRES; not a number where it is not found."""
+    operator = scipy.sparse.linalg.LinearOperator(
+        (len(known), len(known)), matvec=lambda x: x - check(x), dtype=np.float64
+    )
     found, failed = scipy.sparse.linalg.gmres(
         operator, known, rtol=SOLVED, atol=0.0, restart=DIRECTIONS, maxiter=RESTARTS
     )

@@ -222,6 +222,8 @@ class _Attempt:
         names = (INTEGRAL, TIME, WAIT, PIECE, JUMPED)
         self.gone, self.time, self.wait, self.piece, self.jumped = [self._state(name) for name in names]
         self.longest = self.b.constant(self.motion.longest)
+        self.spread, normal = factor(process.jumps.covariance), process.jumps.distribution == "normal"
+        self.drawn = [f"{NORMAL} {i}" if normal else f"{UNIFORM} {i + 1}" for i in range(self.spread.shape[1])]
 
     def program(self) -> Program:
         """Return the whole attempt."""
@@ -340,18 +342,13 @@ class _Attempt:
 
     def _draws(self) -> tuple[dict[str, int], list[int]]:
         """Return what is drawn for a jump and for the wait after it, by name, and the generator's next words."""
-        normal = self.process.jumps.distribution == "normal"
-        count = factor(self.process.jumps.covariance).shape[1]
-        names = [f"{NORMAL} {i}" if normal else f"{UNIFORM} {i + 1}" for i in range(count)]
         supplied: dict[str, int] = {}
-        return supplied, draw(self.b, [f"{UNIFORM} 0", *names], supplied)
+        return supplied, draw(self.b, [f"{UNIFORM} 0", *self.drawn], supplied)
 
     def _jump(self, supplied: dict[str, int]) -> list[int | None]:
         """Return G·ξ."""
-        b, G, law = self.b, factor(self.process.jumps.covariance), self.process.jumps.distribution
-        names = [f"{NORMAL} {i}" if law == "normal" else f"{UNIFORM} {i + 1}" for i in range(G.shape[1])]
-        drawn = [jump_size(b, law, supplied[name]) for name in names]
-        return [b.combine([float(g) for g in row], drawn) for row in G]
+        sizes = [jump_size(self.b, self.process.jumps.distribution, supplied[name]) for name in self.drawn]
+        return [self.b.combine([float(g) for g in row], sizes) for row in self.spread]
 
     def _waited(self, uniform: int) -> int:
         """Return −log(u)/λ."""

@@ -127,13 +127,12 @@ class Sampling:
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile."""
         self.parts, self.seed, self.threads, self.progress = parts, seed, threads, progress
-        self.names = [part.names for part in parts]
         self.runs = [prepare(part.estimator.program) for part in parts]
         self.offset = sum(part.sign * part.estimator.offset for part in parts)
-        ends = np.cumsum([len(names) for names in self.names])
-        self.rows = [slice(int(end) - len(names), int(end)) for end, names in zip(ends, self.names, strict=True)]
-        self.counted: npt.NDArray[np.bool_] = np.array([k > 0 for names in self.names for k in range(len(names))])
-        self.steps, self.level = 0, 0.0
+        sizes = [len(part.names) for part in parts]
+        self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
+        self.counted: npt.NDArray[np.bool_] = np.array([k > 0 for size in sizes for k in range(size)])
+        self.steps = 0
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
         """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
@@ -156,10 +155,11 @@ class Sampling:
             if len(kept) > 1 and not self._settled(kept):
                 dropped += sum(length for length, _ in kept[:-1])
                 kept = kept[-1:]
-            cost, rates = self._summary(kept)
-            measured, pace = sum(length for length, _ in kept), self._pace(_mean_rates(kept, self.counted))
+            means = _means(kept)
+            cost, rates = self._summary(means, kept)
+            measured, pace = sum(length for length, _ in kept), self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and measured >= pace and len(kept) > 1
-            target = self._target(standard_error)
+            target = self._target(standard_error, float(means[0].mean()))
             if steps is None and long_enough and cost.standard_error <= target:
                 return Averages(cost, rates, self.steps, dropped, True)
             if left <= window:
@@ -178,7 +178,7 @@ class Sampling:
             )
         paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
         share = 1 / horizon if discount == 1 else 1 - discount  # of a tick in a rate
-        costs, level, rates = _Moments(), _Moments(), dict[str, _Moments]()
+        costs, first, rates = _Moments(), _Moments(), dict[str, _Moments]()
         while True:
             done = self.steps // horizon // width
             states = [part.loop.start(part.estimator.program, paths, self.seed, first=done) for part in self.parts]
@@ -188,13 +188,12 @@ class Sampling:
                     final = part.loop.final_cost(part.estimator.program, state)
                     sums[rows.start] += 0.0 if final is None else final
             costs.add(self._contrast(sums))
-            level.add(sums[0] * self.parts[0].estimator.scale)
+            first.add(sums[0])
             for link, row in self._sends(sums).items():
                 rates.setdefault(link, _Moments()).add(row)
             cost = costs.mean().scaled(1.0, self.offset)
-            self.level = abs(level.center + self.parts[0].estimator.offset)
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
-            target = self._target(standard_error)
+            target = self._target(standard_error, first.center)
             reached = steps is None and cost.standard_error <= target
             if reached or self.steps + paths * horizon * width > budget:
                 return Averages(cost, found, self.steps, 0, reached or steps is not None)
@@ -204,8 +203,11 @@ class Sampling:
         """Return how many ticks the budget is still good for."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
 
-    def _target(self, standard_error: float | None) -> float:
-        return RELATIVE_ERROR * self.level if standard_error is None else standard_error
+    def _target(self, standard_error: float | None, first: float) -> float:
+        """Return the standard error that is asked, or a share of the first part's cost, given the mean of its sum."""
+        estimator = self.parts[0].estimator
+        default = RELATIVE_ERROR * abs(estimator.scale * first + estimator.offset)
+        return default if standard_error is None else standard_error
 
     def _whole(self, ticks: int) -> int:
         """Return ticks as whole turns of the policies' clocks: all paths are at the same place of a schedule."""
@@ -250,7 +252,7 @@ class Sampling:
             for k, (part, run, rows) in enumerate(zip(self.parts, self.runs, self.rows, strict=True)):
                 result = run(after[k], now, self.threads)
                 after[k] = result.states
-                sums[rows] += np.array([result.sums[name] for name in self.names[k]])
+                sums[rows] += np.array([result.sums[name] for name in part.names])
                 self.steps += now * paths
                 if not np.abs(sums[rows]).max() < HUGE:  # or not a number
                     raise part.diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
@@ -260,14 +262,15 @@ class Sampling:
     def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
         """Compare the last window with what came before it, path by path."""
         before, (length, last) = kept[:-1], kept[-1]
-        earlier = sum((sums for _, sums in before), np.zeros_like(last)) / sum(ticks for ticks, _ in before)
+        earlier = _means(before)
         change = last / length - earlier
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         for part, rows in zip(self.parts, self.rows, strict=True):
             if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
                 raise part.diverges("its cost grew a million times between two windows")
-        drift = DRIFT * spread + self.counted / length + 1e-12 * np.abs(earlier.mean(axis=1))
-        return bool((np.abs(change.mean(axis=1)) <= drift).all())  # a window may end just before a send
+        early = self.counted / length  # a window may end just before a send
+        drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))
+        return bool((np.abs(change.mean(axis=1)) <= drift).all())
 
     def _contrast(self, sums: Array) -> Array:
         """Return the costs of the paths without their constants, added up over the parts, (paths,)."""
@@ -280,23 +283,20 @@ class Sampling:
     def _sends(self, sums: Array) -> dict[str, Array]:
         """Return the sends of the paths on each link, added up over the parts, (paths,)."""
         found: dict[str, Array] = {}
-        for part, names, rows in zip(self.parts, self.names, self.rows, strict=True):
-            for name, row in zip(names[1:], sums[rows][1:], strict=True):
+        for part, rows in zip(self.parts, self.rows, strict=True):
+            for name, row in zip(part.names[1:], sums[rows][1:], strict=True):
                 link = name.split()[1]
                 found[link] = found.get(link, 0.0) + part.sign * row
         return found
 
-    def _summary(self, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
-        ticks = sum(length for length, _ in kept)
-        means = sum((sums for _, sums in kept), np.zeros_like(kept[0][1])) / ticks
+    def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = mean(self._contrast(means))
         if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
-        estimator = self.parts[0].estimator
-        self.level = abs(estimator.scale * float(means[0].mean()) + estimator.offset)
-        rates = {link: _rate(row, ticks * means.shape[1]) for link, row in self._sends(means).items()}
+        seen = sum(length for length, _ in kept) * means.shape[1]
+        rates = {link: _rate(row, seen) for link, row in self._sends(means).items()}
         return cost.scaled(1.0, self.offset), rates
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
@@ -305,10 +305,9 @@ class Sampling:
             self.progress(min(1.0, max(spent, precise)))
 
 
-def _mean_rates(kept: Sequence[tuple[int, Array]], counted: npt.NDArray[np.bool_]) -> Array:
-    ticks = sum(length for length, _ in kept)
-    total = sum((sums for _, sums in kept), np.zeros_like(kept[0][1]))
-    return total[counted].mean(axis=1) / ticks
+def _means(windows: Sequence[tuple[int, Array]]) -> Array:
+    """Return the means per tick over windows of so many ticks, (sums, paths)."""
+    return sum((sums for _, sums in windows), np.zeros_like(windows[0][1])) / sum(length for length, _ in windows)
 
 
 class _Moments:
