@@ -57,6 +57,7 @@ def evaluate(
     standard_error: StandardError = None,
     steps: Annotated[int | None, typer.Option(help="Run this many steps of all paths together instead.")] = None,
     method: Annotated[str, typer.Option(help="auto, simulation or exact.")] = "auto",
+    precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
 ) -> None:
     """Cost, rate and guarantee of one policy."""
     from typing import cast
@@ -72,6 +73,7 @@ def evaluate(
             standard_error=standard_error,
             steps=steps,
             method=cast("Any", method),
+            precision=cast("Any", precision),
             progress=progress,
         )
     if as_json:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from systems import System
 
@@ -12,6 +14,7 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import Run
+from taciturn.program.ops import Precision
 
 
 def same(one: np.ndarray, other: np.ndarray) -> bool:
@@ -32,6 +35,11 @@ def assert_parity(loop: Loop, program: Program, seed: int, paths: int = 11, tick
     meaning = interpreter.run(program, states, ticks)
     assert all(np.isfinite(row).all() for row in meaning.outputs.values())
     assert differences(meaning, Kernel(program, "parity").run(program, states, ticks)) == []
+
+
+def with_precision(loop: Loop, precision: Precision) -> Loop:
+    """Return the loop in a precision; a discounted one stays in double."""
+    return loop if loop.problem.cost.discount < 1 else replace(loop, precision=precision)
 
 
 def programs(loop: Loop) -> list[Program]:

@@ -7,7 +7,7 @@ import pytest
 from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import assert_parity, every_feature, programs, same
+from parity.loops import assert_parity, every_feature, programs, same, with_precision
 from systems import System, make_system, systems, well_posed
 
 import taciturn
@@ -16,8 +16,10 @@ from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
+from taciturn.program.ops import Precision
 
 SEEDS = st.integers(0, 2**32 - 1)
+PRECISIONS = st.sampled_from(["float64", "float32"])
 MASSES = {
     "hold": {},
     "model": {"actuation": "model"},
@@ -48,7 +50,7 @@ def test_the_loops_of_the_two_masses_agree_bit_for_bit(name: str) -> None:
     """Hold and model, joint and separate, by the clock, over a lossy link, saturating; with the plant and without."""
     loop = masses(name)
     for program in programs(loop):
-        assert_parity(loop, program, seed=5, paths=37, ticks=200)
+        assert_parity(loop, program, seed=5, paths=37, ticks=300)  # more than a window of sums
 
 
 def close_random(system: System, name: str) -> Loop | None:
@@ -60,20 +62,23 @@ def close_random(system: System, name: str) -> Loop | None:
 
 
 @settings(max_examples=70)
-@given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
-def test_loops_of_random_systems_agree_bit_for_bit(system: System, name: str, seed: int) -> None:
-    """Unstable plants, cross terms, several inputs, every policy of the catalogue."""
+@given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS, precision=PRECISIONS)
+def test_loops_of_random_systems_agree_bit_for_bit(system: System, name: str, seed: int, precision: Precision) -> None:
+    """Unstable plants, cross terms, several inputs, every policy of the catalogue, in either precision."""
     loop = close_random(system, name)
     if loop is not None:
+        loop = with_precision(loop, precision)
         for program in programs(loop):
             assert_parity(loop, program, seed)
 
 
-@settings(max_examples=40)
-@given(system=systems(), seed=SEEDS)
-def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(system: System, seed: int) -> None:
+@settings(max_examples=60)
+@given(system=systems(), seed=SEEDS, precision=PRECISIONS)
+def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(
+    system: System, seed: int, precision: Precision
+) -> None:
     """Everything a policy may be made of, at once."""
-    loop = every_feature(system, seed)
+    loop = with_precision(every_feature(system, seed), precision)
     assert_parity(loop, loop.program(), seed)
 
 
@@ -91,6 +96,9 @@ def test_loops_of_three_hundred_random_systems_agree_bit_for_bit() -> None:
         for loop in loops:
             for program in [] if loop is None else programs(loop):
                 assert_parity(loop, program, found, paths=19, ticks=60)
+            if loop is not None:
+                single = with_precision(loop, "float32")
+                assert_parity(single, single.program(), found, paths=19, ticks=60)
         found += loops[0] is not None
 
 

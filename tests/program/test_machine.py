@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import llvmlite.binding as llvm
@@ -214,11 +215,15 @@ TARGETS = {
 
 
 def programs(loop: Loop) -> list[Program]:
-    """Return programs with every operation among them: the second looks into tables, the third divides."""
+    """Return programs with every operation among them: the second looks into tables, the third divides.
+
+    The last two are in single precision.
+    """
     problem = taciturn.load("two-mass")
     clocked = problem.close(taciturn.design.periodic(problem.plant, problem.cost, every=3))
     process = JumpProcess(np.eye(2, k=1), Jumps(1.0, np.eye(2)), np.eye(2))
-    return [loop.program(), clocked.program(), cycle_program(process, IntegralTrigger(1.0))]
+    written = [loop.program(), clocked.program(), cycle_program(process, IntegralTrigger(1.0))]
+    return [*written, *(replace(each, precision="float32").program() for each in (loop, clocked))]
 
 
 @pytest.mark.parametrize("name", TARGETS)
@@ -230,7 +235,7 @@ def test_programs_compile_for_every_processor(loop: Loop, name: str, build: mach
     llvm.initialize_all_asmprinters()
     target = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
     for program in programs(loop):
-        text = print_llvm(program, lanes, build)
+        text = print_llvm(program, lanes * (2 if program.precision == "float32" else 1), build)
         assert len(machine.compile_object(text, target)) > 1000
         module = llvm.parse_assembly(f'target triple = "{triple}"\n{text}')
         module.data_layout = str(target.target_data)

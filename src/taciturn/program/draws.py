@@ -3,23 +3,28 @@
 One 64-bit word of xoshiro256++ [blackman2021] gives two normals by Box–Muller [box1958]: 32 bits for the radius, 30 for
 the angle within an eighth of the circle on either side of an axis, one for the sign and one for the axis. The radius
 ends at sqrt(66 ln 2) = 6.76. Logarithm, cosine and sine are polynomials (Chebyshev interpolation; absolute errors
-5.5e-10, 4.8e-11 and 3.4e-12, which is below the resolution of the radius).
+2.3e-11, 4.8e-11 and 3.4e-12, which is below the resolution of the radius). In single precision the same bits give the
+same normals, to its seven digits (`single`).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn.program.ir import Builder, Op, Program, State, rebuild
+from taciturn.program import single
+from taciturn.program.ir import Builder, Program, rebuild
+from taciturn.program.ops import Op, State
 
-# −2 log(1+f) = −2f + f² Σ c_i f^i on [√½ − 1, √2 − 1]
+# −2 log(1+r) = r Σ c_i r^i on [−1/17, 1/17]
 _MINUS_TWO_LOG = (
-    1.0000000000417548, -0.6666664521177576, 0.4999998251885122, -0.4000290478830937, 0.3333716350817364,
-    -0.2846602815641855, 0.24805498871390594, -0.23577812617932722, 0.2331315736302799, -0.13883944587780678,
+    -2.0000000003714016, 1.0000000003250018, -0.6666647349251146, 0.4999983095557708, -0.4014874488621837,
+    0.3346349590338773,
 )  # fmt: skip
 # cos(πt/2) = Σ c_i t^(2i) and sin(πt/2) = t Σ c_i t^(2i) on [−½, ½]
 _COS = (0.999999999952545, -1.2337005406402766, 0.25366920379732133, -0.020860070410128363, 0.0009036298857944601)
@@ -29,7 +34,9 @@ _LOG_TWO = 0.6931471805599453
 _EXPONENT_ONE = 0x3FF0000000000000  # bits of 1.0
 _EXPONENT_MANTISSA = 0x4330000000000000  # bits of 2^52: or-ing an integer below 2^52 gives 2^52 + integer
 _MANTISSA = 0x000FFFFFFFFFFFFF
-_ROOT_HALF = 0x3FE6A09E667F3BCD  # bits of √½
+_EXPONENT_FIELD = 0x000FFE0000000000  # the eleven bits of an exponent, moved down by as many
+_INVERSES = tuple(16 / (17 + 2 * i) for i in range(8))  # 1/m in the middle of each eighth of [1, 2)
+_LOGARITHMS = tuple(2 * math.log(inverse) + (4096 + 2046) * _LOG_TWO for inverse in _INVERSES)  # and the offsets
 _SIGN = 1 << 63
 _WORD = (1 << 64) - 1
 
@@ -54,16 +61,7 @@ def with_draws(program: Program) -> Program:
         return supplied[name]
 
     result = rebuild(program, substitute, range(len(program.states)))
-    return Program(
-        result.ops,
-        result.states,
-        (*result.following, *words),
-        result.inputs,
-        result.constants,
-        result.tables,
-        result.sums,
-        result.outputs,
-    )
+    return replace(result, following=(*result.following, *words))
 
 
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
@@ -113,22 +111,26 @@ def _next_word(b: Builder, words: Sequence[int]) -> tuple[int, list[int]]:
 
 
 def _uniform(b: Builder, word: int) -> int:
-    """A double strictly between 0 and 1, a multiple of 2^-53."""
+    """A number strictly between 0 and 1; a double is a multiple of 2^-53."""
+    if b.precision == "float32":
+        return single.uniform(b, word)
     mantissa = b.emit("word_or", b.emit("shift_right", word, 12), b.emit("word", _EXPONENT_ONE))
-    return b.emit("sub", b.emit("double", mantissa), b.constant(1.0 - 2.0**-53))
+    return b.emit("sub", b.emit("number", mantissa), b.constant(1.0 - 2.0**-53))
 
 
 def _two_normals(b: Builder, word: int) -> tuple[int, int]:
+    if b.precision == "float32":
+        return single.two_normals(b, word)
     radius = b.emit("sqrt", minus_two_log(b, _upper_half_as_fraction(b, word)))
     # an angle in [−½, ½) eighths of a turn from an axis: bits 0–29
     field = b.emit("word_and", b.emit("shift_left", word, 22), b.emit("word", _MANTISSA))
-    t = b.emit("sub", b.emit("double", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE))), b.constant(1.5))
+    t = b.emit("sub", b.emit("number", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE))), b.constant(1.5))
     square = b.emit("mul", t, t)
-    cosine = _polynomial(b, _COS, square)
-    sine = b.emit("mul", _polynomial(b, _SIN, square), t)
+    cosine = b.polynomial(_COS, square)
+    sine = b.emit("mul", b.polynomial(_SIN, square), t)
     # which direction of the axis: bit 31; which axis: bit 30
     sign = b.emit("word_and", b.emit("shift_left", word, 32), b.emit("word", _SIGN))
-    signed = b.emit("double", b.emit("word_xor", b.emit("bits", radius), sign))
+    signed = b.emit("number", b.emit("word_xor", b.emit("bits", radius), sign))
     along, across = b.emit("mul", signed, cosine), b.emit("mul", signed, sine)
     swap = b.emit("any_bit", b.emit("word_and", word, b.emit("word", 1 << 30)))
     return b.emit("select", swap, across, along), b.emit("select", swap, along, across)
@@ -136,31 +138,23 @@ def _two_normals(b: Builder, word: int) -> tuple[int, int]:
 
 def _upper_half_as_fraction(b: Builder, word: int) -> int:
     """(upper 32 bits + ½) / 2^32, in (0, 1)."""
-    integer = b.emit("double", b.emit("word_or", b.emit("shift_right", word, 32), b.emit("word", _EXPONENT_MANTISSA)))
+    integer = b.emit("number", b.emit("word_or", b.emit("shift_right", word, 32), b.emit("word", _EXPONENT_MANTISSA)))
     scaled = b.emit("mul", integer, b.constant(2.0**-32))  # exact, and the next as well: they may fuse
     return b.emit("sub", scaled, b.constant((2.0**52 - 0.5) * 2.0**-32))
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u of a u in (0, 1), by u = 2^e (1 + f) with 1 + f in [√½, √2)."""
-    offset = b.emit("word_add", b.emit("bits", u), b.emit("word", (_EXPONENT_ONE - _ROOT_HALF) & _WORD))
-    exponent = b.emit("word_or", b.emit("shift_right", offset, 52), b.emit("word", _EXPONENT_MANTISSA))
-    e = b.emit("sub", b.emit("double", exponent), b.constant(2.0**52 + 1023))
-    mantissa = b.emit("word_add", b.emit("word_and", offset, b.emit("word", _MANTISSA)), b.emit("word", _ROOT_HALF))
-    f = b.emit("sub", b.emit("double", mantissa), b.constant(1.0))
-    curved = b.emit("mul", _polynomial(b, _MINUS_TWO_LOG, f), b.emit("mul", f, f))
-    straight = b.emit("add", b.emit("mul", b.constant(-2.0), f), b.emit("mul", b.constant(-2.0 * _LOG_TWO), e))
-    return b.emit("add", curved, straight)
+    """Return −2 log u of a u in (0, 1), by u = 2^e m, m in [1, 2), and m·c = 1 + r for the c of its eighth.
 
-
-def _polynomial(b: Builder, coefficients: Sequence[float], x: int) -> int:
-    """Even and odd powers apart: half the chain of Horner's rule."""
-    square = b.emit("mul", x, x)
-
-    def horner(part: Sequence[float]) -> int:
-        total = b.constant(part[-1])
-        for coefficient in part[-2::-1]:
-            total = b.emit("add", b.emit("mul", total, square), b.constant(coefficient))
-        return total
-
-    return b.emit("add", b.emit("mul", horner(coefficients[1::2]), x), horner(coefficients[0::2]))
+    A double's exponent is read as the fraction of a double in [1, 2): a 2048th of it is added, times its scale.
+    """
+    if b.precision == "float32":
+        return single.minus_two_log(b, u)
+    bits = b.emit("bits", u)
+    eighth = b.emit("shift_right", bits, 49)
+    field = b.emit("word_and", b.emit("shift_right", bits, 11), b.emit("word", _EXPONENT_FIELD))
+    exponent = b.emit("number", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE)))
+    mantissa = b.emit("word_or", b.emit("word_and", bits, b.emit("word", _MANTISSA)), b.emit("word", _EXPONENT_ONE))
+    r = b.emit("sub", b.emit("mul", b.emit("number", mantissa), b.pick(_INVERSES, eighth)), b.constant(1.0))
+    whole = b.emit("add", b.emit("mul", b.constant(-4096 * _LOG_TWO), exponent), b.pick(_LOGARITHMS, eighth))
+    return b.emit("add", b.emit("mul", b.polynomial(_MINUS_TWO_LOG, r), r), whole)

@@ -1,77 +1,13 @@
-"""Straight-line programs in single-assignment form: one tick of a loop or of a node.
-
-An operation is a name with the indices of earlier operations (or literals, where the table below says so).
-Values are doubles, truth values, or 64-bit words; vectors and loops belong to the printers, not to the program.
-
-| operation | arguments | result |
-|---|---|---|
-| `const` | index into `constants` | double |
-| `state`, `input` | index into `states`, `inputs` | double or word |
-| `add` `sub` `mul` `div` `sqrt` | doubles | double, rounded once each: the order is the meaning |
-| `select` | truth value, two doubles | the first where true |
-| `lookup` | index into `tables`, a double that holds a small integer | double |
-| `greater` `less_equal` | two doubles | truth value |
-| `and` `not` | truth values | truth value |
-| `word` | literal | word |
-| `word_add` `word_and` `word_or` `word_xor` | two words | word |
-| `shift_left` `shift_right` `rotate_left` | word, literal | word |
-| `bits` / `double` | double / word | the same 64 bits as word / double |
-| `any_bit` | word | truth value: not zero |
-"""
+"""Straight-line programs in single-assignment form: one tick of a loop or of a node, and how they are written down."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+
+from taciturn.program.ops import EIGHT, LITERAL_ARGUMENTS, Op, Precision, State, Total
 
 Coefficient = float | int  # a float is a number known now; an int is the index of an operation
-
-LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of arguments that are no operations
-    "const": (0,),
-    "state": (0,),
-    "input": (0,),
-    "word": (0,),
-    "lookup": (0,),
-    "shift_left": (1,),
-    "shift_right": (1,),
-    "rotate_left": (1,),
-}
-
-
-class Op(NamedTuple):
-    """One operation.
-
-    Args:
-        name: what it does.
-        arguments: indices of earlier operations, or literals.
-    """
-
-    name: str
-    arguments: tuple[int, ...]
-
-    @property
-    def reads(self) -> list[int]:
-        """The operations that this one reads."""
-        literal = LITERAL_ARGUMENTS.get(self.name, ())
-        return [argument for position, argument in enumerate(self.arguments) if position not in literal]
-
-
-@dataclass(frozen=True)
-class State:
-    """One scalar of memory.
-
-    Args:
-        name: the signal.
-        index: entry of the signal.
-        start: key of its first value; states with equal keys start equal.
-        word: whether it is a 64-bit word.
-    """
-
-    name: str
-    index: int
-    start: float | tuple[str, int] = 0.0
-    word: bool = False
 
 
 @dataclass(frozen=True)
@@ -87,6 +23,7 @@ class Program:
         tables: values of the ``lookup`` operations.
         sums: operations that are summed over the ticks, by name.
         outputs: operations that are recorded at each tick, by name.
+        precision: of its numbers.
     """
 
     ops: tuple[Op, ...]
@@ -97,11 +34,35 @@ class Program:
     tables: tuple[tuple[float, ...], ...]
     sums: Mapping[str, int]
     outputs: Mapping[str, int]
+    precision: Precision = "float64"
 
     @property
     def operations(self) -> int:
         """Number of operations that compute something."""
-        return sum(op.name not in ("const", "state", "input", "word") for op in self.ops)
+        return sum(op.name not in ("const", "state", "input", "word", "half") for op in self.ops)
+
+    @property
+    def totals(self) -> dict[str, Total]:
+        """What is added up for each sum: known factors and terms wait until the end."""
+        return {name: self._total(index) for name, index in self.sums.items()}
+
+    def _total(self, index: int) -> Total:
+        factor, offset = 1.0, 0.0
+        while True:
+            op = self.ops[index]
+            known = [self._known(i) for i in op.arguments] if op.name in ("mul", "add") else []
+            number = next((value for value in known if value is not None), None)
+            if number is None:
+                return Total(index, factor, offset)
+            if op.name == "mul":
+                factor *= number
+            else:
+                offset += factor * number
+            index = op.arguments[1 if known[0] is not None else 0]
+
+    def _known(self, index: int) -> float | None:
+        op = self.ops[index]
+        return self.constants[op.arguments[0]] if op.name == "const" else None
 
     def keep(
         self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
@@ -113,10 +74,15 @@ class Program:
 
 
 class Builder:
-    """Collects operations; equal operations are shared."""
+    """Collects operations; equal operations are shared.
 
-    def __init__(self) -> None:
+    Args:
+        precision: of the numbers.
+    """
+
+    def __init__(self, precision: Precision = "float64") -> None:
         """Start empty."""
+        self.precision: Precision = precision
         self.ops: list[Op] = []
         self.constants: list[float] = []
         self.tables: list[tuple[float, ...]] = []
@@ -157,10 +123,19 @@ class Builder:
         """Return values[index]: a number where all values are equal."""
         if len(set(values)) == 1:
             return float(values[0])
+        return self.emit("lookup", self._table(values), index)
+
+    def pick(self, values: Sequence[float], word: int) -> int:
+        """Return the entry of eight that the last three bits of a word name."""
+        assert len(values) == EIGHT
+        return self.emit("pick", self._table(values), word)
+
+    def _table(self, values: Sequence[float]) -> int:
+        """Return the index of a table, declared when new."""
         row = tuple(float(value) for value in values)
         if row not in self.tables:
             self.tables.append(row)
-        return self.emit("lookup", self.tables.index(row), index)
+        return self.tables.index(row)
 
     def value(self, coefficient: Coefficient) -> int:
         """Return the operation of a coefficient."""
@@ -195,6 +170,13 @@ class Builder:
                 total = self.add(total, self.scale(coefficient, value))
         return total
 
+    def polynomial(self, coefficients: Sequence[float], x: int) -> int:
+        """Return Σ coefficient·x^i by Horner's rule: splitting into even and odd powers takes an operation more."""
+        total = self.constant(coefficients[-1])
+        for coefficient in coefficients[-2::-1]:
+            total = self.emit("add", self.emit("mul", total, x), self.constant(coefficient))
+        return total
+
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
         """Return v'Ψv of a symmetric Ψ without the zeros; equal diagonal weights share one product."""
         alone: dict[int, list[int]] = {}
@@ -215,6 +197,15 @@ class Builder:
             total = self.add(total, square if weight == one else self.emit("mul", weight, square))
         return total
 
+    def choose(self, truth: int, yes: int, no: int) -> int:
+        """Return one of two values; what is scaled or nothing is scaled after the choice."""
+        if yes == no:
+            return yes
+        op, zero = self.ops[yes], self.constant(0.0)
+        if no == zero and op.name == "mul" and self.ops[op.arguments[0]].name == "const":
+            return self.emit("mul", op.arguments[0], self.emit("select", truth, op.arguments[1], zero))
+        return self.emit("select", truth, yes, no)
+
     def _twice(self, coefficient: Coefficient) -> Coefficient:
         return 2.0 * coefficient if isinstance(coefficient, float) else self.emit("add", coefficient, coefficient)
 
@@ -231,6 +222,7 @@ class Builder:
             tuple(self.tables),
             dict(sums),
             dict(outputs or {}),
+            self.precision,
         )
         return merge_states(program)
 
@@ -242,7 +234,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     """
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     needed = _needed(program, roots)
-    builder = Builder()
+    builder = Builder(program.precision)
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
     new: dict[int, int] = {}
@@ -262,6 +254,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
         tuple(builder.tables),
         {name: new[index] for name, index in program.sums.items()},
         {name: new[index] for name, index in program.outputs.items()},
+        program.precision,
     )
 
 
@@ -322,6 +315,8 @@ def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) ->
         return builder.constant(program.constants[first])
     if op.name == "lookup":
         return builder.value(builder.lookup(program.tables[first], new[op.arguments[1]]))
+    if op.name == "pick":
+        return builder.pick(program.tables[first], new[op.arguments[1]])
     if op.name == "state":
         return builder.state(program.states[first])
     if op.name == "input":

@@ -24,7 +24,8 @@ from taciturn.model.policy import (
 )
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.draws import UNIFORM
-from taciturn.program.ir import Builder, Coefficient, Program, State
+from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.ops import State
 
 Vector = list[int]
 Truth = int | bool  # an operation, or known now
@@ -109,7 +110,7 @@ class Tick:
         """Return one of two values."""
         if isinstance(truth, bool):
             return yes if truth else no
-        return yes if yes == no else self.builder.emit("select", truth, yes, no)
+        return self.builder.choose(truth, yes, no)
 
     def as_number(self, truth: Truth) -> int:
         """Return 1 for true and 0 for false."""

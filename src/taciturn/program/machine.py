@@ -40,7 +40,7 @@ class Kernel:
 
     def __init__(self, program: Program, build: Build = "fast") -> None:
         """Compile, or fetch what was compiled before."""
-        self.lanes = vector_lanes()
+        self.lanes = vector_lanes() * (2 if program.precision == "float32" else 1)
         self._sizes = _sizes(program)
         self._code = _load(print_llvm(program, self.lanes, build))
 
@@ -83,7 +83,7 @@ class Kernel:
         final = state.transpose(1, 0, 2).reshape(len(program.states), width)[:, :paths]
         return Run(
             np.ascontiguousarray(final),
-            dict(zip(program.sums, by_sum, strict=True)),
+            {name: total.of(row, ticks) for (name, total), row in zip(program.totals.items(), by_sum, strict=True)},
             dict(zip(program.outputs, by_output, strict=True)),
         )
 
@@ -106,7 +106,7 @@ def available_processors() -> int:
 
 @cache
 def vector_lanes() -> int:
-    """Return the paths per block that suit this processor: the widest vector of doubles."""
+    """Return how many doubles the widest vector of this processor holds."""
     features = _host()[1]
     return 8 if "+avx512f" in features else 4 if "+avx2" in features else 2
 

@@ -13,33 +13,46 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn.program.ir import Op, Program
+from taciturn.program.ir import Program
+from taciturn.program.ops import EIGHT, WINDOW, Op
 
-Value = npt.NDArray[Any]  # doubles, truth values or words, one per path
+Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
 
 
 def _shift_left(x: Value, k: int) -> Value:
-    return x << np.uint64(k)
+    return x << x.dtype.type(k)
 
 
 def _shift_right(x: Value, k: int) -> Value:
-    return x >> np.uint64(k)
+    return x >> x.dtype.type(k)
 
 
 def _rotate_left(x: Value, k: int) -> Value:
-    return _shift_left(x, k) | _shift_right(x, 64 - k)
+    return _shift_left(x, k) | _shift_right(x, 8 * x.itemsize - k)
 
 
 def _bits(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(np.uint64)
+    return np.ascontiguousarray(x).view(f"u{x.itemsize}")
 
 
-def _double(x: Value) -> Value:
-    return np.ascontiguousarray(x).view(np.float64)
+def _number(x: Value) -> Value:
+    return np.ascontiguousarray(x).view(f"f{x.itemsize}")
+
+
+def _upper(x: Value) -> Value:
+    return (x >> np.uint64(32)).astype(np.uint32)
+
+
+def _lower(x: Value) -> Value:
+    return x.astype(np.uint32)
+
+
+def _count(x: Value) -> Value:
+    return x.astype(np.float32)
 
 
 def _any_bit(x: Value) -> Value:
-    return x != np.uint64(0)
+    return x != 0
 
 
 def _divide(x: Value, y: Value) -> Value:
@@ -66,7 +79,10 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "shift_right": _shift_right,
     "rotate_left": _rotate_left,
     "bits": _bits,
-    "double": _double,
+    "number": _number,
+    "upper": _upper,
+    "lower": _lower,
+    "count": _count,
     "any_bit": _any_bit,
 }
 
@@ -99,40 +115,47 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
         The states after the last tick, the sums and the outputs.
     """
     paths = states.shape[1]
-    tables = [np.array(table) for table in program.tables]
+    kind = np.dtype(program.precision)
+    tables = [np.array(table, dtype=kind) for table in program.tables]
     fixed = _fixed(program, paths)
     memory: list[Value] = [
-        row.view(np.uint64) if state.word else row.copy() for state, row in zip(program.states, states, strict=True)
+        row.view(np.uint64) if state.word else row.astype(kind)
+        for state, row in zip(program.states, states, strict=True)
     ]
-    totals = {name: np.zeros(paths) for name in program.sums}
+    totals = program.totals
+    added = {name: np.zeros(paths) for name in totals}
+    window = {name: np.zeros(paths, dtype=kind) for name in totals}
     records = {name: np.empty((ticks, paths)) for name in program.outputs}
     for tick in range(ticks):
         values: list[Value] = []
-        supplied = None if inputs is None else inputs[tick]
+        supplied = None if inputs is None else inputs[tick].astype(kind)
         for index, op in enumerate(program.ops):
             values.append(fixed[index] if index in fixed else _apply(op, values, memory, supplied, tables))
-        for name, index in program.sums.items():
-            totals[name] = totals[name] + values[index]
+        for name, total in totals.items():
+            window[name] = window[name] + values[total.op]
+            if (tick + 1) % WINDOW == 0 or tick + 1 == ticks:
+                added[name] += window[name]
+                window[name] = np.zeros(paths, dtype=kind)
         for name, index in program.outputs.items():
             records[name][tick] = values[index]
         memory = [values[index] for index in program.following]
     final = np.empty((len(memory), paths))
     for row, value in zip(final, memory, strict=True):
-        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value
-    return Run(final, totals, records)
+        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value  # floats become doubles
+    return Run(final, {name: total.of(added[name], ticks) for name, total in totals.items()}, records)
 
 
 def _fixed(program: Program, paths: int) -> dict[int, Value]:
     fixed: dict[int, Value] = {}
     for index, op in enumerate(program.ops):
         if op.name == "const":
-            fixed[index] = np.full(paths, program.constants[op.arguments[0]])
-        elif op.name == "word":
-            fixed[index] = np.full(paths, op.arguments[0], dtype=np.uint64)
+            fixed[index] = np.full(paths, program.constants[op.arguments[0]], dtype=program.precision)
+        elif op.name in ("word", "half"):
+            fixed[index] = np.full(paths, op.arguments[0], dtype=np.uint64 if op.name == "word" else np.uint32)
     return fixed
 
 
-def _apply(op: Op, values: list[Value], memory: list[Value], supplied: Array | None, tables: list[Array]) -> Value:
+def _apply(op: Op, values: list[Value], memory: list[Value], supplied: Array | None, tables: list[Value]) -> Value:
     name, rest = op
     if name == "state":
         return memory[rest[0]]
@@ -141,6 +164,8 @@ def _apply(op: Op, values: list[Value], memory: list[Value], supplied: Array | N
         return supplied[rest[0]]
     if name == "lookup":
         return tables[rest[0]][values[rest[1]].astype(np.int64)]
+    if name == "pick":
+        return tables[rest[0]][values[rest[1]] & np.uint64(EIGHT - 1)]
     if name in ("shift_left", "shift_right", "rotate_left"):
         return _RULES[name](values[rest[0]], rest[1])
     return _RULES[name](*(values[argument] for argument in rest))

@@ -29,8 +29,9 @@ from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
 from taciturn.program.draws import GENERATOR, NORMAL, UNIFORM, draw, minus_two_log, seed_generators
-from taciturn.program.ir import Builder, Program, State
+from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import jump_size
+from taciturn.program.ops import State
 from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
 
 ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
@@ -264,8 +265,8 @@ class _Attempt:
             following[ERROR, i] = value
         following[WAIT, 0] = b.emit("select", fresh, self._waited(supplied[f"{UNIFORM} 0"]), rest)
         for i, word in enumerate(words):
-            old = b.emit("double", self._state(GENERATOR, i, word=True))
-            following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("double", word), old))
+            old = b.emit("number", self._state(GENERATOR, i, word=True))
+            following[GENERATOR, i] = b.emit("bits", b.emit("select", fresh, b.emit("number", word), old))
         return following
 
     def _finish(

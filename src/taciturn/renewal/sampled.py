@@ -16,9 +16,10 @@ from taciturn._arrays import Array
 from taciturn._modes import factor
 from taciturn.model.plant import JumpNoise
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
-from taciturn.program.ir import Builder, Program, State
+from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import Tick
+from taciturn.program.ops import State
 from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled
 
 LATE = 1 + 1e-12  # of a limit that is a whole number of periods

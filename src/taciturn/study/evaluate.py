@@ -15,6 +15,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
+from taciturn.program.ops import Precision
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import average, check_effort
@@ -105,6 +106,7 @@ def evaluate(
     standard_error: float | None = None,
     steps: int | None = None,
     method: Literal["auto", "simulation", "exact"] = "auto",
+    precision: Precision = "float64",
     progress: Progress | None = None,
 ) -> Evaluation:
     """Return cost, rates and bound of a problem's policy.
@@ -119,6 +121,7 @@ def evaluate(
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
         steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
         method: ``"simulation"`` uses neither closed form nor quadrature, ``"exact"`` never simulates.
+        precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
         progress: called with the fraction done.
 
     Returns:
@@ -139,9 +142,11 @@ def evaluate(
     began = time.perf_counter()
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
+        if precision != "float64":
+            raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
         found = _events(problem, policy, seed, standard_error, steps, method, progress)
         return replace(found, seconds=time.perf_counter() - began)
-    loop = problem.close(policy)
+    loop = replace(problem.close(policy), precision=precision)
     found, notes = None, policy.notes
     if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
         try:

@@ -1,0 +1,102 @@
+"""The operations of a program.
+
+An operation is a name with the indices of earlier operations (or literals, where the table below says so).
+Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits;
+vectors and loops belong to the printers, not to the program.
+
+| operation | arguments | result |
+|---|---|---|
+| `const` | index into `constants` | number |
+| `state`, `input` | index into `states`, `inputs` | number, or word |
+| `add` `sub` `mul` `div` `sqrt` | numbers | number, rounded once each: the order is the meaning |
+| `select` | truth value, two numbers | the first where true |
+| `lookup` | index into `tables`, a number that is a small integer | number |
+| `pick` | index into `tables` of eight entries, word | number: the entry at the word's last three bits |
+| `greater` `less_equal` | two numbers | truth value |
+| `and` `not` | truth values | truth value |
+| `word` / `half` | literal | word / half |
+| `word_add` `word_and` `word_or` `word_xor` | two words, or two halves | the same |
+| `shift_left` `shift_right` `rotate_left` | word or half, literal | the same |
+| `upper` `lower` | word | its half |
+| `count` | half | number, the integer it holds (single precision) |
+| `bits` / `number` | number / word (double), half (single precision) | the same bits as a word or half / as a number |
+| `any_bit` | word or half | truth value: not zero |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+from taciturn._arrays import Array
+
+Precision = Literal["float64", "float32"]
+WINDOW = 256  # ticks whose sum is kept in the precision of the program; sums of windows are doubles
+EIGHT = 8  # entries that a word can pick from: one vector of the widest kind
+
+LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of arguments that are no operations
+    "const": (0,),
+    "state": (0,),
+    "input": (0,),
+    "word": (0,),
+    "half": (0,),
+    "lookup": (0,),
+    "pick": (0,),
+    "shift_left": (1,),
+    "shift_right": (1,),
+    "rotate_left": (1,),
+}
+
+
+class Op(NamedTuple):
+    """One operation.
+
+    Args:
+        name: what it does.
+        arguments: indices of earlier operations, or literals.
+    """
+
+    name: str
+    arguments: tuple[int, ...]
+
+    @property
+    def reads(self) -> list[int]:
+        """The operations that this one reads."""
+        literal = LITERAL_ARGUMENTS.get(self.name, ())
+        return [argument for position, argument in enumerate(self.arguments) if position not in literal]
+
+
+@dataclass(frozen=True)
+class State:
+    """One scalar of memory.
+
+    Args:
+        name: the signal.
+        index: entry of the signal.
+        start: key of its first value; states with equal keys start equal.
+        word: whether it is a 64-bit word.
+    """
+
+    name: str
+    index: int
+    start: float | tuple[str, int] = 0.0
+    word: bool = False
+
+
+class Total(NamedTuple):
+    """How a sum is made of the operation that is added up at each tick: factor·Σ + offset·ticks.
+
+    Args:
+        op: index of the operation.
+        factor: by which the sum is multiplied at the end.
+        offset: added for each tick, at the end.
+    """
+
+    op: int
+    factor: float
+    offset: float
+
+    def of(self, added: Array, ticks: int) -> Array:
+        """Return the sum, given what was added up in so many ticks."""
+        return self.factor * added + self.offset * ticks
