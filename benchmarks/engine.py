@@ -21,8 +21,8 @@ import numpy as np
 import taciturn
 from taciturn.loop import Loop
 from taciturn.program import numpy as interpreter
+from taciturn.program._llvm_body import Build
 from taciturn.program.ir import Program
-from taciturn.program.llvm import Build
 from taciturn.program.machine import Kernel
 
 Contestant = Callable[[int], tuple[int, float]]  # a seed → steps, and the rate of sending

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from taciturn.problem import load as load
     from taciturn.simulation.average import average as average
     from taciturn.simulation.average import difference as difference
+    from taciturn.simulation.bank import Bank as Bank
     from taciturn.simulation.course import Course as Course
     from taciturn.simulation.course import course as course
     from taciturn.simulation.trajectory import Trajectory as Trajectory
@@ -46,6 +47,7 @@ if TYPE_CHECKING:
 
 # Where each public name lives; it is imported when it is first asked for, so that `taciturn --help` is quick.
 _HOME = {
+    "Bank": "simulation.bank",
     "Burst": "model.network",
     "ContinuousPlant": "model.plant",
     "Cost": "model.cost",

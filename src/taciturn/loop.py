@@ -343,4 +343,4 @@ def _normals(tick: Tick, number: int, first: int) -> list[int]:
 def _noise(tick: Tick, spread: Array, first: int) -> list[int]:
     """Return G·normals, drawn under names that count from ``first``."""
     drawn = _normals(tick, spread.shape[1], first)
-    return [tick.value(tick.builder.combine([float(g) for g in row], drawn)) for row in spread]
+    return [tick.value(index) for index in tick.builder.transform(spread.tolist(), drawn)]

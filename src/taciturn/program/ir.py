@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from itertools import compress
 
-from taciturn.program.ops import EIGHT, LITERAL_ARGUMENTS, Op, Precision, State, Total
+from taciturn.program.ops import EIGHT, LITERAL_ARGUMENTS, Op, Precision, Rows, State, Total, tiles
 
+BLOCK = 256  # coefficients of a matrix, zeros left out, from which on it is multiplied in loops instead of one by one
+FULL = 4  # coefficients of a column of such a matrix, at least
 Coefficient = float | int  # a float is a number known now; an int is the index of an operation
 
 
@@ -24,6 +27,7 @@ class Program:
         sums: operations that are summed over the ticks, by name.
         outputs: operations that are recorded at each tick, by name.
         precision: of its numbers.
+        matrices: of the ``product`` operations.
     """
 
     ops: tuple[Op, ...]
@@ -35,11 +39,24 @@ class Program:
     sums: Mapping[str, int]
     outputs: Mapping[str, int]
     precision: Precision = "float64"
+    matrices: tuple[Rows, ...] = ()
 
     @property
     def operations(self) -> int:
-        """Number of operations that compute something."""
-        return sum(op.name not in ("const", "state", "input", "word", "half") for op in self.ops)
+        """Number of operations that compute something; a product counts its multiplications and additions."""
+        single = sum(op.name not in ("const", "state", "input", "word", "half", "product", "entry") for op in self.ops)
+        products = [self.matrices[op.arguments[0]] for op in self.ops if op.name == "product"]
+        return single + sum(2 * tile.rows * (tile.end - tile.begin) for rows in products for tile in tiles(rows))
+
+    @property
+    def structure(self) -> Hashable:
+        """What programs share that differ in their numbers alone: they can run side by side."""
+        shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
+        names, sizes = (tuple(self.sums.items()), tuple(self.outputs.items())), tuple(len(t) for t in self.tables)
+        states = tuple(
+            replace(state, start=0.0 if isinstance(state.start, float) else state.start) for state in self.states
+        )
+        return self.ops, states, self.following, self.inputs, names, sizes, shapes, self.precision
 
     @property
     def totals(self) -> dict[str, Total]:
@@ -86,6 +103,7 @@ class Builder:
         self.ops: list[Op] = []
         self.constants: list[float] = []
         self.tables: list[tuple[float, ...]] = []
+        self.matrices: list[Rows] = []
         self.states: list[State] = []
         self.inputs: list[str] = []
         self._known: dict[Op, int] = {}
@@ -170,6 +188,29 @@ class Builder:
                 total = self.add(total, self.scale(coefficient, value))
         return total
 
+    def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
+        """Return matrix·values, a ``combine`` for each row; a large matrix of known numbers is one operation.
+
+        Its columns with few coefficients, as those of an identity, are added one by one.
+        """
+        full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
+        rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
+        known = all(len(row) == sum(full) for row in rows)
+        if not known or sum(c != 0.0 for row in rows for c in row) < BLOCK:
+            return [self.combine(row, values) for row in matrix]
+        vector, few = self.product(rows, list(compress(values, full))), [not is_full for is_full in full]
+        alone = [self.combine(list(compress(row, few)), list(compress(values, few))) for row in matrix]
+        return [
+            self.add(self.emit("entry", vector, i) if any(row) else None, rest)
+            for i, (row, rest) in enumerate(zip(rows, alone, strict=True))
+        ]
+
+    def product(self, rows: Rows, values: Sequence[int]) -> int:
+        """Return the vector of a matrix times numbers."""
+        if rows not in self.matrices:
+            self.matrices.append(rows)
+        return self.emit("product", self.matrices.index(rows), *values)
+
     def polynomial(self, coefficients: Sequence[float], x: int) -> int:
         """Return Σ coefficient·x^i by Horner's rule: splitting into even and odd powers takes an operation more."""
         total = self.constant(coefficients[-1])
@@ -180,6 +221,7 @@ class Builder:
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
         """Return v'Ψv of a symmetric Ψ without the zeros; equal diagonal weights share one product."""
         alone: dict[int, list[int]] = {}
+        mixed: dict[int, list[Coefficient]] = {}
         total: int | None = None
         for i, value in enumerate(values):
             row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
@@ -188,8 +230,9 @@ class Builder:
             if all(_is(c, 0.0) for c in row[1:]):
                 alone.setdefault(self.value(row[0]), []).append(self.emit("mul", value, value))
             else:
-                inner = self.combine(row, values[i:])
-                total = self.add(total, None if inner is None else self.emit("mul", inner, value))
+                mixed[value] = [0.0] * i + row
+        for value, inner in zip(mixed, self.transform(list(mixed.values()), values), strict=True):
+            total = self.add(total, None if inner is None else self.emit("mul", inner, value))
         one = self.constant(1.0)
         for weight, squares in alone.items():
             square = self.add(*squares)
@@ -223,6 +266,7 @@ class Builder:
             dict(sums),
             dict(outputs or {}),
             self.precision,
+            tuple(self.matrices),
         )
         return merge_states(program)
 
@@ -255,6 +299,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
         {name: new[index] for name, index in program.sums.items()},
         {name: new[index] for name, index in program.outputs.items()},
         program.precision,
+        tuple(builder.matrices),
     )
 
 
@@ -317,6 +362,8 @@ def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) ->
         return builder.value(builder.lookup(program.tables[first], new[op.arguments[1]]))
     if op.name == "pick":
         return builder.pick(program.tables[first], new[op.arguments[1]])
+    if op.name == "product":
+        return builder.product(program.matrices[first], [new[value] for value in op.reads])
     if op.name == "state":
         return builder.state(program.states[first])
     if op.name == "input":

@@ -86,7 +86,7 @@ class Tick:
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
         joined = [[c for block in blocks for c in block[i]] for i in range(rows)]
-        return [self.value(self.builder.combine(row, values)) for row in joined]
+        return [self.value(index) for index in self.builder.transform(joined, values)]
 
     def form(self, form: Form) -> int:
         """Return the value of a form."""

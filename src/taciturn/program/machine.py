@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.program._llvm_body import Build, constants_of
 from taciturn.program.ir import Program
-from taciturn.program.llvm import Build, constants_of, print_llvm
+from taciturn.program.llvm import print_llvm
 from taciturn.program.numpy import Run
 
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
@@ -36,20 +37,29 @@ class Kernel:
     Args:
         program: the program.
         build: ``"fast"`` or ``"parity"``.
+        own: whether each path runs a program of its own, that differ in their constants.
     """
 
-    def __init__(self, program: Program, build: Build = "fast") -> None:
+    def __init__(self, program: Program, build: Build = "fast", own: bool = False) -> None:
         """Compile, or fetch what was compiled before."""
+        self.own = own
         self.lanes = vector_lanes() * (2 if program.precision == "float32" else 1)
         self._sizes = _sizes(program)
-        self._code = _load(print_llvm(program, self.lanes, build))
+        self._code = _load(print_llvm(program, self.lanes, build, own))
 
     def run(
-        self, program: Program, states: Array, ticks: int, inputs: Array | None = None, threads: int | None = None
+        self,
+        program: Program,
+        states: Array,
+        ticks: int,
+        inputs: Array | None = None,
+        threads: int | None = None,
+        constants: Array | None = None,
     ) -> Run:
         """Run ``ticks`` ticks on every path; arguments and result as in ``taciturn.program.numpy.run``.
 
-        Any number of paths and threads gives the same bits: a path sees nothing of its neighbours.
+        Any number of paths and threads gives the same bits: a path sees nothing of its neighbours. Where each has
+        ``constants`` of its own, (constants, paths), the sums are those of ``Program.totals`` before their factors.
         """
         paths, lanes = states.shape[1], self.lanes
         blocks = -(-paths // lanes)
@@ -62,8 +72,9 @@ class Kernel:
         sums = np.zeros((blocks, len(program.sums), lanes))
         supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
-        constants = np.array(constants_of(program))
-        arrays = (state, sums, constants, supplied, outputs)
+        assert self.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
+        known = np.array(constants_of(program)) if constants is None else _into_blocks(constants, lanes)
+        arrays = (state, sums, known, supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:
             if part[0] < part[1] and ticks > 0:
@@ -83,7 +94,10 @@ class Kernel:
         final = state.transpose(1, 0, 2).reshape(len(program.states), width)[:, :paths]
         return Run(
             np.ascontiguousarray(final),
-            {name: total.of(row, ticks) for (name, total), row in zip(program.totals.items(), by_sum, strict=True)},
+            {
+                name: row if self.own else total.of(row, ticks)
+                for (name, total), row in zip(program.totals.items(), by_sum, strict=True)
+            },
             dict(zip(program.outputs, by_output, strict=True)),
         )
 

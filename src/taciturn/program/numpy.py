@@ -5,7 +5,7 @@ Every operation rounds once, in the order of the program, so the printers' parit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn.program.ir import Program
-from taciturn.program.ops import EIGHT, WINDOW, Op
+from taciturn.program.ops import EIGHT, WINDOW, Op, Rows, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
 
@@ -130,7 +130,8 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
         values: list[Value] = []
         supplied = None if inputs is None else inputs[tick].astype(kind)
         for index, op in enumerate(program.ops):
-            values.append(fixed[index] if index in fixed else _apply(op, values, memory, supplied, tables))
+            here = fixed[index] if index in fixed else _apply(op, values, memory, supplied, tables, program.matrices)
+            values.append(here)
         for name, total in totals.items():
             window[name] = window[name] + values[total.op]
             if (tick + 1) % WINDOW == 0 or tick + 1 == ticks:
@@ -155,17 +156,39 @@ def _fixed(program: Program, paths: int) -> dict[int, Value]:
     return fixed
 
 
-def _apply(op: Op, values: list[Value], memory: list[Value], supplied: Array | None, tables: list[Value]) -> Value:
+def _product(matrix: Rows, values: Sequence[Value]) -> Value:
+    """Return the matrix times the values, (rows, paths)."""
+    coefficients = np.array(matrix, dtype=values[0].dtype)
+    result = np.zeros((len(matrix), len(values[0])), dtype=values[0].dtype)
+    for tile in tiles(matrix):
+        rows = slice(tile.first, tile.first + tile.rows)
+        for j in range(tile.begin, tile.end):
+            result[rows] += coefficients[rows, j, None] * values[j]
+    return result
+
+
+def _apply(
+    op: Op,
+    values: list[Value],
+    memory: list[Value],
+    supplied: Array | None,
+    tables: list[Value],
+    matrices: Sequence[Rows],
+) -> Value:
     name, rest = op
     if name == "state":
         return memory[rest[0]]
     if name == "input":
         assert supplied is not None, "the program has inputs, and none are supplied"
         return supplied[rest[0]]
+    if name == "product":
+        return _product(matrices[rest[0]], [values[i] for i in rest[1:]])
     if name == "lookup":
         return tables[rest[0]][values[rest[1]].astype(np.int64)]
     if name == "pick":
         return tables[rest[0]][values[rest[1]] & np.uint64(EIGHT - 1)]
+    if name == "entry":
+        return values[rest[0]][rest[1]]
     if name in ("shift_left", "shift_right", "rotate_left"):
         return _RULES[name](values[rest[0]], rest[1])
     return _RULES[name](*(values[argument] for argument in rest))

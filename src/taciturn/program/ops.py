@@ -12,6 +12,8 @@ vectors and loops belong to the printers, not to the program.
 | `select` | truth value, two numbers | the first where true |
 | `lookup` | index into `tables`, a number that is a small integer | number |
 | `pick` | index into `tables` of eight entries, word | number: the entry at the word's last three bits |
+| `product` | index into `matrices`, numbers | vector: the matrix times the numbers |
+| `entry` | vector, literal | number: its entry |
 | `greater` `less_equal` | two numbers | truth value |
 | `and` `not` | truth values | truth value |
 | `word` / `half` | literal | word / half |
@@ -32,6 +34,7 @@ from typing import Literal, NamedTuple
 from taciturn._arrays import Array
 
 Precision = Literal["float64", "float32"]
+TILE = 8  # rows of a product that are computed side by side
 WINDOW = 256  # ticks whose sum is kept in the precision of the program; sums of windows are doubles
 EIGHT = 8  # entries that a word can pick from: one vector of the widest kind
 
@@ -43,6 +46,8 @@ LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of ar
     "half": (0,),
     "lookup": (0,),
     "pick": (0,),
+    "product": (0,),
+    "entry": (1,),
     "shift_left": (1,),
     "shift_right": (1,),
     "rotate_left": (1,),
@@ -82,6 +87,37 @@ class State:
     index: int
     start: float | tuple[str, int] = 0.0
     word: bool = False
+
+
+class Tile(NamedTuple):
+    """Some rows of a matrix, and the columns from the first to the last where one of them is not zero.
+
+    The rows times the numbers of these columns are added up from the left, to 0.
+
+    Args:
+        first: row.
+        rows: how many.
+        begin: first column.
+        end: column after the last.
+    """
+
+    first: int
+    rows: int
+    begin: int
+    end: int
+
+
+Rows = tuple[tuple[float, ...], ...]
+
+
+def tiles(matrix: Rows) -> list[Tile]:
+    """Return a matrix as tiles; rows of zeros alone are in none."""
+    found: list[Tile] = []
+    for first in range(0, len(matrix), TILE):
+        rows = matrix[first : first + TILE]
+        used = [j for j, column in enumerate(zip(*rows, strict=True)) if any(column)]
+        found += [Tile(first, len(rows), used[0], used[-1] + 1)] if used else []
+    return found
 
 
 class Total(NamedTuple):

@@ -1,0 +1,262 @@
+"""Prints the operations of a program as LLVM IR, on vectors of numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Literal
+
+from taciturn.program.ir import Program
+from taciturn.program.ops import EIGHT, Precision, Rows, Tile, tiles
+
+Build = Literal["parity", "fast"]
+_FLAGS: Mapping[Build, str] = {
+    "parity": "",  # every operation rounds once, as in NumPy
+    "fast": "nsz contract ",  # fused multiply-add; no reassociation: it breaks the bit tricks of the draws
+}
+HOISTED = 128  # constants that are spread over vectors ahead of all ticks; more are spread where they are used
+PERMUTE = "llvm.x86.avx512.permvar.df.512"
+_NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
+_ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
+_SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
+
+
+def constants_of(program: Program) -> list[float]:
+    """Return what the argument ``constants`` must hold: constants, tables, and the columns of the matrices' tiles."""
+    tables = (value for table in program.tables for value in table)
+    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _columns(matrix, tile))
+    return [*program.constants, *tables, *matrices]
+
+
+def _columns(matrix: Rows, tile: Tile) -> list[float]:
+    """Return the coefficients of a tile, column by column."""
+    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
+
+
+class Body:
+    """Lines of LLVM IR, and the names of what they compute.
+
+    Args:
+        program: whose operations are printed.
+        lanes: width of the vectors.
+        build: whether operations may fuse.
+        own: whether each lane has constants of its own.
+    """
+
+    def __init__(self, program: Program, lanes: int, build: Build, own: bool) -> None:
+        """Start with no lines."""
+        self.program, self.lanes, self.flags, self.own = program, lanes, _FLAGS[build], own
+        self.number, self.bits = _NUMBER[program.precision]
+        self.numbers, self.doubles, self.truths = (f"<{lanes} x {kind}>" for kind in (self.number, "double", "i1"))
+        self.words, self.halves = f"<{lanes} x i64>", f"<{lanes} x i32>"
+        self.permutes = lanes == EIGHT and program.precision == "float64" and not own
+        self.copies = program.precision == "float32" and not own  # constants become floats once
+        self.number_at = self.number if self.copies else "double"  # what stands at the base of the constants
+        self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
+        self.lines: list[str] = []
+        self.names: list[str] = []  # of the operations' values
+        self.vectors: dict[int, list[str]] = {}  # of the entries of products
+        self.halves_known: set[str] = set()  # names of half words
+        self.alone = len(program.constants) > HOISTED
+        self.constants: list[str] = []  # those spread ahead of all ticks
+        self.base = ""  # address of the constants
+        self.first_input = ""  # row of the tick's first input
+        self.label = ""  # of the block that is printed
+        self.counter = 0
+
+    def operations(self) -> None:
+        """Print every operation of the program."""
+        for index, op in enumerate(self.program.ops):
+            if op.name == "product":
+                self.vectors[index] = self._product(op.arguments[0], op.reads)
+                self.names.append("")
+            else:
+                self.names.append(self._operation(op.name, op.arguments))
+
+    def _new(self, text: str) -> str:
+        self.counter += 1
+        name = f"%v{self.counter}"
+        self.lines.append(f"  {name} = {text}")
+        return name
+
+    def _splat(self, scalar: str, kind: str) -> str:
+        """Return a vector with the scalar in every lane."""
+        vector = f"<{self.lanes} x {kind}>"
+        one = self._new(f"insertelement {vector} poison, {kind} {scalar}, i32 0")
+        return self._new(f"shufflevector {vector} {one}, {vector} poison, <{self.lanes} x i32> zeroinitializer")
+
+    def _load(self, address: str) -> str:
+        """Return the numbers that stand as doubles at an address."""
+        return self._narrow(self._new(f"load {self.doubles}, ptr {address}, align 8"))
+
+    def _narrow(self, doubles: str) -> str:
+        if self.number == "double":
+            return doubles
+        return self._new(f"fptrunc {self.doubles} {doubles} to {self.numbers}")
+
+    def _widen(self, numbers: str) -> str:
+        """Return numbers as doubles."""
+        return numbers if self.number == "double" else self._new(f"fpext {self.numbers} {numbers} to {self.doubles}")
+
+    def _row(self, base: str, first: str, index: int) -> str:
+        """Return the address of row ``index`` behind row ``first`` of an array of vectors of doubles."""
+        row = self._new(f"add i64 {first}, {index}")
+        offset = self._new(f"mul i64 {row}, {self.lanes}")
+        return self._new(f"getelementptr double, ptr {base}, i64 {offset}")
+
+    def _address(self, base: str, index: int | str) -> str:
+        """Return the address of a constant, or of one in each lane."""
+        if self.own:
+            index = self._new(f"mul i64 {index}, {self.lanes}")
+        return self._new(f"getelementptr {self.number_at}, ptr {base}, i64 {index}")
+
+    def _coefficient(self, index: int | str, base: str | None = None) -> str:
+        """Return a constant in every lane, given its place behind an address."""
+        address = self._address(base or self.base, index)
+        if self.own:
+            return self._load(address)
+        return self._splat(self._new(f"load {self.number}, ptr {address}, align 4"), self.number)
+
+    def _operation(self, name: str, rest: Sequence[int]) -> str:
+        V, B, names = self.numbers, self.truths, self.names
+        if name == "const":
+            return self._coefficient(rest[0]) if self.alone else self.constants[rest[0]]
+        if name == "state":
+            return f"%state{rest[0]}"
+        if name == "input":
+            return self._load(self._row("%inputs", self.first_input, rest[0]))
+        if name in _ARITHMETIC:
+            return self._new(f"{_ARITHMETIC[name]} {self.flags}{V} {names[rest[0]]}, {names[rest[1]]}")
+        if name == "sqrt":
+            return self._new(f"call {self.flags}{V} @llvm.sqrt.v{self.lanes}f{self.bits}({V} {names[rest[0]]})")
+        if name == "entry":
+            return self.vectors[rest[0]][rest[1]]
+        if name == "select":
+            return self._new(f"select {B} {names[rest[0]]}, {V} {names[rest[1]]}, {V} {names[rest[2]]}")
+        if name == "lookup":
+            return self._lookup(*rest)
+        if name == "pick":
+            return self._pick(*rest)
+        if name in ("greater", "less_equal"):
+            return self._new(f"fcmp {'ogt' if name == 'greater' else 'ole'} {V} {names[rest[0]]}, {names[rest[1]]}")
+        if name == "and":
+            return self._new(f"and {B} {names[rest[0]]}, {names[rest[1]]}")
+        if name == "not":
+            return self._new(f"xor {B} {names[rest[0]]}, {self._every('i1', 'true')}")
+        return self._on_bits(name, rest)
+
+    def _on_bits(self, name: str, rest: Sequence[int]) -> str:
+        """Print an operation on words or halves; what is not known as a half is a word."""
+        if name in ("word", "half"):
+            kind = "i64" if name == "word" else "i32"
+            return self._half(self._every(kind, str(rest[0])), name == "half")
+        x = self.names[rest[0]]
+        half = x in self.halves_known
+        kind, T = ("i32", self.halves) if half else ("i64", self.words)
+        if name in _INTEGER:
+            return self._half(self._new(f"{_INTEGER[name]} {T} {x}, {self.names[rest[1]]}"), half)
+        if name in _SHIFT:
+            return self._half(self._new(f"{_SHIFT[name]} {T} {x}, {self._every(kind, str(rest[1]))}"), half)
+        if name == "rotate_left":
+            by = self._every(kind, str(rest[1]))
+            return self._new(f"call {T} @llvm.fshl.v{self.lanes}{kind}({T} {x}, {T} {x}, {T} {by})")
+        if name in ("upper", "lower"):
+            return self._half(self._every_other(x, 1 if name == "upper" else 0), True)
+        if name == "count":
+            return self._new(f"uitofp {T} {x} to {self.numbers}")
+        if name == "bits":
+            half = self.number == "float"
+            T = self.halves if half else self.words
+            return self._half(self._new(f"bitcast {self.numbers} {x} to {T}"), half)
+        if name == "number":
+            return self._new(f"bitcast {T} {x} to {self.numbers}")
+        assert name == "any_bit", name
+        return self._new(f"icmp ne {T} {x}, {self._every(kind, '0')}")
+
+    def _half(self, name: str, is_half: bool) -> str:
+        if is_half:
+            self.halves_known.add(name)
+        return name
+
+    def _every_other(self, words: str, first: int) -> str:
+        """Return the lower (0) or upper (1) halves of words: one permutation, where truncating takes three steps."""
+        wide = f"<{2 * self.lanes} x i32>"
+        parts = self._new(f"bitcast {self.words} {words} to {wide}")
+        chosen = ", ".join(f"i32 {2 * lane + first}" for lane in range(self.lanes))
+        return self._new(f"shufflevector {wide} {parts}, {wide} poison, <{self.lanes} x i32> <{chosen}>")
+
+    def _product(self, matrix: int, values: Sequence[int]) -> list[str]:
+        """Return the entries of a matrix times numbers: for each tile a loop over its columns."""
+        V, program = self.numbers, self.program
+        before = len(program.constants) + sum(len(table) for table in program.tables)
+        before += sum(len(_columns(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
+        column = self._new(f"getelementptr {V}, ptr %column, i64 0")
+        for i, value in enumerate(values):
+            address = self._new(f"getelementptr {V}, ptr {column}, i64 {i}")
+            self.lines.append(f"  store {V} {self.names[value]}, ptr {address}, align 8")
+        result = ["zeroinitializer"] * len(program.matrices[matrix])
+        for tile in tiles(program.matrices[matrix]):
+            rows = slice(tile.first, tile.first + tile.rows)
+            result[rows] = self._tile(tile, before, column)
+            before += tile.rows * (tile.end - tile.begin)
+        return result
+
+    def _tile(self, tile: Tile, before: int, column: str) -> list[str]:
+        """Return the entries of a tile's rows; ``before`` is where its coefficients stand in the constants."""
+        V, loop = self.numbers, f"columns{self.counter}"
+        totals = [f"%{loop}_{i}" for i in range(tile.rows)]
+        start = self._address(self.base, before - tile.begin * tile.rows)
+        self.lines += [f"  br label %{loop}", f"{loop}:"]
+        self.lines.append(f"  %{loop}_j = phi i64 [ {tile.begin}, %{self.label} ], [ %{loop}_next, %{loop} ]")
+        for total in totals:
+            self.lines.append(f"  {total} = phi {V} [ zeroinitializer, %{self.label} ], [ {total}_next, %{loop} ]")
+        value = self._new(f"load {V}, ptr {self._new(f'getelementptr {V}, ptr {column}, i64 %{loop}_j')}, align 8")
+        first = self._address(start, self._new(f"mul i64 %{loop}_j, {tile.rows}"))
+        for i, total in enumerate(totals):
+            coefficient = self._coefficient(i, first)
+            term = self._new(f"fmul {self.flags}{V} {coefficient}, {value}")
+            self.lines.append(f"  {total}_next = fadd {self.flags}{V} {total}, {term}")
+        self.lines += [
+            f"  %{loop}_next = add i64 %{loop}_j, 1",
+            f"  %{loop}_more = icmp slt i64 %{loop}_next, {tile.end}",
+            f"  br i1 %{loop}_more, label %{loop}, label %after_{loop}",
+            f"after_{loop}:",
+        ]
+        self.label = f"after_{loop}"
+        return [f"{total}_next" for total in totals]
+
+    def _every(self, kind: str, literal: str) -> str:
+        return "<" + ", ".join([f"{kind} {literal}"] * self.lanes) + ">"
+
+    def _table(self, table: int) -> str:
+        """Return the address of a table."""
+        before = len(self.program.constants) + sum(len(values) for values in self.program.tables[:table])
+        start = "%constants" if not self.own else self.base
+        return self._new(f"getelementptr double, ptr {start}, i64 {before * (self.lanes if self.own else 1)}")
+
+    def _pick(self, table: int, word: int) -> str:
+        """A table of eight doubles fits one register of AVX-512, and is permuted there; elsewhere it is gathered."""
+        base, U = self._table(table), self.words
+        if self.permutes:
+            entries = self._new(f"load {self.doubles}, ptr {base}, align 8")
+            return self._new(f"call {self.doubles} @{PERMUTE}({self.doubles} {entries}, {U} {self.names[word]})")
+        offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
+        return self._gathered(base, U, offsets)
+
+    def _lookup(self, table: int, index: int) -> str:
+        integers = self.halves  # every vector unit converts to these; few to 64 bits
+        offsets = self._new(f"fptosi {self.numbers} {self.names[index]} to {integers}")
+        return self._gathered(self._table(table), integers, offsets)
+
+    def _gathered(self, base: str, kind: str, offsets: str) -> str:
+        if self.own:
+            element = "i32" if kind == self.halves else "i64"
+            lanes = "<" + ", ".join(f"{element} {lane}" for lane in range(self.lanes)) + ">"
+            scaled = self._new(f"mul {kind} {offsets}, {self._every(element, str(self.lanes))}")
+            offsets = self._new(f"add {kind} {scaled}, {lanes}")
+        addresses = self._new(f"getelementptr double, ptr {base}, {kind} {offsets}")
+        doubles = self._new(
+            f"call {self.doubles} @{self.gather}(<{self.lanes} x ptr> {addresses}, i32 8, "
+            f"{self.truths} {self._every('i1', 'true')}, {self.doubles} zeroinitializer)"
+        )
+        return self._narrow(doubles)

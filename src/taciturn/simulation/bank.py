@@ -1,0 +1,101 @@
+"""Many loops, one tick at a time: a network of them, or a parameter that varies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, count, instance
+from taciturn.errors import ProblemError
+from taciturn.loop import COST, SENT, Loop
+from taciturn.program.engine import Stepper
+from taciturn.program.ir import Program
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """What each loop of a bank cost and sent.
+
+    Args:
+        cost: mean stage cost of each loop, per unit of time as an average counts it, (loops,).
+        sends: mean sends per tick of each loop, by link, (loops,); 0 where a loop has no such link.
+    """
+
+    cost: Array
+    sends: Mapping[str, Array]
+
+
+class Bank:
+    """Loops side by side: each is one path with its own numbers, and all of equal structure share machine code.
+
+    Loop i has the draws of path i of the seed. A loop may stand in a bank more than once, for a mean over its paths.
+
+    Args:
+        loops: closed loops, of any policies.
+        seed: of the draws.
+
+    Raises:
+        ProblemError: no loops, or one whose cost has a horizon or a discount.
+
+    Example:
+        >>> from taciturn import Bank, Cost, Plant, close, design
+        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
+        >>> bank = Bank([close(plant, design.lqg(plant, cost, theta=theta)) for theta in (0.1, 0.2, 0.4)])
+        >>> bank.structures, bank.run(1).cost.shape
+        (1, (3,))
+    """
+
+    def __init__(self, loops: Sequence[Loop], seed: int = 0) -> None:
+        """Group the loops by structure, compile each structure once."""
+        for loop in loops:
+            instance("loops", loop, Loop)
+            if loop.horizon is not None:
+                raise ProblemError(
+                    f"the cost of a loop of {loop.policy.kind} ends after {loop.horizon} ticks; expected averages"
+                )
+        if not loops:
+            raise ProblemError("loops is empty; expected at least one closed loop")
+        self.loops, seed = tuple(loops), count("seed", seed, 0)
+        groups: dict[object, list[tuple[int, Program]]] = {}
+        for index, loop in enumerate(loops):
+            links = {f"{SENT} {link}" for link in loop.policy.scheduled}
+            program = loop.program().keep({COST, *links})
+            groups.setdefault(program.structure, []).append((index, program))
+        self._steppers: list[tuple[list[int], Stepper]] = []
+        self._states: list[Array] = []
+        for members in groups.values():
+            indices = [index for index, _ in members]
+            starts = [self.loops[index].start(program, 1, seed, first=index) for index, program in members]
+            self._steppers.append((indices, Stepper([program for _, program in members])))
+            self._states.append(np.concatenate(starts, axis=1))
+
+    @property
+    def structures(self) -> int:
+        """Number of different programs that are compiled."""
+        return len(self._steppers)
+
+    def run(self, ticks: int = 1, threads: int | None = None) -> Tally:
+        """Run all loops on for some ticks.
+
+        Args:
+            ticks: at least 1.
+            threads: omitted: all processors; the result does not depend on it.
+
+        Returns:
+            What each loop cost and sent in these ticks.
+        """
+        ticks, many = count("ticks", ticks), len(self.loops)
+        problems = [loop.problem for loop in self.loops]
+        cost = np.array([problem.noise_cost / problem.tick for problem in problems])
+        sends = {link: np.zeros(many) for loop in self.loops for link in loop.policy.scheduled}
+        pace = np.array([problem.tick for problem in problems])
+        for k, (indices, stepper) in enumerate(self._steppers):
+            self._states[k], sums = stepper.run(self._states[k], ticks, threads)
+            for name, total in sums.items():
+                if name == COST:
+                    cost[indices] += total / ticks / pace[indices]
+                else:
+                    sends[name.removeprefix(f"{SENT} ")][indices] = total / ticks
+        return Tally(cost, sends)

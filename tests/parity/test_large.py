@@ -1,0 +1,170 @@
+"""Large programs multiply matrices in loops, and many programs of one structure run side by side: the same numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parity.loops import assert_parity, differences, programs, with_precision
+from systems import make_system
+
+import taciturn
+from taciturn import Bank, Cost, Plant, close, design
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.program import engine, ir, machine
+from taciturn.program import numpy as interpreter
+from taciturn.program._llvm_body import HOISTED, constants_of
+from taciturn.program.ir import Builder, Program
+from taciturn.program.machine import Kernel
+from taciturn.program.ops import Precision, tiles
+
+PRECISIONS = st.sampled_from(["float64", "float32"])
+
+
+def large(seed: int, n: int, m: int, p: int) -> Loop:
+    """Return the event-triggered loop of a random system."""
+    system = make_system(seed, n, m, p, False)
+    return close(system.plant, design.lqg(system.plant, system.cost, theta=0.2))
+
+
+def products(program: Program) -> int:
+    """Return how many matrices are multiplied in loops."""
+    return sum(op.name == "product" for op in program.ops)
+
+
+@settings(max_examples=6)
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(17, 24), precision=PRECISIONS)
+def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) -> None:
+    """With plant and filter, and in the innovations form."""
+    loop = with_precision(large(seed, n, 3, 5), precision)
+    for program in programs(loop):
+        assert products(program) > 0
+        assert len(program.constants) > HOISTED or program.precision == "float32"
+        assert_parity(loop, program, seed, ticks=7)
+
+
+def test_products_are_what_single_coefficients_would_give(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To rounding, tick for tick, while the decisions agree."""
+    loop = large(1, 18, 2, 4)
+    blocked = loop.program()
+    monkeypatch.setattr(ir, "BLOCK", 10**9)
+    single = loop.program()
+    assert products(blocked) > 0 == products(single)
+    assert blocked.operations < 1.3 * single.operations
+    one, other = (interpreter.run(program, loop.start(program, 5, 3), 30) for program in (blocked, single))
+    size = np.abs(one.outputs["x 0"]).max()
+    assert np.abs(one.outputs["x 0"] - other.outputs["x 0"]).max() < 1e-9 * size
+
+
+@settings(max_examples=60)
+@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(1, 40), columns=st.integers(1, 40), share=st.floats(0, 1))
+def test_a_transform_is_the_matrix_times_the_numbers(seed: int, rows: int, columns: int, share: float) -> None:
+    """Whatever its zeros: dense, sparse, with empty rows and columns."""
+    draws = np.random.default_rng(seed)
+    matrix = draws.normal(size=(rows, columns)) * (draws.random((rows, columns)) < share)
+    matrix[draws.random(rows) < 0.2] = 0
+    matrix[:, draws.random(columns) < 0.2] = 0
+    b = Builder()
+    values = [b.input(f"in {j}") for j in range(columns)]
+    found = b.transform(matrix.tolist(), values)
+    assert [index is None for index in found] == [not row.any() for row in matrix]
+    program = b.finish([], {}, {f"{i}": index for i, index in enumerate(found) if index is not None})
+    inputs = draws.normal(size=(2, columns, 9))
+    supplied = inputs[:, [int(name.split()[1]) for name in program.inputs]]
+    meaning = interpreter.run(program, np.zeros((0, 9)), 2, supplied)
+    assert differences(meaning, Kernel(program, "parity").run(program, np.zeros((0, 9)), 2, supplied)) == []
+    for name, row in meaning.outputs.items():
+        assert np.abs(row - matrix[int(name)] @ inputs).max() < 1e-12
+    covered = sum(tile.rows * (tile.end - tile.begin) for rows_ in program.matrices for tile in tiles(rows_))
+    assert covered <= rows * columns
+
+
+def own(loops: list[Loop]) -> list[Program]:
+    """Return the programs of the loops."""
+    return [loop.program() for loop in loops]
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("size", [4, 20])
+def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Precision, size: int) -> None:
+    """Lane by lane, bit for bit: constants, tables of schedules, matrices."""
+    draws = np.random.default_rng(size)
+    loops: list[Loop] = []
+    for _ in range(11):
+        A = draws.normal(size=(size, size)) / size
+        plant = Plant(
+            A, draws.normal(size=(size, 1)), draws.uniform(1, 2) * np.eye(size), np.eye(2, size), np.diag([1.0, 2.0])
+        )
+        policy = design.periodic(plant, Cost(np.eye(size), np.eye(1)), every=3)
+        loops.append(with_precision(close(plant, policy), precision))
+    written = own(loops)
+    assert len({program.structure for program in written}) == 1
+    assert written[0].tables
+    assert (products(written[0]) > 0) == (size == 20)
+    starts = [loop.start(p, 1, 7, first=i) for i, (loop, p) in enumerate(zip(loops, written, strict=True))]
+    states = np.concatenate(starts, axis=1)
+    constants = np.array([constants_of(program) for program in written]).T
+    together = Kernel(written[0], "parity", own=True).run(written[0], states, 40, constants=constants)
+    for i, program in enumerate(written):
+        alone = interpreter.run(program, states[:, [i]], 40)
+        assert np.array_equal(together.states[:, [i]], alone.states, equal_nan=True)
+        for name, total in program.totals.items():
+            assert total.of(together.sums[name][i : i + 1], 40) == alone.sums[name]
+
+
+def masses(theta: float) -> Loop:
+    """Return a loop of the two masses."""
+    problem = taciturn.load("two-mass")
+    return problem.close(problem.changed({"theta": theta}).design())
+
+
+def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixty values of theta compile once, and each loop has the mean of its own path; one tick at a time or many."""
+    compiled: list[str] = []
+    compile_once = machine._load
+    monkeypatch.setattr(machine, "_load", lambda text: compiled.append(text) or compile_once(text))
+    loops = [masses(theta) for theta in np.linspace(0.05, 1.0, 60)]
+    bank = Bank(loops, seed=3)
+    assert (bank.structures, len(compiled)) == (1, 1)
+    steps = [bank.run() for _ in range(30)]
+    many = bank.run(400)
+    for i in (0, 17, 59):
+        program = loops[i].program()
+        states = loops[i].start(program, 1, 3, first=i)
+        first = interpreter.run(program, states, 30)
+        rest = interpreter.run(program, first.states, 400)
+        noise = loops[i].problem.noise_cost
+        assert sum(step.cost[i] for step in steps) == pytest.approx(first.sums["cost"][0] + 30 * noise, rel=1e-9)
+        assert sum(step.sends["actuator"][i] for step in steps) == first.sums["sent actuator"][0]
+        assert many.cost[i] == pytest.approx(rest.sums["cost"][0] / 400 + noise, rel=1e-9)
+        assert many.sends["actuator"][i] == rest.sums["sent actuator"][0] / 400
+
+
+def test_a_bank_holds_loops_of_any_structure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Different policies and plants, and the same numbers without machine code."""
+    plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
+    scalar = [close(plant, design.lqg(plant, cost, theta=theta)) for theta in (0.1, 0.3)]
+    remote = close(plant, design.remote_lqg(plant, cost, theta=0.1, zeta=0.1))
+    loops = [scalar[0], masses(0.2), scalar[1], remote]
+    bank = Bank(loops)
+    assert bank.structures == 3
+    tally = bank.run(50)
+    assert tally.sends["sensor"][0] == 0 < tally.sends["sensor"][3]
+    monkeypatch.setattr(engine.machine, "available", lambda: False)
+    slow = Bank(loops).run(50)
+    assert np.allclose(tally.cost, slow.cost, rtol=1e-9)
+    assert all(np.array_equal(tally.sends[link], slow.sends[link]) for link in slow.sends)
+
+
+def test_what_a_bank_cannot_hold_is_refused() -> None:
+    """Nothing, something else, a mission."""
+    with pytest.raises(ProblemError, match="loops is empty"):
+        Bank([])
+    with pytest.raises(ProblemError, match="loops"):
+        Bank([taciturn.load("two-mass")])  # type: ignore[list-item]
+    plant = Plant([[1.2]], [[1.0]], [[0.01]])
+    policy = design.all_time(plant, Cost([[1.0]], [[1.0]]))
+    with pytest.raises(ProblemError, match="ends after"):
+        Bank([close(plant, policy, cost=Cost([[1.0]], [[1.0]], discount=0.9))])
