@@ -15,7 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.program import engine, ir, machine
 from taciturn.program import numpy as interpreter
-from taciturn.program._llvm_body import HOISTED, constants_of
+from taciturn.program._llvm_body import HOISTED
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 from taciturn.program.ops import Precision, tiles
@@ -105,8 +105,8 @@ def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Pre
     assert (products(written[0]) > 0) == (size == 20)
     starts = [loop.start(p, 1, 7, first=i) for i, (loop, p) in enumerate(zip(loops, written, strict=True))]
     states = np.concatenate(starts, axis=1)
-    constants = np.array([constants_of(program) for program in written]).T
-    together = Kernel(written[0], "parity", own=True).run(written[0], states, 40, constants=constants)
+    kernel = Kernel(written[0], "parity", own=True)
+    together = kernel.run(written[0], states, 40, constants=kernel.pack(written))
     for i, program in enumerate(written):
         alone = interpreter.run(program, states[:, [i]], 40)
         assert np.array_equal(together.states[:, [i]], alone.states, equal_nan=True)

@@ -13,7 +13,6 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
-from taciturn.program._llvm_body import constants_of
 from taciturn.program.ir import Program
 from taciturn.program.numpy import Run
 
@@ -40,7 +39,7 @@ class Stepper:
         """Compile once for all."""
         self._programs = programs
         self._kernel = machine.Kernel(programs[0], own=True) if machine.available() else None
-        self._constants = np.array([constants_of(program) for program in programs]).T
+        self._constants = None if self._kernel is None else self._kernel.pack(programs)
         totals = [program.totals for program in programs]
         self._factors = {name: np.array([total[name].factor for total in totals]) for name in totals[0]}
         self._offsets = {name: np.array([total[name].offset for total in totals]) for name in totals[0]}

@@ -344,13 +344,11 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 
 def _needed(program: Program, roots: Sequence[int]) -> set[int]:
-    needed: set[int] = set()
-    waiting = list(roots)
-    while waiting:
-        index = waiting.pop()
-        if index not in needed:
-            needed.add(index)
-            waiting += program.ops[index].reads
+    """Return the operations that the roots depend on: each reads only earlier ones."""
+    needed = set(roots)
+    for index in range(max(needed, default=-1), -1, -1):
+        if index in needed:
+            needed.update(program.ops[index].reads)
     return needed
 
 
@@ -368,7 +366,9 @@ def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) ->
         return builder.state(program.states[first])
     if op.name == "input":
         return builder.input(program.inputs[first])
-    literal = LITERAL_ARGUMENTS.get(op.name, ())
+    if op.name not in LITERAL_ARGUMENTS:
+        return builder.emit(op.name, *[new[argument] for argument in op.arguments])
+    literal = LITERAL_ARGUMENTS[op.name]
     return builder.emit(op.name, *(a if i in literal else new[a] for i, a in enumerate(op.arguments)))
 
 

@@ -13,6 +13,7 @@ import importlib
 import os
 import tempfile
 import warnings
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
@@ -47,6 +48,10 @@ class Kernel:
         self._sizes = _sizes(program)
         self._code = _load(print_llvm(program, self.lanes, build, own))
 
+    def pack(self, programs: Sequence[Program]) -> Array:
+        """Return the constants of programs that run side by side, (blocks, constants, lanes)."""
+        return _into_blocks(np.array([constants_of(program) for program in programs]).T, self.lanes)
+
     def run(
         self,
         program: Program,
@@ -59,7 +64,7 @@ class Kernel:
         """Run ``ticks`` ticks on every path; arguments and result as in ``taciturn.program.numpy.run``.
 
         Any number of paths and threads gives the same bits: a path sees nothing of its neighbours. Where each has
-        ``constants`` of its own, (constants, paths), the sums are those of ``Program.totals`` before their factors.
+        ``constants`` of its own (``pack``), the sums are those of ``Program.totals`` before their factors.
         """
         paths, lanes = states.shape[1], self.lanes
         blocks = -(-paths // lanes)
@@ -73,7 +78,7 @@ class Kernel:
         supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
         assert self.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
-        known = np.array(constants_of(program)) if constants is None else _into_blocks(constants, lanes)
+        known = np.array(constants_of(program)) if constants is None else constants
         arrays = (state, sums, known, supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:

@@ -66,10 +66,12 @@ class Op(NamedTuple):
     arguments: tuple[int, ...]
 
     @property
-    def reads(self) -> list[int]:
+    def reads(self) -> tuple[int, ...]:
         """The operations that this one reads."""
-        literal = LITERAL_ARGUMENTS.get(self.name, ())
-        return [argument for position, argument in enumerate(self.arguments) if position not in literal]
+        if self.name not in LITERAL_ARGUMENTS:
+            return self.arguments
+        literal = LITERAL_ARGUMENTS[self.name]
+        return tuple(argument for position, argument in enumerate(self.arguments) if position not in literal)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance
 from taciturn.errors import ProblemError
@@ -58,15 +59,18 @@ class Bank:
         if not loops:
             raise ProblemError("loops is empty; expected at least one closed loop")
         self.loops, seed = tuple(loops), count("seed", seed, 0)
+        self._ticks = np.array([loop.problem.tick for loop in loops])
+        self._noise = np.array([loop.problem.noise_cost for loop in loops]) / self._ticks
+        self._links = list(dict.fromkeys(link for loop in loops for link in loop.policy.scheduled))
         groups: dict[object, list[tuple[int, Program]]] = {}
         for index, loop in enumerate(loops):
             links = {f"{SENT} {link}" for link in loop.policy.scheduled}
             program = loop.program().keep({COST, *links})
             groups.setdefault(program.structure, []).append((index, program))
-        self._steppers: list[tuple[list[int], Stepper]] = []
+        self._steppers: list[tuple[npt.NDArray[np.int64], Stepper]] = []
         self._states: list[Array] = []
         for members in groups.values():
-            indices = [index for index, _ in members]
+            indices = np.array([index for index, _ in members])
             starts = [self.loops[index].start(program, 1, seed, first=index) for index, program in members]
             self._steppers.append((indices, Stepper([program for _, program in members])))
             self._states.append(np.concatenate(starts, axis=1))
@@ -87,15 +91,12 @@ class Bank:
             What each loop cost and sent in these ticks.
         """
         ticks, many = count("ticks", ticks), len(self.loops)
-        problems = [loop.problem for loop in self.loops]
-        cost = np.array([problem.noise_cost / problem.tick for problem in problems])
-        sends = {link: np.zeros(many) for loop in self.loops for link in loop.policy.scheduled}
-        pace = np.array([problem.tick for problem in problems])
+        cost, sends = self._noise.copy(), {link: np.zeros(many) for link in self._links}
         for k, (indices, stepper) in enumerate(self._steppers):
             self._states[k], sums = stepper.run(self._states[k], ticks, threads)
             for name, total in sums.items():
                 if name == COST:
-                    cost[indices] += total / ticks / pace[indices]
+                    cost[indices] += total / ticks / self._ticks[indices]
                 else:
                     sends[name.removeprefix(f"{SENT} ")][indices] = total / ticks
         return Tally(cost, sends)
