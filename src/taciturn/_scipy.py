@@ -8,7 +8,6 @@ from typing import cast
 
 import numpy as np
 import scipy.linalg
-import scipy.optimize
 
 from taciturn._arrays import Array
 
@@ -41,6 +40,16 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
     return (X + X.T) / 2
 
 
+def discrete_lyapunov(F: Array, M: Array) -> Array:
+    """Return X with X = F X F' + M."""
+    return np.asarray(scipy.linalg.solve_discrete_lyapunov(F, M), dtype=np.float64)
+
+
+def block_diagonal(*blocks: Array) -> Array:
+    """Return a matrix with these blocks on its diagonal."""
+    return np.asarray(scipy.linalg.block_diag(*blocks), dtype=np.float64)
+
+
 def exponential(A: Array) -> Array:
     """Return e^A."""
     return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
@@ -62,4 +71,6 @@ def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
 
 def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:
     """Return where a function changes its sign, by Brent's method to a width."""
+    import scipy.optimize  # 0.15 s, which few need
+
     return float(scipy.optimize.brentq(function, low, high, xtol=width))

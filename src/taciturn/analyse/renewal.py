@@ -7,8 +7,6 @@ from taciturn.loop import Loop
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
-from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.renewal.jumps import solve_jumps
 
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
 
@@ -45,6 +43,9 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
         1.0
     """
     chain = chain_of(loop)
+    from taciturn.renewal.gaussian import solve_gaussian  # these take a while to import, and few loops reset an error
+    from taciturn.renewal.jumps import solve_jumps
+
     if loop.problem.jumps is None:
         return solve_gaussian(chain, accuracy)
     return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy)

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from taciturn._arrays import Array, ArrayLike, choice
 from taciturn._modes import radius
+from taciturn._scipy import block_diagonal
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
@@ -138,8 +138,8 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
     signals = (ESTIMATE, "candidate", "error")
     if H.ndim == 2:
-        return Form(signals, block_diag(-theta * stage, (1 + theta) * H))
-    return Form(signals, Scheduled(CLOCK, [block_diag(-theta * stage, (1 + theta) * price) for price in H]))
+        return Form(signals, block_diagonal(-theta * stage, (1 + theta) * H))
+    return Form(signals, Scheduled(CLOCK, [block_diagonal(-theta * stage, (1 + theta) * price) for price in H]))
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from taciturn._arrays import choice, number
+from taciturn._scipy import block_diagonal
 from taciturn.design.certainty import (
     COLLOCATED,
     Actuation,
@@ -126,4 +126,4 @@ def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form
     G = L.T @ p.R + p.N
     Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
     Y = theta * (M - epsilon * np.eye(p.plant.states))
-    return Form(("estimate", "error"), block_diag(-(Y + Y.T) / 2, (Z + Z.T) / 2))
+    return Form(("estimate", "error"), block_diagonal(-(Y + Y.T) / 2, (Z + Z.T) / 2))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.linalg import solve_discrete_lyapunov
 
 from taciturn._arrays import Array, choice, count
 from taciturn._modes import radius
+from taciturn._scipy import discrete_lyapunov
 from taciturn.design.certainty import (
     CLOCK,
     COLLOCATED,
@@ -159,7 +159,7 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
     problem: Discrete = discretise(plant, cost, period, prediction)
     unit = np.eye(plant.states)
     closed = problem.plant.A + problem.plant.B
-    spread = solve_discrete_lyapunov(closed, problem.plant.W)
+    spread = discrete_lyapunov(closed, problem.plant.W)
     average = float(np.trace((problem.Q + problem.N + problem.N.T + problem.R) @ spread))
     per_unit = (average + problem.noise_cost) / problem.tick
     return Policy(
