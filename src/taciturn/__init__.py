@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from taciturn.simulation.bank import Bank as Bank
     from taciturn.simulation.course import Course as Course
     from taciturn.simulation.course import course as course
+    from taciturn.simulation.statistics import batch_means as batch_means
+    from taciturn.simulation.statistics import regenerative as regenerative
     from taciturn.simulation.trajectory import Trajectory as Trajectory
     from taciturn.simulation.trajectory import simulate as simulate
     from taciturn.study.evaluate import Evaluation as Evaluation
@@ -73,6 +75,7 @@ _HOME = {
     "Trigger": "model.trigger",
     "UnstableError": "errors",
     "average": "simulation.average",
+    "batch_means": "simulation.statistics",
     "close": "loop",
     "course": "simulation.course",
     "difference": "simulation.average",
@@ -80,6 +83,7 @@ _HOME = {
     "find_losses": "study.losses",
     "load": "problem",
     "plant_from": "model.plant",
+    "regenerative": "simulation.statistics",
     "reproduce": "study.reproduce",
     "simulate": "simulation.trajectory",
     "solve_renewal": "analyse.renewal",

@@ -17,6 +17,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send, Step
 from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.jumps import add_jumps
@@ -88,7 +89,7 @@ class Loop:
         """Return one tick of the loop with the plant in it.
 
         Sums: ``cost`` (stage cost), ``excess`` (completed square, where the policy has an identity that holds),
-        ``sent LINK`` (packets). Outputs: what ``taciturn.simulation`` records.
+        ``sent LINK`` (packets), ``control …`` (means of 0). Outputs: what ``taciturn.simulation`` records.
         """
         plant = self.problem.plant
         tick = self._tick({"x": plant.states})
@@ -108,7 +109,7 @@ class Loop:
             noise = _noise(tick, factor(plant.W), len(tick.builder.inputs)) if jumps is None else add_jumps(tick, jumps)
             moved = [tick.builder.emit("add", v, w) for v, w in zip(moved, noise, strict=True)]
         tick.signals["x"] = moved
-        return with_draws(tick.finish(self._sums(tick, stage), outputs))
+        return with_draws(with_controls(tick.finish(self._sums(tick, stage), outputs)))
 
     def reduced_program(self) -> Program:
         """Return one tick of the loop as its filter sees it: driven by innovations, without the plant.
@@ -137,7 +138,7 @@ class Loop:
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
-        return with_draws(tick.finish(self._sums(tick, stage), self._outputs(tick, ())))
+        return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
         """Return the first value of each state of a program for the paths from ``first`` on, (states, paths)."""

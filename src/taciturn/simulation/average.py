@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from taciturn._arrays import count, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
+from taciturn.program.controls import controlled
 from taciturn.simulation.sampling import Averages, Estimator, Part, Progress, Sampling, sends
 
 LEAST_STEPS = 1024
@@ -32,18 +33,20 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
         )
     reduced = loop.reducible if reduced is None else reduced
     program = loop.reduced_program() if reduced else loop.program()
-    return Estimator(program.keep({EXCESS, *sends(loop)}), EXCESS, identity.constant, 1.0)
+    lean = program.keep({EXCESS, *sends(loop)})
+    return Estimator(lean, controlled(program, lean), EXCESS, identity.constant, 1.0)
 
 
 def plain_average(loop: Loop) -> Estimator:
     """Return the estimator that averages the stage cost of the loop with its plant."""
     final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
-    problem, program = loop.problem, loop.program().keep({COST, *sends(loop)}, states=final)
+    problem, program = loop.problem, loop.program()
+    lean = program.keep({COST, *sends(loop)}, states=final)
     if loop.horizon is None:
-        return Estimator(program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
+        return Estimator(lean, controlled(program, lean), COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
     alpha = problem.cost.discount
     ticks = loop.horizon if alpha == 1 else (1 - alpha**loop.horizon) / (1 - alpha)
-    return Estimator(program, COST, problem.noise_cost * ticks, 1.0)
+    return Estimator(lean, None, COST, problem.noise_cost * ticks, 1.0)
 
 
 def choose_estimator(loop: Loop) -> Estimator:

@@ -11,7 +11,7 @@ from taciturn._arrays import Array, count
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
-from taciturn.simulation.sampling import mean
+from taciturn.simulation.statistics import mean
 
 PATHS = 4096
 
@@ -28,6 +28,7 @@ class Course:
         cost: mean of x'Qx + û'Rû + 2x'Nû, (ticks,).
         standard_error: of the cost, (ticks,).
         sends: fraction of the paths that send, by link, (ticks,).
+        sends_standard_error: of these fractions, (ticks,).
         final: mean cost of the final state; None before the end of a mission, and where it costs nothing.
         paths: over which the means are taken.
     """
@@ -36,6 +37,7 @@ class Course:
     cost: Array
     standard_error: Array
     sends: Mapping[str, Array]
+    sends_standard_error: Mapping[str, Array]
     final: Estimate | None
     paths: int
 
@@ -65,12 +67,12 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
     names = [f"{SENT} {link}" for link in loop.policy.scheduled]
     program = loop.program().keep({COST}, {*names}, {"x"})
     run, states = prepare(program), loop.start(program, paths, seed)
-    cost, sends = list[Estimate](), list[list[float]]()
+    cost, sends = list[Estimate](), list[list[Estimate]]()
     for _ in range(ticks):
         found = run(states, 1, None)
         states = found.states
         cost.append(mean(found.sums[COST]))
-        sends.append([float(found.outputs[name].mean()) for name in names])
+        sends.append([mean(found.outputs[name][0]) for name in names])
     final = loop.final_cost(program, states) if ticks == loop.problem.cost.horizon else None
     problem, unit = loop.problem, 1.0 if loop.horizon is not None else loop.problem.tick
     noise: Array = problem.noise_cost * np.power(problem.cost.discount, np.arange(float(ticks)))
@@ -78,7 +80,8 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
         np.arange(ticks, dtype=np.float64) * (problem.plant.dt or 1.0),
         (np.array([stage.value for stage in cost]) + noise) / unit,
         np.array([stage.standard_error for stage in cost]) / unit,
-        dict(zip(loop.policy.scheduled, np.array(sends).T, strict=True)),
+        {link: np.array([tick[i].value for tick in sends]) for i, link in enumerate(loop.policy.scheduled)},
+        {link: np.array([tick[i].standard_error for tick in sends]) for i, link in enumerate(loop.policy.scheduled)},
         None if final is None else mean(final),
         paths,
     )

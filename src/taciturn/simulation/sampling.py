@@ -13,8 +13,10 @@ from taciturn._arrays import Array
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
+from taciturn.program.controls import CONTROL
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
+from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
@@ -29,6 +31,8 @@ DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one pa
 RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
+ROOM = 8  # paths for each control variate
+PAYS = 4  # times what was run so far must be left to run, for control variates to pay
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
 Progress = Callable[[float], None]
 
@@ -58,12 +62,14 @@ class Estimator:
 
     Args:
         program: one tick of the loop.
+        controlled: the same with control variates among its sums, for long runs; None for missions.
         sum: name of the sum.
         offset: what is added, in the units of the cost.
         scale: factor of the mean per tick.
     """
 
     program: Program
+    controlled: Program | None
     sum: str
     offset: float
     scale: float
@@ -87,6 +93,12 @@ class Part:
     def names(self) -> list[str]:
         """The sums that are read: that of the estimator, then the sends on each link."""
         return [self.estimator.sum, *sends(self.loop)]
+
+    @property
+    def controls(self) -> list[str]:
+        """The sums whose mean is 0."""
+        program = self.estimator.controlled
+        return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
 
     @property
     def settling(self) -> float:
@@ -127,12 +139,27 @@ class Sampling:
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile."""
         self.parts, self.seed, self.threads, self.progress = parts, seed, threads, progress
-        self.runs = [prepare(part.estimator.program) for part in parts]
         self.offset = sum(part.sign * part.estimator.offset for part in parts)
-        sizes = [len(part.names) for part in parts]
-        self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
-        self.counted: npt.NDArray[np.bool_] = np.array([k > 0 for size in sizes for k in range(size)])
         self.steps = 0
+        self._read([part.estimator.program for part in parts], [part.names for part in parts])
+
+    def _read(self, programs: Sequence[Program], names: Sequence[Sequence[str]]) -> None:
+        """Run these programs from now on, and read these sums of theirs."""
+        self.runs, self.names = [prepare(program) for program in programs], names
+        sizes = [len(some) for some in names]
+        self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
+        kinds = [name.split()[0] for some in names for name in some]
+        self.counted: npt.NDArray[np.bool_] = np.array([kind == SENT for kind in kinds])
+        self.controls: npt.NDArray[np.bool_] = np.array([kind == CONTROL for kind in kinds])
+
+    def _add_controls(self, paths: int) -> bool:
+        """Add control variates to what is read, if there are some and enough paths to fit them; tell whether."""
+        many = sum(len(part.controls) for part in self.parts)
+        programs = [part.estimator.controlled for part in self.parts if part.estimator.controlled is not None]
+        if self.controls.any() or many == 0 or paths < ROOM * (many + 1) or len(programs) < len(self.parts):
+            return False
+        self._read(programs, [[*part.names, *part.controls] for part in self.parts])
+        return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
         """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
@@ -141,6 +168,9 @@ class Sampling:
         paths = min(PATHS, max(8, budget // (2 * least * width) // 8 * 8))
         states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
         states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
+        paths = states[0].shape[1]
+        if steps is not None and self._affordable(states, budget) > PAYS * dropped:
+            self._add_controls(paths)
         kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
         window = min(dropped, self._affordable(states, budget) // 2)  # two windows, to compare them
         while True:
@@ -166,6 +196,10 @@ class Sampling:
                 return Averages(cost, rates, self.steps, dropped, steps is not None and long_enough)
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
+            if missing > PAYS * measured and self._add_controls(paths):
+                dropped += measured
+                kept = []
+                missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
@@ -178,7 +212,7 @@ class Sampling:
             )
         paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
         share = 1 / horizon if discount == 1 else 1 - discount  # of a tick in a rate
-        costs, first, rates = _Moments(), _Moments(), dict[str, _Moments]()
+        costs, first, rates = Moments(), Moments(), dict[str, Moments]()
         while True:
             done = self.steps // horizon // width
             states = [part.loop.start(part.estimator.program, paths, self.seed, first=done) for part in self.parts]
@@ -190,7 +224,7 @@ class Sampling:
             costs.add(self._contrast(sums))
             first.add(sums[0])
             for link, row in self._sends(sums).items():
-                rates.setdefault(link, _Moments()).add(row)
+                rates.setdefault(link, Moments()).add(row)
             cost = costs.mean().scaled(1.0, self.offset)
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
             target = self._target(standard_error, first.center)
@@ -249,10 +283,12 @@ class Sampling:
         chunk = max(1, CHUNK // paths)
         while ticks > 0:
             now = min(ticks, chunk)
-            for k, (part, run, rows) in enumerate(zip(self.parts, self.runs, self.rows, strict=True)):
+            for k, (part, run, rows, names) in enumerate(
+                zip(self.parts, self.runs, self.rows, self.names, strict=True)
+            ):
                 result = run(after[k], now, self.threads)
                 after[k] = result.states
-                sums[rows] += np.array([result.sums[name] for name in part.names])
+                sums[rows] += np.array([result.sums[name] for name in names])
                 self.steps += now * paths
                 if not np.abs(sums[rows]).max() < HUGE:  # or not a number
                     raise part.diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
@@ -270,7 +306,7 @@ class Sampling:
                 raise part.diverges("its cost grew a million times between two windows")
         early = self.counted / length  # a window may end just before a send
         drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))
-        return bool((np.abs(change.mean(axis=1)) <= drift).all())
+        return bool((np.abs(change.mean(axis=1)) <= drift)[~self.controls].all())
 
     def _contrast(self, sums: Array) -> Array:
         """Return the costs of the paths without their constants, added up over the parts, (paths,)."""
@@ -284,19 +320,19 @@ class Sampling:
         """Return the sends of the paths on each link, added up over the parts, (paths,)."""
         found: dict[str, Array] = {}
         for part, rows in zip(self.parts, self.rows, strict=True):
-            for name, row in zip(part.names[1:], sums[rows][1:], strict=True):
+            for name, row in zip(part.names[1:], sums[rows][1 : len(part.names)], strict=True):
                 link = name.split()[1]
                 found[link] = found.get(link, 0.0) + part.sign * row
         return found
 
     def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
-        cost = mean(self._contrast(means))
+        cost = controlled_mean(self._contrast(means), means[self.controls])
         if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
         seen = sum(length for length, _ in kept) * means.shape[1]
-        rates = {link: _rate(row, seen) for link, row in self._sends(means).items()}
+        rates = {link: rate_of(row, seen) for link, row in self._sends(means).items()}
         return cost.scaled(1.0, self.offset), rates
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
@@ -310,40 +346,8 @@ def _means(windows: Sequence[tuple[int, Array]]) -> Array:
     return sum((sums for _, sums in windows), np.zeros_like(windows[0][1])) / sum(length for length, _ in windows)
 
 
-class _Moments:
-    """Mean and spread of values that come in batches, in constant memory."""
-
-    def __init__(self) -> None:
-        self.count, self.center, self.squares = 0, 0.0, 0.0
-
-    def add(self, values: Array) -> None:
-        """Merge a batch (Chan's formula)."""
-        count, center = len(values), float(values.mean())
-        total, shift = self.count + count, center - self.center
-        self.squares += float(((values - center) ** 2).sum()) + shift**2 * self.count * count / total
-        self.center += shift * count / total
-        self.count = total
-
-    def mean(self) -> Estimate:
-        """Return the mean of all values with its standard error."""
-        return Estimate(self.center, float(np.sqrt(self.squares / (self.count - 1) / self.count)), "simulation")
-
-
 def _missing(measured: int, error: float, wanted: float) -> int:
     """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
     if error <= wanted:
         return 0
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1
-
-
-def mean(values: Array) -> Estimate:
-    """Return the mean over independent paths, with its standard error."""
-    moments = _Moments()
-    moments.add(values)
-    return moments.mean()
-
-
-def _rate(values: Array, seen: int) -> Estimate:
-    """Return a mean rate; a send that never or always came in so many steps may still be as rare as one in them."""
-    found = mean(values)
-    return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
