@@ -8,6 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
+    from taciturn.study.bench import Bench
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
@@ -111,6 +112,20 @@ def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
             cells.append(str(row.computed[name]) if name in row.computed else "")
         rows.append(cells)
     return header, rows
+
+
+def bench(found: Bench) -> None:
+    """Print how fast this machine simulates."""
+    about = found.machine
+    typer.echo(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
+    rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
+    _print_table(["", "million steps/s"], rows)
+    for name, ratio in found.ratios.items():
+        typer.echo(f"{name.replace('_', ' '):28s} {ratio:.3g}")
+    for name, seconds in found.compile_seconds.items():
+        typer.echo(f"{f'machine code, {name}':28s} {1000 * seconds:.3g} ms")
+    for name, ratio in found.variance_ratios.items():
+        typer.echo(f"{f'variance, {name}'.replace('_', ' '):28s} {ratio:.3g} times less per step")
 
 
 def _print_table(header: list[str], rows: list[list[str]]) -> None:

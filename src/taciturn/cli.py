@@ -181,6 +181,22 @@ def reproduce(
                 typer.echo(f"picture: {path}")
 
 
+@app.command()
+def bench(
+    as_json: Json = False,
+    rounds: Annotated[int, typer.Option(help="Of which medians are taken.")] = 5,
+) -> None:
+    """How fast this machine simulates, beside NumPy."""
+    from taciturn.study.bench import bench as measure
+
+    with _progress("measuring") as progress:
+        found = measure(rounds, progress)
+    if as_json:
+        _print_json(found.document())
+    else:
+        _print.bench(found)
+
+
 def main() -> None:
     """Run the command line: exit code 0, or 2 with one sentence on standard error."""
     from taciturn.errors import TaciturnError

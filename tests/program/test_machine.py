@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import taciturn
+from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.plant import Jumps
 from taciturn.program import machine
@@ -290,3 +291,72 @@ def test_without_llvmlite_the_loops_run_in_numpy_with_one_notice(loop: Loop, tmp
         sums = {f"sum {name}": value for name, value in expected.sums.items()}
         for name, value in {"states": expected.states, **sums, **expected.outputs}.items():
             assert found[name].tobytes() == np.ascontiguousarray(value).tobytes()
+
+
+ALL_BITS = """
+import hashlib
+from dataclasses import replace
+import taciturn
+from taciturn.program.machine import Kernel, vector_lanes
+problem = taciturn.load("two-mass")
+loop = problem.close(problem.design())
+found = hashlib.sha256()
+for each in (loop, replace(loop, precision="float32")):
+    for program in (each.program(), each.reduced_program()):
+        result = Kernel(program, "parity").run(program, each.start(program, 13, 5), 300)
+        found.update(result.states.tobytes())
+        for values in (*result.sums.values(), *result.outputs.values()):
+            found.update(values.tobytes())
+print(vector_lanes(), found.hexdigest())
+"""
+
+
+def test_every_width_of_vectors_gives_the_same_bits() -> None:
+    """All that this processor has, and what every processor of its kind has."""
+    features = llvm.get_host_cpu_features()
+    widths = [name for name, flag in (("avx512", "avx512f"), ("avx2", "avx2")) if features.get(flag)]
+    found: dict[str, str] = {}
+    for asked in ("", *widths, "baseline"):
+        command = [sys.executable, "-c", ALL_BITS]
+        environment = {**os.environ, machine.VECTORS: asked}
+        answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
+        found[answer[0]] = answer[1]
+    assert len(found) == max(1, len(widths) + 1)
+    assert len(set(found.values())) == 1
+
+
+ALL_FEATURES = "+sse2,+avx,+avx2,+fma,+avx512f,+avx512dq"
+
+
+@pytest.mark.parametrize(
+    ("features", "asked", "lanes"),
+    [
+        (ALL_FEATURES, "", 8),
+        (ALL_FEATURES, "avx512", 8),
+        (ALL_FEATURES, "avx2", 4),
+        (ALL_FEATURES, "baseline", 2),
+        ("+sse2,+avx2,-avx512f", "avx2", 4),
+        ("+neon", "baseline", 2),
+    ],
+)
+def test_lesser_vectors_can_be_asked_for(
+    monkeypatch: pytest.MonkeyPatch, features: str, asked: str, lanes: int
+) -> None:
+    """By name."""
+    allowed = machine.allowed("some processor", features, asked)
+    monkeypatch.setattr(machine, "_host", lambda: allowed)
+    assert machine.vector_lanes.__wrapped__() == lanes
+
+
+def test_vectors_that_are_not_there_are_refused() -> None:
+    """In one sentence, with exit code 2 on the command line."""
+    with pytest.raises(ProblemError, match=r"'avx512', which this processor \(old\) lacks; expected avx2 or baseline"):
+        machine.allowed("old", "+sse2,+avx2,-avx512f", "avx512")
+    with pytest.raises(ProblemError, match="'sse9'; expected avx512 or avx2 or baseline"):
+        machine.allowed("new", ALL_FEATURES, "sse9")
+    command = [sys.executable, "-m", "taciturn.cli", "evaluate", "two-mass"]
+    environment = {**os.environ, machine.VECTORS: "wide"}
+    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.startswith("taciturn: TACITURN_VECTORS is 'wide'; expected ")
+    assert answer.stderr.count("\n") == 1

@@ -14,7 +14,10 @@ _FLAGS: Mapping[Build, str] = {
     "fast": "nsz contract ",  # fused multiply-add; no reassociation: it breaks the bit tricks of the draws
 }
 HOISTED = 128  # constants that are spread over vectors ahead of all ticks; more are spread where they are used
-PERMUTE = "llvm.x86.avx512.permvar.df.512"
+PERMUTES = {  # by lanes of doubles: what permutes a register of AVX-512, and half words of one of AVX2
+    8: "declare <8 x double> @llvm.x86.avx512.permvar.df.512(<8 x double>, <8 x i64>)",
+    4: "declare <8 x float> @llvm.x86.avx2.permps(<8 x float>, <8 x i32>)",
+}
 _NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
@@ -49,7 +52,7 @@ class Body:
         self.number, self.bits = _NUMBER[program.precision]
         self.numbers, self.doubles, self.truths = (f"<{lanes} x {kind}>" for kind in (self.number, "double", "i1"))
         self.words, self.halves = f"<{lanes} x i64>", f"<{lanes} x i32>"
-        self.permutes = lanes == EIGHT and program.precision == "float64" and not own
+        self.permutes = program.precision == "float64" and not own and lanes in PERMUTES
         self.copies = program.precision == "float32" and not own  # constants become floats once
         self.number_at = self.number if self.copies else "double"  # what stands at the base of the constants
         self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
@@ -235,13 +238,33 @@ class Body:
         return self._new(f"getelementptr double, ptr {start}, i64 {before * (self.lanes if self.own else 1)}")
 
     def _pick(self, table: int, word: int) -> str:
-        """A table of eight doubles fits one register of AVX-512, and is permuted there; elsewhere it is gathered."""
-        base, U = self._table(table), self.words
+        """A table of eight doubles fits one register of AVX-512 or two of AVX2, and is permuted there, or gathered."""
+        base, U, V = self._table(table), self.words, self.doubles
+        if self.permutes and self.lanes == EIGHT:
+            entries = self._new(f"load {V}, ptr {base}, align 8")
+            return self._new(f"call {V} @llvm.x86.avx512.permvar.df.512({V} {entries}, {U} {self.names[word]})")
         if self.permutes:
-            entries = self._new(f"load {self.doubles}, ptr {base}, align 8")
-            return self._new(f"call {self.doubles} @{PERMUTE}({self.doubles} {entries}, {U} {self.names[word]})")
+            return self._pick_of_two(base, self.names[word])
         offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
         return self._gathered(base, U, offsets)
+
+    def _pick_of_two(self, base: str, word: str) -> str:
+        """Permute both halves of a table by the last two bits, as pairs of half words; the third bit chooses."""
+        twice = self._new(f"shl {self.words} {word}, {self._every('i64', '1')}")
+        parts = self._new(f"bitcast {self.words} {twice} to <8 x i32>")
+        evens = ", ".join(f"i32 {2 * (k // 2)}" for k in range(8))
+        pairs = self._new(f"shufflevector <8 x i32> {parts}, <8 x i32> poison, <8 x i32> <{evens}>")
+        odds = ", ".join(f"i32 {k % 2}" for k in range(8))
+        places = self._new(f"or <8 x i32> {pairs}, <{odds}>")
+        halves: list[str] = []
+        for first in (0, 4):
+            address = self._new(f"getelementptr double, ptr {base}, i64 {first}")
+            entries = self._new(f"load <8 x float>, ptr {address}, align 8")
+            found = self._new(f"call <8 x float> @llvm.x86.avx2.permps(<8 x float> {entries}, <8 x i32> {places})")
+            halves.append(self._new(f"bitcast <8 x float> {found} to {self.doubles}"))
+        sign = self._new(f"shl {self.words} {word}, {self._every('i64', '61')}")
+        upper = self._new(f"icmp slt {self.words} {sign}, zeroinitializer")
+        return self._new(f"select {self.truths} {upper}, {self.doubles} {halves[1]}, {self.doubles} {halves[0]}")
 
     def _lookup(self, table: int, index: int) -> str:
         integers = self.halves  # every vector unit converts to these; few to 64 bits

@@ -12,7 +12,7 @@ sums in memory. Constants and tables are read from memory, so programs of equal 
 
 from __future__ import annotations
 
-from taciturn.program._llvm_body import PERMUTE, Body, Build, constants_of
+from taciturn.program._llvm_body import PERMUTES, Body, Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.ops import WINDOW
 
@@ -55,7 +55,7 @@ class _Printer(Body):
             [
                 f"declare {V} @llvm.sqrt.v{L}f{self.bits}({V})",
                 f"declare {U} @llvm.fshl.v{L}i64({U}, {U}, {U})",
-                *([f"declare {V} @{PERMUTE}({V}, {U})"] if self.permutes else []),
+                *([PERMUTES[L]] if self.permutes else []),
                 f"declare {self.doubles} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.doubles})",
                 "",
                 "define void @run(i64 %first, i64 %end, i64 %ticks, ptr noalias %state, ptr noalias %sums, "

@@ -2,6 +2,10 @@
 
 Object code is kept in memory and on disk (``$XDG_CACHE_HOME/taciturn``, the latest few hundred), by the text of the
 program, the processor and the version of llvmlite. This is the one typed door to llvmlite.
+
+The widest vectors of the processor are used, or those that the environment asks for: ``TACITURN_VECTORS`` is
+``avx512``, ``avx2``, or ``baseline`` (what every processor of its kind has). The parity build gives the same bits with
+all of them.
 """
 
 from __future__ import annotations
@@ -23,11 +27,13 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.errors import ProblemError
 from taciturn.program._llvm_body import Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.llvm import print_llvm
 from taciturn.program.numpy import Run
 
+VECTORS = "TACITURN_VECTORS"
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
@@ -107,6 +113,11 @@ class Kernel:
         )
 
 
+def forget() -> None:
+    """Forget the machine code in memory; that on the disk stays."""
+    _load.cache_clear()
+
+
 @cache
 def available() -> bool:
     """Tell whether llvmlite can be imported; say so once where it cannot."""
@@ -151,11 +162,38 @@ def _llvm() -> Any:
 
 @cache
 def _host() -> tuple[str, str]:
-    """Return name and features of this processor."""
+    """Return name and features of this processor, or of the lesser one that the environment asks for."""
     llvm = _llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    return llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+    features: str = llvm.get_host_cpu_features().flatten()
+    return allowed(llvm.get_host_cpu_name(), features, os.environ.get(VECTORS, ""))
+
+
+def allowed(cpu: str, features: str, asked: str) -> tuple[str, str]:
+    """Return name and features of a processor, without those beyond the vectors that are asked for.
+
+    Args:
+        cpu: name of the processor.
+        features: of the processor, as LLVM writes them.
+        asked: ``"avx512"``, ``"avx2"``, ``"baseline"``, or nothing: all there is.
+
+    Raises:
+        ProblemError: another word, or vectors that the processor lacks.
+    """
+    there = {name: f"+{flag}" in features.split(",") for name, flag in (("avx512", "avx512f"), ("avx2", "avx2"))}
+    known = [name for name, has in there.items() if has] + ["baseline"]
+    if not asked or asked == known[0]:
+        return cpu, features
+    if asked not in known:
+        lacks = f", which this processor ({cpu}) lacks" if asked in there else ""
+        raise ProblemError(
+            f"{VECTORS} is {asked!r}{lacks}; expected {' or '.join(known)}, or no such variable: the widest are used"
+        )
+    if asked == "baseline":
+        return "", ""
+    kept = [flag for flag in features.split(",") if not flag[1:].startswith(("avx512", "avx10", "evex"))]
+    return "haswell", ",".join([*kept, "-avx512f"])
 
 
 @cache

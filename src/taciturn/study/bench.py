@@ -1,0 +1,251 @@
+"""How fast this machine simulates: the two-mass loop on one thread, against NumPy as one would write it."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+import taciturn
+from taciturn._arrays import Array, count
+from taciturn.errors import ProblemError
+from taciturn.loop import COST, EXCESS, SENT, Loop
+from taciturn.model.policy import Assign
+from taciturn.program import machine
+from taciturn.program.controls import CONTROL
+from taciturn.program.ir import Program
+from taciturn.program.machine import Build, Kernel
+from taciturn.simulation.sampling import Progress
+from taciturn.simulation.statistics import controlled_mean, mean
+
+Contestant = Callable[[int], tuple[int, float]]
+"""A seed → steps that were run, and the rate of sending in them."""
+
+PATHS, TICKS = 4096, 4000
+SUMS = {COST, EXCESS, f"{SENT} actuator"}
+FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What was measured.
+
+    Args:
+        machine: processor, vectors, versions.
+        speeds: steps per second of processor time and thread, by contestant: the median of the rounds.
+        ratios: of speeds, measured side by side; of the time with one thread to that with two.
+        compile_seconds: of the innovations form, cold and from the cache on disk.
+        variance_ratios: of the estimators, per step: what they gain beyond the speed of the engine.
+    """
+
+    machine: Mapping[str, str]
+    speeds: Mapping[str, float]
+    ratios: Mapping[str, float]
+    compile_seconds: Mapping[str, float]
+    variance_ratios: Mapping[str, float]
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn bench --json``."""
+        return {
+            "machine": dict(self.machine),
+            "steps_per_second": {name: round(speed) for name, speed in self.speeds.items()},
+            "ratios": {name: round(ratio, 4) for name, ratio in self.ratios.items()},
+            "compile_seconds": {name: round(value, 5) for name, value in self.compile_seconds.items()},
+            "variance_ratios": {name: round(ratio, 2) for name, ratio in self.variance_ratios.items()},
+        }
+
+
+def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
+    """Measure engine and estimators on the two-mass loop, side by side and in turn.
+
+    Args:
+        rounds: at least 3; medians are taken.
+        progress: called with the fraction done.
+
+    Returns:
+        What was measured.
+
+    Raises:
+        ProblemError: too few rounds, or llvmlite is missing.
+    """
+    rounds = count("rounds", rounds, 3)
+    if not machine.available():
+        raise ProblemError("llvmlite is missing, so there is no engine to measure; expected it to be installed")
+    loop = masses()
+    speeds = {name: statistics.median(found) for name, found in race(contestants(loop), rounds, progress).items()}
+    ratios = {
+        "full_over_numpy": speeds[FULL] / speeds[NUMPY],
+        "innovations_over_numpy": speeds[REDUCED] / speeds[NUMPY],
+        "float32_over_float64": speeds[SINGLE] / speeds[REDUCED],
+    }
+    if machine.available_processors() > 1:
+        ratios["two_threads_over_one"] = gain_of_threads(loop, rounds)
+    return Bench(describe_machine(), speeds, ratios, compile_times(loop), variance_ratios(loop))
+
+
+def masses() -> Loop:
+    """Return the loop of the two masses."""
+    problem = taciturn.load("two-mass")
+    return problem.close(problem.design())
+
+
+def contestants(loop: Loop) -> dict[str, Contestant]:
+    """Return what is compared, by name."""
+    single = replace(loop, precision="float32")
+    return {
+        FULL: compiled(loop, loop.program()),
+        REDUCED: compiled(loop, loop.reduced_program()),
+        SINGLE: compiled(single, single.reduced_program()),
+        NUMPY: by_matrices(loop, PATHS, TICKS // 40),
+    }
+
+
+def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = TICKS) -> Contestant:
+    """Return the contestant that runs machine code on one thread."""
+    kept = program.keep(SUMS)
+    kernel, link = Kernel(kept, build), f"{SENT} {loop.policy.scheduled[0]}"
+
+    def run(seed: int) -> tuple[int, float]:
+        sums = kernel.run(kept, loop.start(kept, PATHS, seed), ticks, threads=1).sums
+        return PATHS * ticks, float(sums[link].mean() / ticks)
+
+    return run
+
+
+def by_matrices(loop: Loop, paths: int, ticks: int) -> Contestant:
+    """Return the contestant of matrices and NumPy's generator: all paths side by side, or one alone."""
+    problem, plant, policy = loop.problem, loop.problem.plant, loop.policy
+    A, B, C = plant.A, plant.B, plant.C
+    steps = {step.signal: step.branches[0] for step in policy.steps if isinstance(step, Assign)}
+    gain, L = (cast(Array, steps[a][b]) for a, b in (("estimate", "innovation"), ("command", "estimate")))
+    silent, send = policy.decisions["send"].options.values()
+    Psi, gamma = np.asarray(silent.Psi, dtype=np.float64), cast(float, send.constant)
+    noise = [np.linalg.cholesky(covariance).T for covariance in (plant.W, plant.V)]
+
+    def squares(z: Array, weight: Array) -> Array:
+        return ((z @ weight) * z).sum(axis=1)
+
+    def run(seed: int) -> tuple[int, float]:
+        draws = np.random.default_rng(seed)
+        x, prior = np.zeros((2, paths, plant.states))
+        u, cost, sends = np.zeros((paths, plant.inputs)), np.zeros(paths), 0
+        for _ in range(ticks):
+            y = x @ C.T + draws.standard_normal((paths, plant.outputs)) @ noise[1]
+            estimate = prior + (y - prior @ C.T) @ gain.T
+            command = estimate @ L.T
+            sending = squares(np.hstack([estimate, u, u - command]), Psi) > gamma
+            u = np.where(sending[:, None], command, u)
+            cost += squares(x, problem.Q) + squares(u, problem.R)
+            sends += int(sending.sum())
+            x = x @ A.T + u @ B.T + draws.standard_normal((paths, plant.states)) @ noise[0]
+            prior = estimate @ A.T + u @ B.T
+        return paths * ticks, sends / (paths * ticks)
+
+    return run
+
+
+def race(entries: Mapping[str, Contestant], rounds: int, progress: Progress | None = None) -> dict[str, list[float]]:
+    """Return steps per second of processor time, round by round: each runs once per round, in turn; one warms up."""
+    speeds: dict[str, list[float]] = {name: [] for name in entries}
+    for k in range(rounds + 1):
+        for name, run in entries.items():
+            begin = time.process_time()
+            steps, _ = run(k)
+            if k:
+                speeds[name].append(steps / (time.process_time() - begin))
+        if progress is not None:
+            progress((k + 1) / (rounds + 1))
+    return speeds
+
+
+def gain_of_threads(loop: Loop, rounds: int) -> float:
+    """Return the wall time with one thread over that with two, side by side: the median of the rounds."""
+    program = loop.reduced_program().keep({EXCESS})
+    kernel, states = Kernel(program), loop.start(program, PATHS, 0)
+    found: list[float] = []
+    for _ in range(rounds + 1):
+        times: list[float] = []
+        for threads in (1, 2):
+            begin = time.perf_counter()
+            kernel.run(program, states, 5 * TICKS, threads=threads)
+            times.append(time.perf_counter() - begin)
+        found.append(times[0] / times[1])
+    return statistics.median(found[1:])
+
+
+def compile_times(loop: Loop) -> dict[str, float]:
+    """Return the seconds to machine code, new and from the object code on disk: medians of five."""
+    program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
+    before = os.environ.get("XDG_CACHE_HOME")
+    try:
+        for _ in range(5):
+            with tempfile.TemporaryDirectory() as empty:
+                os.environ["XDG_CACHE_HOME"] = empty
+                for found in (cold, cached):
+                    machine.forget()
+                    begin = time.perf_counter()
+                    Kernel(program)
+                    found.append(time.perf_counter() - begin)
+    finally:
+        os.environ.pop("XDG_CACHE_HOME")
+        os.environ |= {} if before is None else {"XDG_CACHE_HOME": before}
+    return {"cold": statistics.median(cold), "cached": statistics.median(cached)}
+
+
+def variance_ratios(loop: Loop) -> dict[str, float]:
+    """Return how many times less the completed squares vary than the stage cost, and than that with control variates.
+
+    Source: khashooei2017, henderson2002
+    """
+    full, reduced = loop.program().keep({COST}), loop.reduced_program()
+    controls = [name for name in reduced.sums if name.startswith(CONTROL)]
+    plain, squares = (_settled_sums(loop, program) for program in (full, reduced.keep({EXCESS, *controls})))
+    alone = mean(squares[EXCESS]).standard_error
+    sharp = controlled_mean(squares[EXCESS], np.array([squares[name] for name in controls])).standard_error
+    return {
+        "completed_squares": (mean(plain[COST]).standard_error / alone) ** 2,
+        "control_variates": (alone / sharp) ** 2,
+    }
+
+
+def _settled_sums(loop: Loop, program: Program) -> Mapping[str, Array]:
+    """Return the sums of each path over the same number of ticks, after a burn-in."""
+    kernel = Kernel(program)
+    settled = kernel.run(program, loop.start(program, PATHS, 1), 600).states
+    return kernel.run(program, settled, TICKS // 2).sums
+
+
+def describe_machine() -> dict[str, str]:
+    """Return processor, vectors and versions."""
+    name = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    widths: Mapping[int, str] = {8: "avx512", 4: "avx2", 2: "baseline"}
+    packages = ("taciturn", "numpy", "scipy", "llvmlite")
+    return {
+        "processor": name,
+        "processors": str(machine.available_processors()),
+        "vectors": widths[machine.vector_lanes()],
+        "system": f"{platform.system()} {platform.release()}",
+        "date": time.strftime("%Y-%m-%d"),
+        "python": platform.python_version(),
+        **{package: version(package) for package in packages},
+    }
+
+
+def version(package: str) -> str:
+    """Return the version of an installed package, or none."""
+    with suppress(importlib.metadata.PackageNotFoundError):
+        return importlib.metadata.version(package)
+    return taciturn.__version__ if package == "taciturn" else "none"
