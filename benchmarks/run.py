@@ -22,6 +22,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}  # their idle threads run in circles
+
 import numpy as np
 from limit import Limit
 from others import Data, control_steps, jax_scan, numba_loop
@@ -29,6 +31,7 @@ from others import Data, control_steps, jax_scan, numba_loop
 import taciturn
 from taciturn import Bank, ContinuousPlant, Cost, Jumps, Plant, close, design
 from taciturn.loop import COST, SENT, Loop
+from taciturn.model.policy import Policy
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
@@ -267,6 +270,33 @@ def answers(loop: Loop, speeds: Mapping[str, float]) -> dict[str, Any]:
     }
 
 
+def policies() -> list[dict[str, Any]]:
+    """Return, for every built-in problem, the seconds to 1e-4 of the cost and what most of them go into."""
+    rows: list[dict[str, Any]] = []
+    for path in sorted((Path(taciturn.__file__).parent / "problems").glob("*.toml")):
+        problem = taciturn.load(path.stem)
+        taciturn.evaluate(problem)  # compiled before, as in daily use
+        begin = time.perf_counter()
+        policy = problem.designed()
+        designed = time.perf_counter() - begin
+        found = taciturn.evaluate(problem)
+        loop = problem.close(policy) if isinstance(policy, Policy) else None
+        burn_in = 0.0
+        if loop is not None and loop.horizon is None and found.steps:
+            run = taciturn.average(loop, steps=found.steps)
+            burn_in = run.burn_in * PATHS / found.steps
+        terms = {
+            "design": designed,
+            "burn-in": burn_in * (found.seconds - designed),
+            "exact solution" if found.steps == 0 else "sampling": (1 - burn_in) * (found.seconds - designed),
+        }
+        rows.append({
+            "problem": path.stem, "policy": found.policy, "method": found.cost.method, "seconds": found.seconds,
+            "steps": found.steps, "reached": found.reached, "limited_by": max(terms, key=lambda term: terms[term]),
+        })  # fmt: skip
+    return rows
+
+
 def memory() -> dict[str, float]:
     """Return the peak memory in megabytes of processes that run 1e7 and 1e9 steps."""
     code = (
@@ -314,7 +344,7 @@ def report(found: Mapping[str, Any]) -> None:
     for name in ("ratios", "variance_ratios", "compile_seconds", "normals", "many_loops", "memory"):
         print(name, json.dumps({key: round(value, 5) for key, value in found[name].items()}))
     print("answers", json.dumps({k: v for k, v in found["answers"].items() if not isinstance(v, dict)}))
-    for row in found["growth"] + found["chapters"]:
+    for row in found["growth"] + found["chapters"] + found["policies"]:
         print(json.dumps(row))
 
 
@@ -334,7 +364,7 @@ def main() -> None:
     os.sched_setaffinity(0, {max(processors)})  # pinned, before any library starts its threads
     entries = present(factories(loop))
     rates = {name: statistics.mean(run(1000 + k)[1] for k in range(3)) for name, run in entries.items()}
-    speeds = race(entries, options.rounds)
+    speeds = race(entries, options.rounds, clock=time.process_time)  # JAX has threads of its own
     medians = {name: statistics.median(values) for name, values in speeds.items()}
     ratios = {"float32_over_float64": medians[bench.SINGLE] / medians[bench.REDUCED]}
     ratios["float32_over_float64_full"] = medians["full, float32"] / medians[bench.FULL]
@@ -364,6 +394,7 @@ def main() -> None:
         "growth": grown,
         "chapters": chapter_rows,
         "answers": answers(loop, medians),
+        "policies": policies(),
         "many_loops": many_loops(),
         "memory": memory(),
     }

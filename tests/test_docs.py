@@ -6,6 +6,7 @@ import doctest
 import importlib
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -33,7 +34,9 @@ def run_blocks(text: str, pattern: str, name: str) -> int:
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_every_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The cells of a page run in order, and what they assert holds."""
+    """The cells of a page run in order beside the data they show, and what they assert holds."""
+    for data in (ROOT / "docs").glob("*.json"):
+        shutil.copy(data, tmp_path)
     monkeypatch.chdir(tmp_path)
     assert run_blocks(path.read_text(encoding="utf-8"), r"```\{code-cell\} python\n(.*?)```", path.name) > 0
 

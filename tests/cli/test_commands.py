@@ -154,6 +154,12 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
             ("evaluate", "two-mass", "--method", "exact"),
             "method is 'exact', and lqg has no closed form here, and no error that alone decides",
         ),
+        (
+            ("evaluate", "two-mass", "--precision", "half"),
+            "precision is 'half'; expected 'float64' or 'float32'",
+        ),
+        (("bench", "--rounds", "2"), "rounds is 2; expected a whole number, at least 3"),
+        (("bench", "--rounds", "x"), "Invalid value for '--rounds'"),
         (("tradeoff", "two-mass"), "Missing option '--over'"),
         (("tradeoff", "two-mass", "--over"), "Option '--over' requires an argument"),
         (

@@ -24,7 +24,7 @@ def covers(share: float) -> bool:
     return 0.92 <= share <= 0.98
 
 
-def scalar(sends: str = "model") -> Loop:
+def scalar() -> Loop:
     """Return an event-triggered loop of one state whose error a send resets."""
     plant = ContinuousPlant([[0.2]], [[1.0]], [[1.0]])
     return close(plant, design.consistent(plant, Cost([[1.0]], [[1.0]]), period=0.3))
@@ -92,6 +92,20 @@ def test_intervals_of_a_course_cover_what_noise_does_to_a_state() -> None:
     loop = close(plant, policy)
     found = [course(loop, 4, paths=64, seed=seed) for seed in range(SEEDS)]
     assert covers(coverage([(run.cost[3], run.standard_error[3]) for run in found], truth))
+
+
+def test_intervals_of_missions_cover_the_exact_cost() -> None:
+    """Twelve ticks from a known state under linear feedback: the second moment, tick by tick."""
+    plant, weights = Plant([[1.1]], [[1.0]], [[0.5]], mean=[2.0]), ([[1.0]], [[1.0]])
+    policy = design.all_time(plant, Cost(*weights))
+    (L,) = (step.branches[0]["estimate"] for step in policy.steps if getattr(step, "signal", "") == "command")
+    gain, second, truth = float(L[0, 0]), 4.0, 0.0
+    for _ in range(12):
+        truth += (1 + gain**2) * second
+        second = (1.1 + gain) ** 2 * second + 0.5
+    loop = close(plant, policy, cost=Cost(*weights, horizon=12, terminal=[[2.0]]))
+    found = [average(loop, seed=seed, steps=1200).cost for seed in range(SEEDS)]
+    assert covers(coverage([(e.value, e.standard_error) for e in found], truth + 2 * second))
 
 
 def test_the_sends_of_a_course_have_a_standard_error() -> None:

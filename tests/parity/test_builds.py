@@ -135,6 +135,29 @@ def test_the_fast_build_decides_as_the_parity_build(monkeypatch: pytest.MonkeyPa
     assert 0.1 < assert_same_decisions(undrawn(monkeypatch, loop), loop, seed=8) < 0.9
 
 
+@settings(max_examples=25)
+@given(system=systems(), seed=SEEDS)
+def test_the_fast_build_decides_as_the_parity_build_with_every_feature(system: System, seed: int) -> None:
+    """Among three labels, by memories, draws, locations and what links lose: up to the first tie of each path."""
+    loop = every_feature(system, seed)
+    with pytest.MonkeyPatch.context() as patch:
+        program = undrawn(patch, loop)
+    ticks, draws = 60, np.random.default_rng(seed)
+    uniform = np.array([name.startswith("uniform") for name in program.inputs])
+    inputs = np.where(
+        uniform[:, None], draws.random((ticks, len(uniform), 8)), draws.normal(size=(ticks, len(uniform), 8))
+    )
+    states = loop.start(program, 8, seed)
+    parity, fast = (Kernel(program, build).run(program, states, ticks, inputs).outputs for build in ("parity", "fast"))
+    labels = [name for name in parity if name.startswith("option send")]
+    chosen = [np.argmin([outputs[name] for name in labels], axis=0) for outputs in (parity, fast)]
+    for path in np.flatnonzero((chosen[0] != chosen[1]).any(axis=0)):
+        tick = int(np.argmax(chosen[0][:, path] != chosen[1][:, path]))
+        first, second, *_ = sorted(parity[name][tick, path] for name in labels)
+        size = max(abs(parity[name][: tick + 1, path]).max() for name in labels)
+        assert abs(first - second) < 1e-10 * size
+
+
 @settings(max_examples=8)
 @given(system=systems(), name=st.sampled_from(sorted(set(STATIONARY) - set(CLOSED_FORM))), seed=SEEDS)
 def test_the_fast_build_decides_as_the_parity_build_on_random_systems(system: System, name: str, seed: int) -> None:

@@ -142,6 +142,19 @@ def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatc
         assert many.sends["actuator"][i] == rest.sums["sent actuator"][0] / 400
 
 
+@pytest.mark.evidence
+def test_a_sweep_of_ten_thousand_values_compiles_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From theta 0.01 to 2, in one bank; the sends fall with theta."""
+    compiled: list[str] = []
+    compile_once = machine._load
+    monkeypatch.setattr(machine, "_load", lambda text: compiled.append(text) or compile_once(text))
+    bank = Bank([masses(float(theta)) for theta in np.linspace(0.01, 2.0, 10_000)])
+    bank.run(300)
+    sends = bank.run(300).sends["actuator"].reshape(10, 1000).mean(axis=1)
+    assert (bank.structures, len(compiled)) == (1, 1)
+    assert (np.diff(sends) < 0).all()
+
+
 def test_a_bank_holds_loops_of_any_structure(monkeypatch: pytest.MonkeyPatch) -> None:
     """Different policies and plants, and the same numbers without machine code."""
     plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])

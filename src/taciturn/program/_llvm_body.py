@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
 from taciturn.program.ir import Program
-from taciturn.program.ops import EIGHT, Precision, Rows, Tile, tiles
+from taciturn.program.ops import EIGHT, Op, Precision, Rows, Tile, tiles
 
 Build = Literal["parity", "fast"]
 _FLAGS: Mapping[Build, str] = {
     "parity": "",  # every operation rounds once, as in NumPy
-    "fast": "nsz contract ",  # fused multiply-add; no reassociation: it breaks the bit tricks of the draws
+    "fast": "nsz ",  # the sign of zero is free; no reassociation: it breaks the bit tricks of the draws
 }
 HOISTED = 128  # constants that are spread over vectors ahead of all ticks; more are spread where they are used
 PERMUTES = {  # by lanes of doubles: what permutes a register of AVX-512, and half words of one of AVX2
@@ -36,6 +37,23 @@ def _columns(matrix: Rows, tile: Tile) -> list[float]:
     return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
 
 
+def _fused(program: Program) -> tuple[dict[int, int], set[int]]:
+    """Return the sums and differences with the product that each is fused with, and the products added up over ticks.
+
+    Nothing else reads these products. What is fused is decided here and not by the compiler, so that it does not depend
+    on the processor.
+    """
+    uses = Counter(index for op in program.ops for index in op.reads)
+    uses.update([*program.following, *program.outputs.values(), *(total.op for total in program.totals.values())])
+    found: dict[int, int] = {}
+    for index, op in enumerate(program.ops):
+        if op.name in ("add", "sub"):
+            alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
+            found |= {index: alone[0]} if alone else {}
+    totals = {total.op for total in program.totals.values()}
+    return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
+
+
 class Body:
     """Lines of LLVM IR, and the names of what they compute.
 
@@ -56,6 +74,8 @@ class Body:
         self.copies = program.precision == "float32" and not own  # constants become floats once
         self.number_at = self.number if self.copies else "double"  # what stands at the base of the constants
         self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
+        self.fuses = build == "fast"
+        self.fused, self.summed = _fused(program) if self.fuses else ({}, set[int]())
         self.lines: list[str] = []
         self.names: list[str] = []  # of the operations' values
         self.vectors: dict[int, list[str]] = {}  # of the entries of products
@@ -69,12 +89,39 @@ class Body:
 
     def operations(self) -> None:
         """Print every operation of the program."""
+        within = {*self.fused.values(), *self.summed}
         for index, op in enumerate(self.program.ops):
             if op.name == "product":
                 self.vectors[index] = self._product(op.arguments[0], op.reads)
+            if index in within or op.name == "product":
                 self.names.append("")
+            elif index in self.fused:
+                self.names.append(self._fused_sum(op, self.fused[index]))
             else:
                 self.names.append(self._operation(op.name, op.arguments))
+
+    def added_up(self, index: int, before: str) -> str:
+        """Return what computes a sum over ticks with one term more."""
+        if index not in self.summed:
+            return f"fadd {self.flags}{self.numbers} {before}, {self.names[index]}"
+        one, other = (self.names[i] for i in self.program.ops[index].arguments)
+        return self.multiply_add(one, other, before)
+
+    def _fused_sum(self, op: Op, product: int) -> str:
+        """Print a sum or difference one of whose terms is a product."""
+        one, other = (self.names[i] for i in self.program.ops[product].arguments)
+        first = op.arguments[0] == product
+        rest = self.names[op.arguments[1 if first else 0]]
+        if op.name == "sub" and first:
+            rest = self._new(f"fneg {self.flags}{self.numbers} {rest}")
+        elif op.name == "sub":
+            one = self._new(f"fneg {self.flags}{self.numbers} {one}")
+        return self._new(self.multiply_add(one, other, rest))
+
+    def multiply_add(self, one: str, other: str, term: str) -> str:
+        """Return what computes one·other + term, rounded once where the processor can."""
+        V = self.numbers
+        return f"call {self.flags}{V} @llvm.fmuladd.v{self.lanes}f{self.bits}({V} {one}, {V} {other}, {V} {term})"
 
     def _new(self, text: str) -> str:
         self.counter += 1
@@ -217,8 +264,11 @@ class Body:
         first = self._address(start, self._new(f"mul i64 %{loop}_j, {tile.rows}"))
         for i, total in enumerate(totals):
             coefficient = self._coefficient(i, first)
-            term = self._new(f"fmul {self.flags}{V} {coefficient}, {value}")
-            self.lines.append(f"  {total}_next = fadd {self.flags}{V} {total}, {term}")
+            if self.fuses:
+                self.lines.append(f"  {total}_next = {self.multiply_add(coefficient, value, total)}")
+            else:
+                term = self._new(f"fmul {V} {coefficient}, {value}")
+                self.lines.append(f"  {total}_next = fadd {V} {total}, {term}")
         self.lines += [
             f"  %{loop}_next = add i64 %{loop}_j, 1",
             f"  %{loop}_more = icmp slt i64 %{loop}_next, {tile.end}",

@@ -54,6 +54,7 @@ class _Printer(Body):
         return "\n".join(
             [
                 f"declare {V} @llvm.sqrt.v{L}f{self.bits}({V})",
+                f"declare {V} @llvm.fmuladd.v{L}f{self.bits}({V}, {V}, {V})",
                 f"declare {U} @llvm.fshl.v{L}i64({U}, {U}, {U})",
                 *([PERMUTES[L]] if self.permutes else []),
                 f"declare {self.doubles} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.doubles})",
@@ -177,4 +178,4 @@ class _Printer(Body):
             address = self._row("%outputs", first, i)
             self.lines.append(f"  store {self.doubles} {self._widen(self.names[index])}, ptr {address}, align 8")
         for i, total in enumerate(program.totals.values()):
-            self.lines.append(f"  %next_sum{i} = fadd {self.flags}{self.numbers} %sum{i}, {self.names[total.op]}")
+            self.lines.append(f"  %next_sum{i} = {self.added_up(total.op, f'%sum{i}')}")

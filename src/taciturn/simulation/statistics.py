@@ -87,7 +87,7 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
         >>> import numpy as np
         >>> noise = np.random.default_rng(0).normal(size=100_000)
         >>> slow = np.convolve(noise, np.full(50, 1 / 50), "valid")
-        >>> batch_means(slow).standard_error > 5 * slow.std() / len(slow) ** 0.5
+        >>> bool(batch_means(slow).standard_error > 5 * slow.std() / len(slow) ** 0.5)
         True
     """
     values, batches = array("record", record, (None,), "(ticks,)"), count("batches", batches, 10)
