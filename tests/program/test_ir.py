@@ -254,6 +254,24 @@ def test_a_lossy_link_keeps_the_controllers_note_and_the_actuators_input_apart(m
     assert names(loop.program()) == {"x", "prior", "held", "input", "generator"}
 
 
+@pytest.mark.parametrize("size", [3, 24])
+def test_a_value_may_stand_in_a_form_more_than_once(size: int) -> None:
+    """Coefficient by coefficient, and as one product of a matrix."""
+    draws = np.random.default_rng(size)
+    Psi = draws.normal(size=(2 * size, 2 * size))
+    Psi = Psi + Psi.T
+    b = Builder()
+    values = [b.input(f"in {i}") for i in range(size)] * 2
+    form = b.quadratic(Psi.tolist(), values)
+    assert form is not None
+    program = b.finish([], {}, {"form": form})
+    assert len(program.matrices) == (size > 16)
+    inputs = draws.normal(size=(1, size, 4))
+    doubled = np.vstack([inputs[0], inputs[0]])
+    found = run(program, np.zeros((0, 4)), 1, inputs).outputs["form"][0]
+    assert np.allclose(found, np.einsum("ip,ij,jp->p", doubled, Psi, doubled), rtol=1e-12)
+
+
 def test_the_copies_of_the_model_merge_as_well(masses: Problem) -> None:
     """Controller and actuator run one model under an ideal network."""
     loop = masses.close(masses.changed({"actuation": "model"}).design())

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Literal
 
-from taciturn.program.ir import Program
+from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Precision, Rows, Tile, tiles
 
 Build = Literal["parity", "fast"]
@@ -43,15 +43,22 @@ def _fused(program: Program) -> tuple[dict[int, int], set[int]]:
     Nothing else reads these products. What is fused is decided here and not by the compiler, so that it does not depend
     on the processor.
     """
-    uses = Counter(index for op in program.ops for index in op.reads)
-    uses.update([*program.following, *program.outputs.values(), *(total.op for total in program.totals.values())])
+    roots, live = _roots(program), needed(program, _roots(program))
+    uses = Counter([*(i for index in live for i in program.ops[index].reads), *roots])
     found: dict[int, int] = {}
-    for index, op in enumerate(program.ops):
+    for index in sorted(live):
+        op = program.ops[index]
         if op.name in ("add", "sub"):
             alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
             found |= {index: alone[0]} if alone else {}
     totals = {total.op for total in program.totals.values()}
     return found, {index for index in totals if program.ops[index].name == "mul" and uses[index] == 1}
+
+
+def _roots(program: Program) -> list[int]:
+    """Return the operations whose values leave the tick."""
+    totals = (total.op for total in program.totals.values())
+    return [*program.following, *program.outputs.values(), *totals]
 
 
 class Body:
@@ -88,12 +95,12 @@ class Body:
         self.counter = 0
 
     def operations(self) -> None:
-        """Print every operation of the program."""
-        within = {*self.fused.values(), *self.summed}
+        """Print every operation of the program that something depends on."""
+        printed = needed(self.program, _roots(self.program)) - {*self.fused.values(), *self.summed}
         for index, op in enumerate(self.program.ops):
             if op.name == "product":
                 self.vectors[index] = self._product(op.arguments[0], op.reads)
-            if index in within or op.name == "product":
+            if index not in printed or op.name == "product":
                 self.names.append("")
             elif index in self.fused:
                 self.names.append(self._fused_sum(op, self.fused[index]))

@@ -221,7 +221,7 @@ class Builder:
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
         """Return v'Ψv of a symmetric Ψ without the zeros; equal diagonal weights share one product."""
         alone: dict[int, list[int]] = {}
-        mixed: dict[int, list[Coefficient]] = {}
+        mixed: list[tuple[int, list[Coefficient]]] = []  # a value may stand there more than once
         total: int | None = None
         for i, value in enumerate(values):
             row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
@@ -230,8 +230,8 @@ class Builder:
             if all(_is(c, 0.0) for c in row[1:]):
                 alone.setdefault(self.value(row[0]), []).append(self.emit("mul", value, value))
             else:
-                mixed[value] = [0.0] * i + row
-        for value, inner in zip(mixed, self.transform(list(mixed.values()), values), strict=True):
+                mixed.append((value, [0.0] * i + row))
+        for (value, _), inner in zip(mixed, self.transform([row for _, row in mixed], values), strict=True):
             total = self.add(total, None if inner is None else self.emit("mul", inner, value))
         one = self.constant(1.0)
         for weight, squares in alone.items():
@@ -277,13 +277,13 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     Unused operations, constants and tables disappear on the way.
     """
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
-    needed = _needed(program, roots)
+    live = needed(program, roots)
     builder = Builder(program.precision)
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
     new: dict[int, int] = {}
     for index, op in enumerate(program.ops):
-        if index not in needed:
+        if index not in live:
             continue
         replaced = substitute(builder, op)
         if replaced is None:
@@ -335,15 +335,15 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
     """Return the states that sums, outputs and those already alive depend on, through any number of ticks."""
     roots = [*program.sums.values(), *program.outputs.values(), *(program.following[i] for i in alive)]
     while True:
-        needed = (program.ops[i] for i in _needed(program, roots))
-        read = {leader[op.arguments[0]] for op in needed if op.name == "state"}
+        ops = (program.ops[i] for i in needed(program, roots))
+        read = {leader[op.arguments[0]] for op in ops if op.name == "state"}
         if read <= alive:
             return sorted(alive)
         alive |= read
         roots += [program.following[i] for i in read]
 
 
-def _needed(program: Program, roots: Sequence[int]) -> set[int]:
+def needed(program: Program, roots: Sequence[int]) -> set[int]:
     """Return the operations that the roots depend on: each reads only earlier ones."""
     needed = set(roots)
     for index in range(max(needed, default=-1), -1, -1):
