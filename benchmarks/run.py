@@ -99,8 +99,9 @@ def alone(name: str) -> dict[str, float]:
 
 def measure_alone(name: str) -> None:
     """Print what one contestant takes; it runs in this process."""
-    modules = {"numba": "numba", "JAX": "jax", "python-control": "control", "NumPy": "numpy"}
-    library = modules.get(name.replace(",", "").split()[0], "llvmlite.binding")
+    modules = {"numba": "numba", "JAX": "jax", "python-control": "control", "NumPy": "numpy", "C++": "ctypes"}
+    ours = "taciturn.study.evaluate, llvmlite.binding"
+    library = modules.get(name.replace(",", "").split()[0], ours)
     code = f"import time; t = time.perf_counter(); import {library}; print(time.perf_counter() - t)"
     imported = [
         float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
@@ -355,6 +356,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path)
     parser.add_argument("--alone", help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.rounds < 1:
+        parser.error(f"--rounds is {options.rounds}; expected at least 1")
     if options.alone:
         measure_alone(options.alone)
         return

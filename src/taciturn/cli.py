@@ -207,6 +207,7 @@ def main() -> None:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
+            warnings.formatwarning = _as_sentence
             code: object = app(standalone_mode=False)
         print(end="", flush=True)
     except TaciturnError as error:
@@ -228,6 +229,13 @@ def main() -> None:
         )
     else:
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _as_sentence(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Return a warning without the place in the source that it came from."""
+    return f"taciturn: {message}\n"
 
 
 def _refuse(sentence: str) -> None:

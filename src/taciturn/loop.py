@@ -27,6 +27,7 @@ from taciturn.program.ops import Precision
 COST, EXCESS, SENT = "cost", "excess", "sent"
 DRAWN = "drawn"  # the normals that an innovation is made of
 WEIGHT = "weight"  # of a tick in a discounted sum
+RANGE = (1e-30, 1e30)  # of the cost of a tick in single precision, whose numbers end at 1e-38 and 3e38
 NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
 
 
@@ -42,7 +43,7 @@ class Loop:
         precision: of the numbers it is simulated with: ``"float64"``, or ``"float32"``, 1.8 times as fast.
 
     Raises:
-        ProblemError: another precision, or ``"float32"`` for a discounted cost.
+        ProblemError: another precision, or ``"float32"`` for a discounted cost, or one beyond its range.
     """
 
     problem: Discrete
@@ -55,6 +56,12 @@ class Loop:
         """Check the precision."""
         if self.precision not in ("float64", "float32"):
             raise ProblemError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
+        size = abs(self.policy.cost_all_time) * self.policy.tick
+        if self.precision == "float32" and size and not RANGE[0] < size < RANGE[1]:
+            raise ProblemError(
+                f"precision is 'float32', and a tick costs some {size:.1g}, whose parts are beyond its range; "
+                "expected precision 'float64', or a problem that is scaled"
+            )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
                 f"precision is 'float32', and the weights of a discount of {self.problem.cost.discount:g} multiply up "

@@ -159,6 +159,7 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
             "precision is 'half'; expected 'float64' or 'float32'",
         ),
         (("bench", "--rounds", "2"), "rounds is 2; expected a whole number, at least 3"),
+        (("bench", "--rounds", "1" + "0" * 20), "rounds is 1e+20; expected rounds < 1000"),
         (("bench", "--rounds", "x"), "Invalid value for '--rounds'"),
         (("tradeoff", "two-mass"), "Missing option '--over'"),
         (("tradeoff", "two-mass", "--over"), "Option '--over' requires an argument"),

@@ -52,6 +52,14 @@ def test_completed_squares_have_far_less_variance_than_the_plain_average() -> No
     assert (plain / squares) ** 2 > 1000
 
 
+@pytest.mark.parametrize("call", [average, difference, taciturn.course, taciturn.simulate])
+def test_what_is_no_loop_is_refused(call: Callable[..., object]) -> None:
+    """In one sentence."""
+    arguments = {average: (), difference: (None,)}.get(call, (3,))
+    with pytest.raises(ProblemError, match="expected a Loop"):
+        call(None, *arguments)
+
+
 def test_a_discounted_cost_is_a_discounted_sum() -> None:
     """Linear feedback of the full state: tr(X Θ) + α/(1−α) tr(X W), X of the discounted closed loop."""
     discount = 0.9
@@ -237,6 +245,29 @@ def test_95_percent_intervals_of_differences_cover_a_long_run() -> None:
     assert abs(apart[0].value - apart[1].value - truth.value) <= 4 * np.hypot(spread, truth.standard_error)
     found = [difference(*loops, seed=seed, steps=80_000).cost for seed in range(400)]
     assert 0.92 <= coverage([(e.value, e.standard_error) for e in found], truth.value) <= 0.98
+
+
+def test_differences_of_loops_that_are_nearly_one_are_honest() -> None:
+    """Long runs, where a mean is fitted to control variates: the few paths that differ decide, and are not fitted."""
+    problem = taciturn.load("two-mass")
+    change = 3e-6
+    loops = [problem.close(problem.changed({"theta": theta}).design()) for theta in (0.1 + change, 0.1)]
+    truth = 0.1236 * change  # its slope, from changes a thousand times as large
+    found = [difference(*loops, seed=seed, steps=25_000_000).cost for seed in range(12)]
+    mean = np.mean([e.value for e in found])
+    spread = np.std([e.value for e in found], ddof=1) / np.sqrt(len(found))
+    assert abs(mean - truth) < 4 * spread
+    assert np.mean([e.standard_error for e in found]) == pytest.approx(spread * np.sqrt(len(found)), rel=0.8)
+
+
+def test_loops_that_have_not_yet_differed_have_told_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A standard error of 0 is not precise where the loops are not the same."""
+    monkeypatch.setattr(module, "BUDGET", 5_000_000)
+    first, second = (close(PLANT, design.lqg(PLANT, COST, theta=theta), cost=COST) for theta in (0.5, 0.5 + 1e-13))
+    found = difference(first, second, standard_error=1e-3)
+    assert found.cost.standard_error == 0
+    assert not found.reached
+    assert difference(first, first, standard_error=1e-3).reached
 
 
 def test_the_same_draws_make_a_difference_sharp() -> None:

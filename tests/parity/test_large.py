@@ -11,7 +11,7 @@ from systems import make_system
 
 import taciturn
 from taciturn import Bank, Cost, Plant, close, design
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.program import engine, ir, machine
 from taciturn.program import numpy as interpreter
@@ -172,12 +172,27 @@ def test_a_bank_holds_loops_of_any_structure(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_what_a_bank_cannot_hold_is_refused() -> None:
-    """Nothing, something else, a mission."""
-    with pytest.raises(ProblemError, match="loops is empty"):
-        Bank([])
-    with pytest.raises(ProblemError, match="loops"):
-        Bank([taciturn.load("two-mass")])  # type: ignore[list-item]
+    """Nothing, something else, a mission, a loop that diverges, no threads."""
+    loop = masses(0.2)
+    assert len(Bank(each for each in [loop, loop]).run(2).cost) == 2
+    for wrong in ([], iter([])):
+        with pytest.raises(ProblemError, match="loops is empty"):
+            Bank(wrong)
+    for wrong in (None, 5, loop, [taciturn.load("two-mass")]):
+        with pytest.raises(ProblemError, match="loops is "):
+            Bank(wrong)  # type: ignore[arg-type]
+    for threads in (0, -1, 2.5, True):
+        with pytest.raises(ProblemError, match="threads is "):
+            Bank([loop]).run(1, threads)  # type: ignore[arg-type]
     plant = Plant([[1.2]], [[1.0]], [[0.01]])
     policy = design.all_time(plant, Cost([[1.0]], [[1.0]]))
-    with pytest.raises(ProblemError, match="ends after"):
-        Bank([close(plant, policy, cost=Cost([[1.0]], [[1.0]], discount=0.9))])
+    for cost, told in (
+        (Cost([[1.0]], [[1.0]], discount=0.9), "discount 0.9"),
+        (Cost([[1.0]], [[1.0]], horizon=9), "horizon 9"),
+    ):
+        with pytest.raises(ProblemError, match=f"has {told}; expected an average"):
+            Bank([close(plant, policy, cost=cost)])
+    unstable = Plant([[2.0]], [[1.0]], [[0.01]], input_limit=[1e-3])
+    lost = close(unstable, design.all_time(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])))
+    with pytest.raises(UnstableError, match="loop 1 of the bank"):
+        Bank([loop, lost]).run(3000)

@@ -19,6 +19,7 @@ from taciturn.program.ops import Precision
 from taciturn.simulation.average import choose_estimator, plain_average
 from taciturn.simulation.sampling import Part, Sampling
 
+KINDS: tuple[Precision, Precision] = ("float64", "float32")
 RESOLUTION = 2.0**-24  # of a float near 1
 
 
@@ -74,6 +75,27 @@ def test_evaluations_in_single_precision_agree() -> None:
     single, double = (taciturn.evaluate(problem, precision=kind, steps=10**7) for kind in ("float32", "float64"))
     assert single.cost.value == pytest.approx(double.cost.value, rel=1e-6)
     assert single.cost.value != double.cost.value
+
+
+def test_the_standard_error_allows_for_rounding() -> None:
+    """A millionth of what is simulated, where the draws leave less."""
+    plant, cost = Plant([[0.5]], [[1.0]], [[1e-12]], mean=[1e3]), Cost([[1.0]], [[1.0]])
+    policy = taciturn.design.all_time(plant, cost)
+    loop = taciturn.close(plant, policy, cost=Cost([[1.0]], [[1.0]], horizon=20))
+    double, single = (taciturn.average(replace(loop, precision=kind), steps=20_000).cost for kind in KINDS)
+    assert double.standard_error < 1e-8 * double.value
+    assert single.standard_error == pytest.approx(1e-6 * single.value, rel=1e-3)
+    assert abs(single.value - double.value) < single.standard_error
+
+
+@pytest.mark.parametrize("scale", [1e-40, 1e-60, 1e37])
+def test_costs_beyond_the_range_of_single_precision_are_refused(scale: float) -> None:
+    """Instead of sums of zeros, or of infinities."""
+    plant, cost = Plant([[1.2]], [[1.0]], [[scale]]), Cost([[1.0]], [[1.0]])
+    loop = taciturn.close(plant, taciturn.design.lqg(plant, cost, theta=0.2))
+    assert taciturn.average(loop, steps=100_000).rates["actuator"].value > 0.01
+    with pytest.raises(ProblemError, match=r"precision is 'float32', and a tick costs some .*beyond its range"):
+        replace(loop, precision="float32")
 
 
 def test_what_single_precision_cannot_do_is_refused() -> None:

@@ -188,7 +188,7 @@ def allowed(cpu: str, features: str, asked: str) -> tuple[str, str]:
     if asked not in known:
         lacks = f", which this processor ({cpu}) lacks" if asked in there else ""
         raise ProblemError(
-            f"{VECTORS} is {asked!r}{lacks}; expected {' or '.join(known)}, or no such variable: the widest are used"
+            f"{VECTORS} is {asked!r}{lacks}; expected one of {', '.join(known)}, or none: the widest are used"
         )
     if asked == "baseline":
         return "", ""
@@ -243,7 +243,7 @@ def _read_object(path: Path) -> bytes | None:
     with contextlib.suppress(OSError):  # a read-only home forgets when it was used
         os.utime(path)
     digest, code = content[:32], content[32:]
-    if hashlib.sha256(code).digest() != digest:
+    if not code or hashlib.sha256(code).digest() != digest:
         warnings.warn(f"the kept machine code {path} is damaged; it is compiled again", stacklevel=2)
         return None
     return code

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from taciturn._arrays import count, number
+from taciturn._arrays import count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.program.controls import controlled
@@ -87,6 +87,9 @@ def average(
         ProblemError: a budget, precision or number of threads that is not positive.
         UnstableError: the loop diverges.
     """
+    instance("loop", loop, Loop)
+    if estimator is not None:
+        instance("estimator", estimator, Estimator)
     estimator = estimator or choose_estimator(loop)
     return _sampled([Part(loop, estimator)], seed, standard_error, steps, progress, threads)
 
@@ -131,6 +134,8 @@ def difference(
         >>> found.cost.value < 0 < found.rates["actuator"].value
         True
     """
+    instance("first", first, Loop)
+    instance("second", second, Loop)
     for name, values in {
         "period": (first.problem.tick, second.problem.tick),
         "horizon": (first.horizon, second.horizon),

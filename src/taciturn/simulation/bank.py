@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, count, instance
-from taciturn.errors import ProblemError
+from taciturn._arrays import Array, count, instance, quoted
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.program.engine import Stepper
 from taciturn.program.ir import Program
@@ -48,17 +48,22 @@ class Bank:
         (1, (3,))
     """
 
-    def __init__(self, loops: Sequence[Loop], seed: int = 0) -> None:
+    def __init__(self, loops: Iterable[Loop], seed: int = 0) -> None:
         """Group the loops by structure, compile each structure once."""
-        for loop in loops:
+        try:
+            self.loops = tuple(loops)
+        except TypeError:
+            raise ProblemError(f"loops is {quoted(loops)}; expected closed loops, one after the other") from None
+        seed = count("seed", seed, 0)
+        if not self.loops:
+            raise ProblemError("loops is empty; expected at least one closed loop")
+        for loop in self.loops:
             instance("loops", loop, Loop)
             if loop.horizon is not None:
-                raise ProblemError(
-                    f"the cost of a loop of {loop.policy.kind} ends after {loop.horizon} ticks; expected averages"
-                )
-        if not loops:
-            raise ProblemError("loops is empty; expected at least one closed loop")
-        self.loops, seed = tuple(loops), count("seed", seed, 0)
+                cost = loop.problem.cost
+                mission = f"discount {cost.discount:g}" if cost.discount < 1 else f"horizon {cost.horizon}"
+                raise ProblemError(f"the cost of a loop of {loop.policy.kind} has {mission}; expected an average")
+        loops = self.loops
         self._ticks = np.array([loop.problem.tick for loop in loops])
         self._noise = np.array([loop.problem.noise_cost for loop in loops]) / self._ticks
         self._links = list(dict.fromkeys(link for loop in loops for link in loop.policy.scheduled))
@@ -89,12 +94,21 @@ class Bank:
 
         Returns:
             What each loop cost and sent in these ticks.
+
+        Raises:
+            UnstableError: a loop diverges.
         """
         ticks, many = count("ticks", ticks), len(self.loops)
+        threads = None if threads is None else count("threads", threads)
         cost, sends = self._noise.copy(), {link: np.zeros(many) for link in self._links}
         for k, (indices, stepper) in enumerate(self._steppers):
             self._states[k], sums = stepper.run(self._states[k], ticks, threads)
             for name, total in sums.items():
+                if not np.isfinite(total).all():
+                    lost = int(indices[~np.isfinite(total)][0])
+                    raise UnstableError(
+                        f"loop {lost} of the bank ({self.loops[lost].policy.kind}) diverges; expected stable loops"
+                    )
                 if name == COST:
                     cost[indices] += total / ticks / self._ticks[indices]
                 else:

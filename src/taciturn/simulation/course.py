@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, instance
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
@@ -28,7 +28,7 @@ class Course:
         cost: mean of x'Qx + û'Rû + 2x'Nû, (ticks,).
         standard_error: of the cost, (ticks,).
         sends: fraction of the paths that send, by link, (ticks,).
-        sends_standard_error: of these fractions, (ticks,).
+        sends_standard_error: of these fractions, (ticks,); 0 where all paths agree.
         final: mean cost of the final state; None before the end of a mission, and where it costs nothing.
         paths: over which the means are taken.
     """
@@ -63,6 +63,7 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
         >>> round(float(course(close(plant, design.all_time(plant, cost)), 20).cost[0]), 3)
         14.667
     """
+    instance("loop", loop, Loop)
     ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)
     names = [f"{SENT} {link}" for link in loop.policy.scheduled]
     program = loop.program().keep({COST}, {*names}, {"x"})

@@ -31,6 +31,7 @@ DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one pa
 RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 26  # steps between two reports of progress
+ROUNDING = 1e-6  # relative, of what is simulated in single precision; measured: 7e-7 and less
 ROOM = 8  # paths for each control variate
 PAYS = 4  # times what was run so far must be left to run, for control variates to pay
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
@@ -153,12 +154,16 @@ class Sampling:
         self.controls: npt.NDArray[np.bool_] = np.array([kind == CONTROL for kind in kinds])
 
     def _add_controls(self, paths: int) -> bool:
-        """Add control variates to what is read, if there are some and enough paths to fit them; tell whether."""
-        many = sum(len(part.controls) for part in self.parts)
-        programs = [part.estimator.controlled for part in self.parts if part.estimator.controlled is not None]
-        if self.controls.any() or many == 0 or paths < ROOM * (many + 1) or len(programs) < len(self.parts):
+        """Add control variates to what is read, if there are some and enough paths to fit them; tell whether.
+
+        Not to a difference: of two loops that differ on few paths, these are all that a fit would see.
+        """
+        part = self.parts[0]
+        program, many = part.estimator.controlled, len(part.controls)
+        alone = len(self.parts) == 1 and not self.controls.any()
+        if not alone or program is None or many == 0 or paths < ROOM * (many + 1):
             return False
-        self._read(programs, [[*part.names, *part.controls] for part in self.parts])
+        self._read([program], [[*part.names, *part.controls]])
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
@@ -190,7 +195,7 @@ class Sampling:
             measured, pace = sum(length for length, _ in kept), self._pace(means[self.counted].mean(axis=1))
             long_enough = forgotten and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
-            if steps is None and long_enough and cost.standard_error <= target:
+            if steps is None and long_enough and self._is_precise(cost, target):
                 return Averages(cost, rates, self.steps, dropped, True)
             if left <= window:
                 return Averages(cost, rates, self.steps, dropped, steps is not None and long_enough)
@@ -225,10 +230,10 @@ class Sampling:
             first.add(sums[0])
             for link, row in self._sends(sums).items():
                 rates.setdefault(link, Moments()).add(row)
-            cost = costs.mean().scaled(1.0, self.offset)
+            cost = self._rounded(costs.mean()).scaled(1.0, self.offset)
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
             target = self._target(standard_error, first.center)
-            reached = steps is None and cost.standard_error <= target
+            reached = steps is None and self._is_precise(cost, target)
             if reached or self.steps + paths * horizon * width > budget:
                 return Averages(cost, found, self.steps, 0, reached or steps is not None)
             self._report(cost, None if steps else target, self.steps / budget)
@@ -291,7 +296,9 @@ class Sampling:
                 sums[rows] += np.array([result.sums[name] for name in names])
                 self.steps += now * paths
                 if not np.abs(sums[rows]).max() < HUGE:  # or not a number
-                    raise part.diverges(f"its cost passed {HUGE:g} within {self.steps} steps")
+                    single = part.loop.precision == "float32"
+                    passed = "the range of single precision" if single else f"{HUGE:g}"
+                    raise part.diverges(f"its cost passed {passed} within {self.steps} steps")
             ticks -= now
         return sums, after
 
@@ -333,7 +340,20 @@ class Sampling:
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
         seen = sum(length for length, _ in kept) * means.shape[1]
         rates = {link: rate_of(row, seen) for link, row in self._sends(means).items()}
-        return cost.scaled(1.0, self.offset), rates
+        return self._rounded(cost).scaled(1.0, self.offset), rates
+
+    def _rounded(self, cost: Estimate) -> Estimate:
+        """Return a mean with what single precision may have done to it; of a difference that is what is measured."""
+        if len(self.parts) > 1 or self.parts[0].loop.precision == "float64":
+            return cost
+        error = float(np.hypot(cost.standard_error, ROUNDING * cost.value))
+        return Estimate(cost.value, error, cost.method)
+
+    def _is_precise(self, cost: Estimate, target: float) -> bool:
+        """Tell whether a standard error is small enough; loops that have not yet differed have told nothing."""
+        programs = [part.estimator.program for part in self.parts]
+        told = cost.standard_error > 0 or all(program == programs[0] for program in programs)
+        return told and cost.standard_error <= target
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count
@@ -79,7 +82,7 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
         The mean.
 
     Raises:
-        ProblemError: fewer than ten values per batch, or values that are not finite.
+        ProblemError: fewer than ten values per batch, or values that are not finite, or nearly not.
 
     Source: law2015
 
@@ -94,7 +97,7 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
     length = len(values) // batches
     if length < 10:
         raise ProblemError(f"record has {len(values)} values for {batches} batches; expected at least {10 * batches}")
-    return mean(values[-length * batches :].reshape(batches, length).mean(axis=1))
+    return _in_range(lambda: mean(values[-length * batches :].reshape(batches, length).mean(axis=1)), values)
 
 
 def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
@@ -133,8 +136,23 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
         raise ProblemError(
             f"record has {max(len(at) - 1, 0)} whole cycles; expected at least {CYCLES}, a longer record"
         )
-    lengths, sums = np.diff(at), np.add.reduceat(values, at)[:-1]
-    ratio = float(sums.sum() / lengths.sum())
-    rest = sums - ratio * lengths
-    error = np.sqrt(float(rest @ rest) / (len(lengths) - 1) / len(lengths)) / float(lengths.mean())
-    return Estimate(ratio, float(error), "simulation")
+
+    def found() -> Estimate:
+        lengths, sums = np.diff(at), np.add.reduceat(values, at)[:-1]
+        ratio = float(sums.sum() / lengths.sum())
+        rest = sums - ratio * lengths
+        error = np.sqrt(float(rest @ rest) / (len(lengths) - 1) / len(lengths)) / float(lengths.mean())
+        return Estimate(ratio, float(error), "simulation")
+
+    return _in_range(found, values)
+
+
+def _in_range(find: Callable[[], Estimate], values: Array) -> Estimate:
+    """Return what is found of a record, if its squares are numbers."""
+    with np.errstate(all="ignore"), suppress(OverflowError):
+        found = find()
+        if np.isfinite([found.value, found.standard_error]).all():
+            return found
+    raise ProblemError(
+        f"record holds {np.abs(values).max():.3g}, whose square is out of range; expected smaller numbers"
+    )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.loop import SENT, Loop
@@ -102,6 +102,7 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         >>> simulate(close(plant, design.lqg(plant, cost, theta=0.5), cost=cost), 50).state.shape
         (50, 1)
     """
+    instance("loop", loop, Loop)
     ticks = loop.ticks(ticks)
     count("seed", seed, 0)
     program = loop.program()

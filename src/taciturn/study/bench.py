@@ -16,7 +16,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, SENT, Loop
 from taciturn.model.policy import Assign
@@ -32,6 +32,7 @@ Contestant = Callable[[int], tuple[int, float]]
 """A seed → steps that were run, and the rate of sending in them."""
 
 PATHS, TICKS = 4096, 4000
+MOST_ROUNDS = 1000  # half an hour
 SUMS = {COST, EXCESS, f"{SENT} actuator"}
 FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
 
@@ -79,6 +80,7 @@ def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
         ProblemError: too few rounds, or llvmlite is missing.
     """
     rounds = count("rounds", rounds, 3)
+    number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
         raise ProblemError("llvmlite is missing, so there is no engine to measure; expected it to be installed")
     loop = masses()
