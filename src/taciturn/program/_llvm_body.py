@@ -14,7 +14,8 @@ _FLAGS: Mapping[Build, str] = {
     "parity": "",  # every operation rounds once, as in NumPy
     "fast": "nsz ",  # the sign of zero is free; no reassociation: it breaks the bit tricks of the draws
 }
-HOISTED = 128  # constants that are spread over vectors ahead of all ticks; more are spread where they are used
+SMALL = 256  # operations of a program whose constants are spread over vectors ahead of all ticks. In a larger one they
+# would be spilled, and where the stack comes to lie would decide the speed (a fifth): they are spread where they are used
 PERMUTES = {  # by lanes of doubles: what permutes a register of AVX-512, and half words of one of AVX2
     8: "declare <8 x double> @llvm.x86.avx512.permvar.df.512(<8 x double>, <8 x i64>)",
     4: "declare <8 x float> @llvm.x86.avx2.permps(<8 x float>, <8 x i32>)",
@@ -87,7 +88,7 @@ class Body:
         self.names: list[str] = []  # of the operations' values
         self.vectors: dict[int, list[str]] = {}  # of the entries of products
         self.halves_known: set[str] = set()  # names of half words
-        self.alone = len(program.constants) > HOISTED
+        self.alone = program.operations > SMALL
         self.constants: list[str] = []  # those spread ahead of all ticks
         self.base = ""  # address of the constants
         self.first_input = ""  # row of the tick's first input
