@@ -14,8 +14,9 @@ _FLAGS: Mapping[Build, str] = {
     "parity": "",  # every operation rounds once, as in NumPy
     "fast": "nsz ",  # the sign of zero is free; no reassociation: it breaks the bit tricks of the draws
 }
-SMALL = 256  # operations of a program whose constants are spread over vectors ahead of all ticks. In a larger one they
-# would be spilled, and where the stack comes to lie would decide the speed (a fifth): they are spread where they are used
+# Operations of a program whose constants are spread over vectors ahead of all ticks. In a larger one they would be
+# spilled, and where the stack comes to lie would decide the speed, by a fifth: they are spread where they are used.
+SMALL = 256
 PERMUTES = {  # by lanes of doubles: what permutes a register of AVX-512, and half words of one of AVX2
     8: "declare <8 x double> @llvm.x86.avx512.permvar.df.512(<8 x double>, <8 x i64>)",
     4: "declare <8 x float> @llvm.x86.avx2.permps(<8 x float>, <8 x i32>)",
