@@ -21,7 +21,7 @@ myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_mode = "force"
 nb_execution_raise_on_error = True
-nb_execution_in_temp = True
+nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 300
 nb_merge_streams = True
 
