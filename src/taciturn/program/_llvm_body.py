@@ -39,14 +39,13 @@ def _columns(matrix: Rows, tile: Tile) -> list[float]:
     return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
 
 
-def _fused(program: Program) -> tuple[dict[int, int], set[int]]:
+def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
     """Return the sums and differences with the product that each is fused with, and the products added up over ticks.
 
     Nothing else reads these products. What is fused is decided here and not by the compiler, so that it does not depend
     on the processor.
     """
-    roots, live = _roots(program), needed(program, _roots(program))
-    uses = Counter([*(i for index in live for i in program.ops[index].reads), *roots])
+    uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
     found: dict[int, int] = {}
     for index in sorted(live):
         op = program.ops[index]
@@ -84,7 +83,8 @@ class Body:
         self.number_at = self.number if self.copies else "double"  # what stands at the base of the constants
         self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
         self.fuses = build == "fast"
-        self.fused, self.summed = _fused(program) if self.fuses else ({}, set[int]())
+        self.live = needed(program, _roots(program))
+        self.fused, self.summed = _fused(program, self.live) if self.fuses else ({}, set[int]())
         self.lines: list[str] = []
         self.names: list[str] = []  # of the operations' values
         self.vectors: dict[int, list[str]] = {}  # of the entries of products
@@ -98,7 +98,7 @@ class Body:
 
     def operations(self) -> None:
         """Print every operation of the program that something depends on."""
-        printed = needed(self.program, _roots(self.program)) - {*self.fused.values(), *self.summed}
+        printed = self.live - {*self.fused.values(), *self.summed}
         for index, op in enumerate(self.program.ops):
             if op.name == "product":
                 self.vectors[index] = self._product(op.arguments[0], op.reads)

@@ -13,6 +13,7 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.program.engine import Stepper
 from taciturn.program.ir import Program
+from taciturn.simulation.sampling import sends
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,8 +70,7 @@ class Bank:
         self._links = list(dict.fromkeys(link for loop in loops for link in loop.policy.scheduled))
         groups: dict[object, list[tuple[int, Program]]] = {}
         for index, loop in enumerate(loops):
-            links = {f"{SENT} {link}" for link in loop.policy.scheduled}
-            program = loop.program().keep({COST, *links})
+            program = loop.program().keep({COST, *sends(loop)})
             groups.setdefault(program.structure, []).append((index, program))
         self._steppers: list[tuple[npt.NDArray[np.int64], Stepper]] = []
         self._states: list[Array] = []
@@ -100,7 +100,7 @@ class Bank:
         """
         ticks, many = count("ticks", ticks), len(self.loops)
         threads = None if threads is None else count("threads", threads)
-        cost, sends = self._noise.copy(), {link: np.zeros(many) for link in self._links}
+        cost, sent = self._noise.copy(), {link: np.zeros(many) for link in self._links}
         for k, (indices, stepper) in enumerate(self._steppers):
             self._states[k], sums = stepper.run(self._states[k], ticks, threads)
             for name, total in sums.items():
@@ -112,5 +112,5 @@ class Bank:
                 if name == COST:
                     cost[indices] += total / ticks / self._ticks[indices]
                 else:
-                    sends[name.removeprefix(f"{SENT} ")][indices] = total / ticks
-        return Tally(cost, sends)
+                    sent[name.removeprefix(f"{SENT} ")][indices] = total / ticks
+        return Tally(cost, sent)

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
-from taciturn.loop import COST, SENT, Loop
+from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
+from taciturn.simulation.sampling import sends
 from taciturn.simulation.statistics import mean
 
 PATHS = 4096
@@ -65,15 +66,15 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
     """
     instance("loop", loop, Loop)
     ticks, paths, seed = loop.ticks(ticks), count("paths", paths, 2), count("seed", seed, 0)
-    names = [f"{SENT} {link}" for link in loop.policy.scheduled]
+    names = sends(loop)
     program = loop.program().keep({COST}, {*names}, {"x"})
     run, states = prepare(program), loop.start(program, paths, seed)
-    cost, sends = list[Estimate](), list[list[Estimate]]()
+    cost, sent = list[Estimate](), list[list[Estimate]]()
     for _ in range(ticks):
         found = run(states, 1, None)
         states = found.states
         cost.append(mean(found.sums[COST]))
-        sends.append([mean(found.outputs[name][0]) for name in names])
+        sent.append([mean(found.outputs[name][0]) for name in names])
     final = loop.final_cost(program, states) if ticks == loop.problem.cost.horizon else None
     problem, unit = loop.problem, 1.0 if loop.horizon is not None else loop.problem.tick
     noise: Array = problem.noise_cost * np.power(problem.cost.discount, np.arange(float(ticks)))
@@ -81,8 +82,8 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
         np.arange(ticks, dtype=np.float64) * (problem.plant.dt or 1.0),
         (np.array([stage.value for stage in cost]) + noise) / unit,
         np.array([stage.standard_error for stage in cost]) / unit,
-        {link: np.array([tick[i].value for tick in sends]) for i, link in enumerate(loop.policy.scheduled)},
-        {link: np.array([tick[i].standard_error for tick in sends]) for i, link in enumerate(loop.policy.scheduled)},
+        {link: np.array([tick[i].value for tick in sent]) for i, link in enumerate(loop.policy.scheduled)},
+        {link: np.array([tick[i].standard_error for tick in sent]) for i, link in enumerate(loop.policy.scheduled)},
         None if final is None else mean(final),
         paths,
     )
