@@ -7,7 +7,7 @@ travels; the actuator applies ``input``; the controller notes the same input as 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -23,12 +23,24 @@ from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.lqg.riccati import Regulator, regulate
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
-from taciturn.model.policy import Assign, Decide, Identity, Location, NodeName, Received, Send, Step
+from taciturn.model.policy import (
+    Assign,
+    ClosedForm,
+    Decide,
+    Guarantee,
+    Identity,
+    Location,
+    NodeName,
+    Policy,
+    Received,
+    Send,
+    Step,
+)
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
 COLLOCATED: tuple[frozenset[NodeName], ...] = (frozenset({"sensor", "controller"}),)
-SEND, CLOCK = "send", "clock"
+SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +62,26 @@ class Certainty:
     estimation: Estimation
     cost_all_time: float
     settling: float
+
+    @property
+    def corrections(self) -> Array:
+        """Covariance of what a measurement adds to the estimate, Σ̃ − Σ, semidefinite under rounding too."""
+        return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
+
+    @property
+    def unseen(self) -> float:
+        """Cost per tick of what the filter cannot know, tr(QΣ)."""
+        return float(np.trace(self.problem.Q @ self.filter.posterior))
+
+    @property
+    def square(self) -> Array:
+        """Price e'L'HLe of acting on a state that is off the estimate by e, (n, n)."""
+        return self.regulator.L.T @ self.regulator.H @ self.regulator.L
+
+    def completed_square(self) -> Identity:
+        """Return J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)]."""
+        problem = self.problem
+        return completed_square(problem.per_unit(self.cost_all_time), self.regulator.H / problem.tick)
 
 
 def design_certainty(kind: str, problem: Discrete) -> Certainty:
@@ -89,7 +121,14 @@ def expect_average(kind: str, cost: Cost) -> None:
 
 
 def control_steps(
-    plant: Plant, estimation: Estimation, L: Matrix, actuation: Actuation, trigger: Trigger | None
+    plant: Plant,
+    estimation: Estimation,
+    L: Matrix,
+    actuation: Actuation,
+    trigger: Trigger | None,
+    *,
+    before: tuple[Step, ...] = (),
+    after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
     """Return the steps of a tick and the first values of the memories.
 
@@ -98,21 +137,88 @@ def control_steps(
         estimation: the steps that make the estimate.
         L: the gain of the command.
         actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃, L constant.
-        trigger: over ``estimate``, ``candidate`` and ``error``; None: send at every tick.
+        trigger: over ``estimate``, ``candidate``, ``error`` and ``deviation``; None: send at every tick.
+        before: further steps before the decision.
+        after: further steps after it.
     """
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
     part = _ACTUATIONS[choice("actuation", actuation, _ACTUATIONS)](plant, L, on)
+    deviates = trigger is not None and DEVIATION in trigger.reads
     steps: tuple[Step, ...] = (
         *estimation.correct,
         Assign("controller", "command", {ESTIMATE: L}),
         part.candidate,
         Assign("controller", "error", {"candidate": np.eye(plant.inputs), "command": -np.eye(plant.inputs)}),
+        *(part.deviation if deviates else ()),
+        *before,
         *decide,
         *part.send,
+        *(part.noted if deviates else ()),
+        *after,
         *estimation.predict,
     )
     return steps, {**estimation.initial, **part.initial}
+
+
+def certainty_policy(
+    kind: str,
+    certainty: Certainty,
+    steps: tuple[Step, ...],
+    initial: Mapping[str, Array],
+    *,
+    identity: Identity | None,
+    locations: tuple[Location, ...] = (),
+    guarantee: Guarantee | None = None,
+    closed_form: ClosedForm | None = None,
+    slower: float = 1.0,
+    notes: tuple[str, ...] = (),
+) -> Policy:
+    """Return the policy whose controller sits at the sensor and sends over the actuator link.
+
+    Args:
+        kind: name in the catalogue.
+        certainty: filter and regulator.
+        steps: of a tick.
+        initial: first values of the memories.
+        identity: what the cost is exactly, by completion of squares.
+        locations: finite locations.
+        guarantee: what is proved.
+        closed_form: what is known exactly.
+        slower: how many times as long as sending always it takes to forget the start.
+        notes: what a reader of its numbers must know.
+    """
+    problem = certainty.problem
+    return Policy(
+        kind=kind,
+        steps=steps,
+        model=problem.plant,
+        cost_all_time=problem.per_unit(certainty.cost_all_time),
+        sites=COLLOCATED,
+        locations=locations,
+        initial=initial,
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        settling=slower * certainty.settling,
+        cost=problem.cost,
+        guarantee=guarantee,
+        identity=identity,
+        innovations=certainty.estimation.innovations,
+        closed_form=closed_form,
+        notes=notes,
+    )
+
+
+def steps_at_the_actuator(plant: Plant, estimation: Estimation, L: Matrix) -> tuple[Step, ...]:
+    """Return the steps of a controller that needs no link to the actuator."""
+    command = {"command": np.eye(plant.inputs)}
+    return (
+        *estimation.correct,
+        Assign("controller", "command", {ESTIMATE: L}),
+        Assign("actuator", "input", command),
+        Assign("controller", HELD, command),
+        *estimation.predict,
+    )
 
 
 def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
@@ -121,6 +227,14 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
     Source: khashooei2017
     """
     return Identity(constant, (Form(("error",), H), Form()), SEND)
+
+
+def measure_excess(certainty: Certainty) -> tuple[Step, Identity]:
+    """Return the step and the identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with gains of its own."""
+    problem, regulator = certainty.problem, certainty.regulator
+    step = Assign("controller", "excess", {HELD: np.eye(problem.plant.inputs), ESTIMATE: -regulator.L})
+    form = Form(("excess",), regulator.H / problem.tick)
+    return step, Identity(problem.per_unit(certainty.cost_all_time), (form,))
 
 
 def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
@@ -151,13 +265,20 @@ def count_ticks(ticks: int, start: int | None) -> Location:
 
 @dataclass(frozen=True, eq=False)
 class _Actuation:
+    """What the actuator does in silence, and how the controller follows it.
+
+    ``deviation`` is the state that the actuator acts on less the estimate; ``noted`` the memory that takes.
+    """
+
     candidate: Step
     send: tuple[Step, ...]
     initial: dict[str, Array]
+    deviation: tuple[Step, ...]
+    noted: tuple[Step, ...] = ()
 
 
 def _hold(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
-    unit = np.eye(plant.inputs)
+    unit, state = np.eye(plant.inputs), np.eye(plant.states)
     known = ({"candidate": unit}, {"command": unit})
     return _Actuation(
         Assign("controller", "candidate", {HELD: unit}),
@@ -167,6 +288,8 @@ def _hold(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
             Assign("controller", HELD, known, on) if on else Assign("controller", HELD, known[1]),
         ),
         {},
+        (_off(plant, "sent"),),
+        (Assign("controller", "sent", ({"sent": state}, {ESTIMATE: state}), on),) if on else (),
     )
 
 
@@ -187,7 +310,12 @@ def _model(plant: Plant, L: Matrix, on: str | None) -> _Actuation:
             Assign("controller", "prediction", {"copy": closed}),
         ),
         {"prediction": plant.mean, "forecast": plant.mean},
+        (_off(plant, "prediction"),),
     )
+
+
+def _off(plant: Plant, signal: str) -> Step:
+    return Assign("controller", DEVIATION, {signal: np.eye(plant.states), ESTIMATE: -np.eye(plant.states)})
 
 
 _ACTUATIONS: dict[Actuation, Callable[[Plant, Matrix, str | None], _Actuation]] = {"hold": _hold, "model": _model}

@@ -9,10 +9,9 @@ import numpy as np
 from taciturn._arrays import choice, number
 from taciturn._scipy import block_diagonal
 from taciturn.design.certainty import (
-    COLLOCATED,
     Actuation,
     Certainty,
-    completed_square,
+    certainty_policy,
     control_steps,
     design_certainty,
     silence_form,
@@ -76,7 +75,7 @@ def lqg(
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
-    threshold = theta * float(np.trace(problem.Q @ certainty.filter.posterior))
+    threshold = theta * certainty.unseen
     silent = (
         silence_form(problem, certainty.regulator.H, theta)
         if trigger == "joint"
@@ -84,24 +83,17 @@ def lqg(
     )
     rule = Trigger({"silent": silent, "send": Form(constant=threshold)})
     steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
-    return Policy(
-        kind="lqg",
-        steps=steps,
-        model=problem.plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
-        sites=COLLOCATED,
-        initial=initial,
-        tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=certainty.settling,
-        cost=cost,
+    return certainty_policy(
+        "lqg",
+        certainty,
+        steps,
+        initial,
+        identity=certainty.completed_square(),
         guarantee=Guarantee(
             problem.per_unit((1 + theta) * certainty.cost_all_time),
             "J ≤ (1+θ) J_all, mean-square stable",
             "khashooei2017",
         ),
-        identity=completed_square(problem.per_unit(certainty.cost_all_time), certainty.regulator.H / problem.tick),
-        innovations=certainty.estimation.innovations,
     )
 
 

@@ -9,10 +9,10 @@ from taciturn._modes import radius
 from taciturn._scipy import discrete_lyapunov
 from taciturn.design.certainty import (
     CLOCK,
-    COLLOCATED,
     SEND,
     Actuation,
     Certainty,
+    certainty_policy,
     control_steps,
     count_ticks,
     design_certainty,
@@ -107,43 +107,44 @@ def periodic(
     turn = Scheduled(CLOCK, [-1.0] + [1.0] * (every - 1))
     trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
     steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
-    return _blind("periodic", certainty, steps, initial, average, every)
+    return by_the_clock("periodic", certainty, steps, initial, average, 1 / every, every)
 
 
 def _every_tick(kind: str, certainty: Certainty) -> Policy:
     plant, L = certainty.problem.plant, certainty.regulator.L
     steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
-    return _blind(kind, certainty, steps, initial, certainty.cost_all_time, 1)
+    return by_the_clock(kind, certainty, steps, initial, certainty.cost_all_time, 1.0, 1)
 
 
-def _blind(
-    kind: str, certainty: Certainty, steps: tuple[Step, ...], initial: dict[str, Array], average: float, every: int
+def by_the_clock(
+    kind: str,
+    certainty: Certainty,
+    steps: tuple[Step, ...],
+    initial: dict[str, Array],
+    average: float,
+    rate: float,
+    length: int,
 ) -> Policy:
-    problem = certainty.problem
-    return Policy(
-        kind=kind,
-        steps=steps,
-        model=problem.plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
-        sites=COLLOCATED,
-        locations=(count_ticks(every, 0),),
-        initial=initial,
-        tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=every * certainty.settling,
-        cost=problem.cost,
-        innovations=certainty.estimation.innovations,
-        closed_form=ClosedForm(problem.per_unit(average), {"actuator": 1.0 / every}),
+    """Return a policy whose clock of so many ticks decides all, with its cost and its sends per tick."""
+    return certainty_policy(
+        kind,
+        certainty,
+        steps,
+        initial,
+        identity=None,
+        locations=(count_ticks(length, 0),),
+        closed_form=ClosedForm(certainty.problem.per_unit(average), {"actuator": rate}),
+        slower=length,
     )
 
 
 def _predicted_cost(certainty: Certainty, every: int) -> float:
     """J_all + (1/k) Σ_{j<k} tr(L'HL V_j): the error before a send is what the innovations of j steps have left."""
-    plant, regulator = certainty.problem.plant, certainty.regulator
-    weight = regulator.L.T @ regulator.H @ regulator.L
-    fresh = certainty.filter.prior - certainty.filter.posterior
+    plant = certainty.problem.plant
     free = np.zeros((plant.inputs, plant.inputs))
-    excess = lift(plant.A, plant.B, weight, free, np.zeros_like(plant.B), fresh, every).noise_cost
+    excess = lift(
+        plant.A, plant.B, certainty.square, free, np.zeros_like(plant.B), certainty.corrections, every
+    ).noise_cost
     return certainty.cost_all_time + excess / every
 
 

@@ -18,6 +18,7 @@ from taciturn.design.certainty import (
     control_steps,
     count_ticks,
     silence_form,
+    steps_at_the_actuator,
 )
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.design.prices import Prices, by_clock, price_control
@@ -41,7 +42,7 @@ from taciturn.model.policy import (
     Step,
 )
 from taciturn.model.schedule import Schedule
-from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+from taciturn.model.trigger import Form, Scheduled, Trigger
 
 Controller = Literal["remote", "actuator", "sensor"]
 LINKS: Mapping[Controller, tuple[LinkName, ...]] = {
@@ -108,7 +109,7 @@ def remote_lqg(
     cost_of_watch = prices.in_units(prices.total(watch.covariance, watch.start))
     estimation = _estimate(problem.plant, watch)
     if controller == "actuator":
-        steps, initial = _at_the_actuator(problem.plant, estimation, by_clock(prices.L)), estimation.initial
+        steps, initial = steps_at_the_actuator(problem.plant, estimation, by_clock(prices.L)), estimation.initial
     else:
         threshold = theta * (problem.Q * watch.covariance).sum(axis=(1, 2))
         rule = {"silent": silence_form(problem, prices.H, theta), SEND: Form(constant=Scheduled(CLOCK, threshold))}
@@ -236,16 +237,4 @@ def _estimate(plant: Plant, watch: _Watch) -> Estimation:
         (*query, innovation, Assign("controller", "prior", moved)),
         {"prior": plant.mean},
         innovations,
-    )
-
-
-def _at_the_actuator(plant: Plant, estimation: Estimation, L: Matrix) -> tuple[Step, ...]:
-    """Return the steps of a controller that needs no link to the actuator."""
-    command = {"command": np.eye(plant.inputs)}
-    return (
-        *estimation.correct,
-        Assign("controller", "command", {ESTIMATE: L}),
-        Assign("actuator", "input", command),
-        Assign("controller", HELD, command),
-        *estimation.predict,
     )

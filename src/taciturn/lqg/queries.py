@@ -55,10 +55,14 @@ class Predictor:
         self._observer = np.zeros((plant.states, plant.outputs))
         if not self._noisy:
             with suppress(UnstableError):
-                self._observer = plant.A @ steady_filter(plant.A, plant.C, plant.W, plant.V).gain
+                self._observer = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
 
     def gain(self, Sigma: Array) -> Array:
-        """Return AΣC'(CΣC' + V)^{-1}, (…, n, p).
+        """Return AΣC'(CΣC' + V)^{-1}, (…, n, p), that of the prediction."""
+        return self.plant.A @ self.correction(Sigma)
+
+    def correction(self, Sigma: Array) -> Array:
+        """Return ΣC'(CΣC' + V)^{-1}, (…, n, p), that of the filtered estimate.
 
         Where CΣC' + V is singular, outputs are known in advance: in these directions any gain is optimal, and that of a
         stable observer is taken, which also forgets what rounding and the start have put there.
@@ -66,11 +70,11 @@ class Predictor:
         p = self.plant
         seen = p.C @ Sigma
         if self._noisy:
-            turned = np.linalg.solve(seen @ p.C.T + p.V, seen @ p.A.T)
+            turned = np.linalg.solve(seen @ p.C.T + p.V, seen)
             return np.asarray(turned.swapaxes(-1, -2), dtype=np.float64)
         prices = [_dare.price(p.C.T, one, p.V) for one in Sigma.reshape(-1, *Sigma.shape[-2:])]
         S, inverse = (np.reshape(part, (*Sigma.shape[:-2], *p.V.shape)) for part in zip(*prices, strict=True))
-        return p.A @ seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(p.V)) - S @ inverse)
+        return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(p.V)) - S @ inverse)
 
     def silent(self, Sigma: Array) -> Array:
         """Return AΣA' + W, the next covariance without a measurement."""
@@ -102,7 +106,7 @@ class Predictor:
             following = self.queried(Sigma, self.gain(Sigma)) if query else self.silent(Sigma)
             if not np.isfinite(following @ following).all():
                 raise UnstableError(
-                    "the error covariance overflows before a query is worth its price; expected a smaller zeta"
+                    "the error covariance overflows before the sensor is queried; expected a smaller zeta or threshold"
                 )
         return following
 
@@ -218,6 +222,38 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
 
+def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
+    """Return the part that repeats of the schedule that measures where an output is predicted too badly.
+
+    The sensor is queried where max_i (CΣ_kC')_ii > threshold, Σ_k the covariance of the prediction.
+
+    Args:
+        plant: A, C, W and V.
+        threshold: at least 0.
+
+    Returns:
+        The schedule; its value is the largest variance.
+
+    Raises:
+        UnstableError: it does not repeat within 100,000 ticks, or never queries an unstable plant.
+
+    Source: trimpe2014
+    """
+    predictor = Predictor(plant)
+    covariance, value = [steady_filter(plant.A, plant.C, plant.W, plant.V).prior], list[float]()
+    for _ in range(LONGEST):
+        value.append(float(np.diag(plant.C @ covariance[-1] @ plant.C.T).max()))
+        covariance.append(predictor.follow(covariance[-1], value[-1] > threshold))
+        cycle = _cycle(predictor, covariance)
+        if cycle is not None:
+            found = _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], threshold, cycle[0], 1.0)
+            return found.repeating()
+    raise UnstableError(
+        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} ticks; "
+        "expected another threshold"
+    )
+
+
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
     """Return the covariances Ric^k(Σ_0) of a sensor queried at every tick, and the tick from which they repeat.
 
@@ -255,8 +291,8 @@ def _schedule(
     found = Schedule(values > price, values, frozen(np.array(covariance)), price, start, discount)
     if start is not None and not found.queries[start:].any() and radius(plant.A) >= 1:
         raise UnstableError(
-            f"with zeta = {price:g} the sensor is never queried, and the plant is unstable: nothing would tell where "
-            "its state drifts; expected a smaller zeta, or noise W on the unstable modes"
+            f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable: nothing "
+            "would tell where its state drifts; expected a smaller one, or noise W on the unstable modes"
         )
     return found
 

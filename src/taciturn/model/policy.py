@@ -117,7 +117,10 @@ class Evaluate:
 
 @dataclass(frozen=True, eq=False)
 class Draw:
-    """signal := a uniform draw in (0, 1) at a node; the peers do not see it."""
+    """signal := a draw ξ of the exponential law of mean 1 at a node; the peers do not see it.
+
+    A trigger that compares a form q with ξ keeps silent with the probability e^{−q}.
+    """
 
     at: NodeName
     signal: str

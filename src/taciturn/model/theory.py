@@ -66,7 +66,10 @@ class Innovations:
 
 @dataclass(frozen=True)
 class ClosedForm:
-    """Cost and rates of a policy whose actions ignore the state, in the units of the cost and per tick."""
+    """Cost and rates that are known exactly, in the units of the cost and per tick.
+
+    Those of a policy whose actions ignore the state, for one.
+    """
 
     cost: float
     rates: Mapping[str, float]

@@ -23,7 +23,7 @@ from taciturn.model.policy import (
     Terms,
 )
 from taciturn.model.trigger import Form, Matrix, Scheduled
-from taciturn.program.draws import UNIFORM
+from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.ops import State
 
@@ -75,7 +75,7 @@ class Tick:
         elif isinstance(step, Evaluate):
             self.signals[step.signal] = [self.pick(step.on, [self.form(form) for form in step.forms])]
         elif isinstance(step, Draw):
-            self.signals[step.signal] = [self.uniform()]
+            self.signals[step.signal] = [self.builder.scale(0.5, minus_two_log(self.builder, self.uniform()))]
         elif isinstance(step, Decide):
             self._decide(step)
         else:

@@ -1,0 +1,83 @@
+"""The absolute threshold: send when the error is large."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from taciturn._arrays import ArrayLike, choice, number, semidefinite
+from taciturn.design.bounds import bound_by_silence, largest_ratio
+from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.trigger import Form, Trigger
+
+
+def absolute(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    threshold: float,
+    weight: ArrayLike | None = None,
+    error: Literal["input", "state"] = "input",
+    period: float | None = None,
+    actuation: Actuation = "hold",
+) -> Policy:
+    """Design LQG control that sends if and only if e'We > Y².
+
+    The error e is that of the input applied in silence, û − Lx̂, or of the state that the actuator acts on, x̃ − x̂: the
+    last estimate sent, or its prediction [lunze2010]. By completion of squares silence costs at most μY², μ the least
+    with H ⪯ μW or L'HL ⪯ μW.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        threshold: Y ≥ 0, in the units of the error.
+        weight: W, (m, m) or (n, n), semidefinite; omitted: the identity.
+        error: ``"input"`` or ``"state"``.
+        period: seconds between ticks; only with a continuous plant.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+
+    Returns:
+        The policy, with J ≤ J_all + μY²(1 − R); without it where the weight does not see what costs.
+
+    Raises:
+        ProblemError: Y < 0, W of the wrong size or indefinite, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: astrom2002, lunze2010
+
+    Example:
+        >>> plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-6]])
+        >>> round(absolute(plant, cost, threshold=3.0, actuation="model").guarantee.cost, 3)
+        10.0
+    """
+    threshold = number("threshold", threshold, 0.0, closed=True)
+    choice("error", error, ("input", "state"))
+    problem = discretise(plant, cost, period)
+    certainty = design_certainty("absolute", problem)
+    size, meaning = (
+        (problem.plant.inputs, "(inputs, inputs)") if error == "input" else (problem.plant.states, "(states, states)")
+    )
+    W = np.eye(size) if weight is None else semidefinite("weight", weight, size, meaning)
+    if not W.any():
+        raise ProblemError("weight is zero, so that nothing would ever be sent; expected a weight that sees an error")
+    rule = Trigger({
+        "silent": Form(("error" if error == "input" else DEVIATION,), W),
+        SEND: Form(constant=threshold**2),
+    })  # fmt: skip
+    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
+    mu = largest_ratio(certainty.regulator.H if error == "input" else certainty.square, W)
+    return certainty_policy(
+        "absolute",
+        certainty,
+        steps,
+        initial,
+        identity=certainty.completed_square(),
+        guarantee=None if mu is None else bound_by_silence(certainty, mu * threshold**2, "astrom2002"),
+        notes=("no bound is known: the weight does not see every error that costs",) if mu is None else (),
+    )

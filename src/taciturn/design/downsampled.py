@@ -1,0 +1,76 @@
+"""The downsampled threshold: looked at often after a send, seldom otherwise."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import count, number
+from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Location, Policy
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+WAIT = "wait"
+
+
+def downsampled(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    fast: int,
+    slow: int,
+    threshold: float,
+    period: float | None = None,
+    actuation: Actuation = "hold",
+) -> Policy:
+    """Design LQG control that looks at its threshold now and then, and sends if it finds |e| > Y.
+
+    e = x̃ − x̂, with x̃ the state that the actuator acts on. After a send the next look comes ``fast`` ticks later, after
+    a look without a send ``slow`` ticks later: periodic event-triggered control [heemels2013] whose looks follow the
+    events. With fast = slow = 1 it is the absolute threshold.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        fast: ticks to the next look after a send, at least 1.
+        slow: ticks to the next look after a look without a send, at least ``fast``.
+        threshold: Y ≥ 0, in the units of the state.
+        period: seconds between ticks; only with a continuous plant.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+
+    Returns:
+        The policy; no bound on its cost is known.
+
+    Raises:
+        ProblemError: looks that are no whole ticks, slow < fast, Y < 0, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: heemels2013
+
+    Example:
+        >>> plant, cost = Plant([[0.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> downsampled(plant, cost, fast=1, slow=4, threshold=1.0).locations[0].table.tolist()
+        [[3, 0], [0, 0], [1, 1], [2, 2]]
+    """
+    fast, slow = count("fast", fast), count("slow", slow)
+    if slow < fast:
+        raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in ticks from look to look")
+    threshold = number("threshold", threshold, 0.0, closed=True)
+    problem = discretise(plant, cost, period)
+    certainty, unit = design_certainty("downsampled", problem), np.eye(problem.plant.states)
+    looked_at = Scheduled(WAIT, [unit] + [0 * unit] * (slow - 1))
+    rule = Trigger({"silent": Form((DEVIATION,), looked_at), SEND: Form(constant=threshold**2)})
+    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
+    left = [[slow - 1, fast - 1], *([wait - 1] * 2 for wait in range(1, slow))]
+    return certainty_policy(
+        "downsampled",
+        certainty,
+        steps,
+        initial,
+        identity=certainty.completed_square(),
+        locations=(Location(WAIT, np.array(left), "controller", SEND),),
+        slower=slow,
+    )

@@ -1,0 +1,85 @@
+"""The mixed threshold: send when the error is large beside the state, or large at all."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import number
+from taciturn._scipy import block_diagonal
+from taciturn.design.bounds import bound_by_state
+from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.estimation import ESTIMATE
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.trigger import Form, Trigger
+
+
+def mixed(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    sigma: float,
+    threshold: float,
+    period: float | None = None,
+    actuation: Actuation = "hold",
+) -> Policy:
+    """Design LQG control that sends if and only if |e|² > σ²|x̂|² + Y².
+
+    e = x̃ − x̂, with x̃ the state that the actuator acts on: the last estimate sent, or its prediction.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        sigma: σ ≥ 0, the share of the state.
+        threshold: Y ≥ 0, in the units of the state.
+        period: seconds between ticks; only with a continuous plant.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+
+    Returns:
+        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
+        J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1−s); no bound is known for a larger σ.
+
+    Raises:
+        ProblemError: σ < 0 or Y < 0, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: donkers2012
+
+    Example:
+        >>> plant, cost = Plant([[0.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> mixed(plant, cost, sigma=0.1, threshold=0.5).guarantee.cost < 1.3
+        True
+    """
+    return relative_to_state("mixed", plant, cost, sigma, threshold, period, actuation, "donkers2012")
+
+
+def relative_to_state(
+    kind: str,
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    sigma: float,
+    threshold: float,
+    period: float | None,
+    actuation: Actuation,
+    source: str,
+) -> Policy:
+    """Return the policy that sends iff |e|² > σ²|x̂|² + Y²."""
+    sigma = number("sigma", sigma, 0.0, closed=True)
+    threshold = number("threshold", threshold, 0.0, closed=True)
+    problem = discretise(plant, cost, period)
+    certainty, unit = design_certainty(kind, problem), np.eye(problem.plant.states)
+    silent = Form((DEVIATION, ESTIMATE), block_diagonal(unit, -(sigma**2) * unit))
+    rule = Trigger({"silent": silent, SEND: Form(constant=threshold**2)})
+    steps, initial = control_steps(problem.plant, certainty.estimation, certainty.regulator.L, actuation, rule)
+    guarantee, notes = bound_by_state(certainty, sigma, threshold, source)
+    return certainty_policy(
+        kind,
+        certainty,
+        steps,
+        initial,
+        identity=certainty.completed_square(),
+        guarantee=guarantee,
+        notes=notes,
+    )

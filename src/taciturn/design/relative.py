@@ -1,0 +1,48 @@
+"""The relative threshold: send when the error is large beside the state."""
+
+from __future__ import annotations
+
+from taciturn.design.certainty import Actuation
+from taciturn.design.mixed import relative_to_state
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+
+
+def relative(
+    plant: Plant | ContinuousPlant,
+    cost: Cost,
+    *,
+    sigma: float,
+    period: float | None = None,
+    actuation: Actuation = "hold",
+) -> Policy:
+    """Design LQG control that sends if and only if |e|² > σ²|x̂|².
+
+    e = x̃ − x̂, with x̃ the state that the actuator acts on: the last estimate sent, or its prediction. Without noise the
+    state vanishes if σ is small; under noise the rule sends often where the state happens to be near zero.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        sigma: σ ≥ 0, the share of the state.
+        period: seconds between ticks; only with a continuous plant.
+        actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
+
+    Returns:
+        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
+        J ≤ (J_all − s tr(QΣ))/(1−s); no bound is known for a larger σ.
+
+    Raises:
+        ProblemError: σ < 0, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: tabuada2007
+
+    Example:
+        >>> plant, cost = Plant([[0.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> policy = relative(plant, cost, sigma=0.5)
+        >>> policy.guarantee.cost / policy.cost_all_time < 1.04
+        True
+    """
+    return relative_to_state("relative", plant, cost, sigma, 0.0, period, actuation, "tabuada2007")

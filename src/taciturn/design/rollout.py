@@ -1,0 +1,189 @@
+"""Rollout: of all futures with as many sends as periodic control, take the one that costs least from here."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import comb
+
+import numpy as np
+
+from taciturn._arrays import Array, count, symmetrised
+from taciturn.design.certainty import (
+    CLOCK,
+    SEND,
+    Certainty,
+    certainty_policy,
+    control_steps,
+    count_ticks,
+    design_certainty,
+    measure_excess,
+)
+from taciturn.design.estimation import ESTIMATE
+from taciturn.design.periodic_schedule import Stretches
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Location, Policy
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+FUTURE, BEGIN, PLACE, DUE = "future", "begin", "place", "due"
+MOST_FUTURES = 256
+
+
+def rollout(
+    plant: Plant | ContinuousPlant, cost: Cost, *, horizon: int, every: int, period: float | None = None
+) -> Policy:
+    """Design the policy that rearranges the sends of periodic control within a window, and so beats it.
+
+    Every ``horizon`` ticks the controller compares all schedules of the window that have as many sends as periodic
+    control, each with its optimal gains and followed by periodic control: quadratic forms of the estimate and of the
+    input held. It takes the cheapest. Periodic control is one of them, hence
+
+        rate = 1/every exactly,  J ≤ J_periodic(every).
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        horizon: ticks of the window, a multiple of ``every``.
+        every: ticks between sends of the periodic controller, at least 2.
+        period: seconds between ticks; only with a continuous plant.
+
+    Returns:
+        The policy, with its guarantee.
+
+    Raises:
+        ProblemError: a horizon that is no multiple of ``every``, more than 256 schedules, period missing or misplaced.
+        UnstableError: no stabilising periodic controller.
+
+    Source: antunes2014rollout
+
+    Example:
+        >>> plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> len(rollout(plant, cost, horizon=4, every=2).decisions["future"].labels)
+        6
+    """
+    horizon, every = count("horizon", horizon), count("every", every, 2)
+    if horizon % every:
+        raise ProblemError(f"horizon is {horizon} and every is {every}; expected a horizon that is a multiple of every")
+    sends = horizon // every
+    if comb(horizon, sends) > MOST_FUTURES:
+        raise ProblemError(
+            f"horizon is {horizon} and every is {every}, which is {comb(horizon, sends)} schedules; "
+            f"expected at most {MOST_FUTURES}: a shorter horizon"
+        )
+    problem = discretise(plant, cost, period)
+    certainty, unit = design_certainty("rollout", problem), np.eye(problem.plant.inputs)
+    base = Stretches(certainty).solve((every,))
+    futures = [_Future(certainty, base.values[0], sends, horizon) for sends in _schedules(horizon, every)]
+    rooms = _Rooms(futures, horizon)
+    turn = Scheduled(CLOCK, [-1.0] + [1.0] * (horizon - 1))
+    later = Form(constant=Scheduled(PLACE, rooms.due))
+    before = (
+        Decide("controller", FUTURE, Trigger({f"future {i}": future.form for i, future in enumerate(futures)})),
+        Decide("controller", BEGIN, Trigger({"go on": Form(), BEGIN: Form(constant=turn)})),
+        Evaluate("controller", "at once", tuple(Form(constant=float(0 in future.gains)) for future in futures), FUTURE),
+        Evaluate("controller", DUE, (later, Form(plus={"at once": 1.0})), BEGIN),
+        Assign("controller", "first", tuple({ESTIMATE: future.gain(0)} for future in futures), FUTURE),
+        Assign("controller", "command", ({"command": unit}, {"first": unit}), BEGIN),
+    )
+    measured, identity = measure_excess(certainty)
+    steps, initial = control_steps(
+        problem.plant,
+        certainty.estimation,
+        Scheduled(PLACE, rooms.gains),
+        "hold",
+        Trigger({"silent": Form(plus={DUE: 1.0}), SEND: Form(constant=0.5)}),
+        before=before,
+        after=(measured,),
+    )
+    statement = "J ≤ cost of optimal periodic control at the same rate; rate 1/every exactly"
+    return certainty_policy(
+        "rollout",
+        certainty,
+        steps,
+        initial,
+        identity=identity,
+        locations=(
+            count_ticks(horizon, 0),
+            Location(PLACE, rooms.following, "controller", FUTURE),
+        ),
+        guarantee=Guarantee(problem.per_unit(base.cost), statement, "antunes2014rollout"),
+        slower=horizon,
+    )
+
+
+def _schedules(horizon: int, every: int) -> list[tuple[int, ...]]:
+    """Return the ticks of the sends of each schedule; periodic control first, so that ties go to it."""
+    usual = tuple(range(0, horizon, every))
+    return [usual, *(sends for sends in combinations(range(horizon), len(usual)) if sends != usual)]
+
+
+class _Future:
+    """A schedule of the window, with optimal gains, followed by periodic control: what it costs from [x̂; û] on.
+
+    Args:
+        certainty: filter and regulator.
+        K: cost-to-go x̂'Kx̂ of periodic control when it sends, at the end of the window.
+        sends: ticks.
+        horizon: of the window.
+    """
+
+    def __init__(self, certainty: Certainty, K: Array, sends: tuple[int, ...], horizon: int) -> None:
+        """Go back from the end: a send frees the input, silence keeps it."""
+        p, n = certainty.problem, len(K)
+        F = np.block([[p.plant.A, p.plant.B], [np.zeros((p.plant.inputs, n)), np.eye(p.plant.inputs)]])
+        stage = np.block([[p.Q, p.N], [p.N.T, p.R]])
+        V, noise = np.pad(K, ((0, p.plant.inputs),) * 2), 0.0
+        self.sends, self.gains = sends, dict[int, Array]()
+        for tick in reversed(range(horizon)):
+            noise += float(np.sum(V[:n, :n] * certainty.corrections))
+            V = symmetrised(stage + F.T @ V @ F)
+            if tick in sends:
+                L: Array = -np.linalg.solve(V[n:, n:], V[n:, :n]).astype(np.float64)
+                self.gains[tick] = L
+                V = np.pad(symmetrised(V[:n, :n] + V[:n, n:] @ L), ((0, p.plant.inputs),) * 2)
+        self.form = Form((ESTIMATE, "candidate"), V, noise)
+
+    def gain(self, tick: int) -> Array:
+        """Return the gain of a tick; where nothing is sent, any does."""
+        return self.gains.get(tick, next(iter(self.gains.values())))
+
+
+class _Rooms:
+    """The places of a window: its start, and what is still to be sent at each later tick.
+
+    Args:
+        futures: all schedules.
+        horizon: ticks of the window.
+
+    Attributes:
+        due: whether a place sends, (places,).
+        gains: of a place, (places, m, n).
+        following: next place, by the future that is chosen at the start, (places, futures).
+    """
+
+    def __init__(self, futures: list[_Future], horizon: int) -> None:
+        """Number the places: futures whose rest is the same share it."""
+        numbers: dict[tuple[int, tuple[int, ...]], int] = {}
+        owners: list[tuple[int, _Future]] = [(0, futures[0])]
+        for future in futures:
+            for tick in range(1, horizon):
+                rest = _rest(future, tick)
+                if (tick, rest) not in numbers:
+                    numbers[tick, rest] = len(owners)
+                    owners.append((tick, future))
+
+        def after(tick: int, future: _Future) -> int:
+            return numbers[tick + 1, _rest(future, tick + 1)] if tick + 1 < horizon else 0
+
+        self.due = np.array([float(tick in future.gains) for tick, future in owners])
+        self.gains = np.array([future.gain(tick) for tick, future in owners])
+        self.following = np.array(
+            [[after(0, future) for future in futures]]
+            + [[after(tick, future)] * len(futures) for tick, future in owners[1:]]
+        )
+
+
+def _rest(future: _Future, tick: int) -> tuple[int, ...]:
+    return tuple(sent for sent in future.sends if sent >= tick)

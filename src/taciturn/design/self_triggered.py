@@ -1,0 +1,96 @@
+"""Self-triggered LQ control: each send says when the next one will come, as late as the promised cost allows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import count, number, symmetrised
+from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
+from taciturn.design.estimation import ESTIMATE
+from taciturn.design.periodic_schedule import Stretches, step_back
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import discretise
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Policy, Step
+from taciturn.model.trigger import Form, Trigger
+
+SLEEP, LEFT = "sleep", "left"
+LONGEST = 100
+
+
+def self_triggered(
+    plant: Plant | ContinuousPlant, cost: Cost, *, beta: float, max_interval: int, period: float | None = None
+) -> Policy:
+    """Design LQG control whose sends fix the time of the next one.
+
+    With the estimate x̂ at a send, the input is held for the largest M ≤ ``max_interval`` ticks with
+
+        min_u E[cost of M ticks + β x̂_M'Kx̂_M] ≤ β x̂'Kx̂ + β M J_all,
+
+    and is the minimising u. The left side is x̂'P_Mx̂ plus the cost of noise; M = 1 always satisfies it. Summed over the
+    sends, J ≤ β J_all.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        beta: β ≥ 1, what sending always may be multiplied by.
+        max_interval: ticks from a send to the next at most, 1 to 100.
+        period: seconds between ticks; only with a continuous plant.
+
+    Returns:
+        The policy, with J ≤ β J_all and mean-square stability.
+
+    Raises:
+        ProblemError: β < 1, an interval out of range, period missing or out of place.
+        UnstableError: no stabilising gain or filter.
+
+    Source: gommans2014
+
+    Example:
+        >>> plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> policy = self_triggered(plant, cost, beta=1.2, max_interval=5)
+        >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
+        1.2
+    """
+    beta, max_interval = number("beta", beta, 1.0, closed=True), count("max_interval", max_interval)
+    if max_interval > LONGEST:
+        raise ProblemError(f"max_interval is {max_interval}; expected at most {LONGEST} ticks")
+    problem = discretise(plant, cost, period)
+    certainty = design_certainty("self-triggered", problem)
+    K, all_time, m = certainty.regulator.K, certainty.cost_all_time, problem.plant.inputs
+    stretches, keep = Stretches(certainty), np.eye(m)
+    choose: list[Step] = [Evaluate("controller", SLEEP, (Form(constant=1.0),))]
+    first = step_back(stretches.hold(1), beta * K)[1]
+    for ticks in range(2, max_interval + 1):
+        held = stretches.hold(ticks)
+        P, L = step_back(held, beta * K)
+        noise = ticks * certainty.unseen + held.noise_cost + beta * float(np.sum(K * held.W))
+        worse = Form((ESTIMATE,), symmetrised(P - beta * K), noise - beta * ticks * all_time)
+        asked = f"{SLEEP} {ticks}"
+        choose += [
+            Decide("controller", asked, Trigger({"shorter": Form(), "allowed": worse})),
+            Evaluate("controller", SLEEP, (Form(plus={SLEEP: 1.0}), Form(constant=float(ticks))), asked),
+            Assign("controller", "command", ({"command": keep}, {ESTIMATE: L}), asked),
+        ]
+    due = Trigger({"silent": Form(plus={LEFT: -1.0}), SEND: Form(constant=-0.5)})
+    counted = (Form(plus={LEFT: 1.0}, constant=-1.0), Form(plus={SLEEP: 1.0}, constant=-1.0))
+    measured, identity = measure_excess(certainty)
+    steps, initial = control_steps(
+        problem.plant,
+        certainty.estimation,
+        first,
+        "hold",
+        due,
+        before=tuple(choose),
+        after=(Evaluate("controller", LEFT, counted, SEND), measured),
+    )
+    return certainty_policy(
+        "self-triggered",
+        certainty,
+        steps,
+        initial,
+        identity=identity,
+        guarantee=Guarantee(problem.per_unit(beta * all_time), "J ≤ β J_all, mean-square stable", "gommans2014"),
+        slower=max_interval,
+    )

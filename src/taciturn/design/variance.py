@@ -1,0 +1,105 @@
+"""Variance-based triggering: the sensor sends when its measurement is predicted too badly."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from taciturn._arrays import Array, number
+from taciturn._modes import radius
+from taciturn.design.certainty import CLOCK, Certainty, count_ticks, design_certainty, steps_at_the_actuator
+from taciturn.design.estimation import ESTIMATE, HELD, Estimation
+from taciturn.errors import UnstableError
+from taciturn.lqg.discrete import discretise
+from taciturn.lqg.queries import Predictor, schedule_by_variance
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Assign, ClosedForm, Decide, Policy, Received, Send
+from taciturn.model.schedule import Schedule
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+
+def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, period: float | None = None) -> Policy:
+    """Design LQG control whose sensor sends if and only if max_i (CΣ̃C')_ii > threshold.
+
+    Σ̃ is the covariance with which both ends predict the state. It does not depend on what is measured, so the rule is a
+    schedule, computed here, that repeats. The controller is at the actuator and filters what it gets.
+
+    Args:
+        plant: the plant.
+        cost: the average cost.
+        threshold: at least 0, a variance in the units of y².
+        period: seconds between ticks; only with a continuous plant.
+
+    Returns:
+        The policy with its schedule and its exact cost.
+
+    Raises:
+        ProblemError: a threshold below 0, period missing or out of place.
+        UnstableError: no stabilising gain or filter, or no schedule that repeats.
+
+    Source: trimpe2014
+
+    Example: a random walk of variance 1, measured exactly.
+
+        >>> plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+        >>> variance(plant, cost, threshold=2.5).closed_form.rates
+        {'sensor': 0.3333333333333333}
+    """
+    threshold = number("threshold", threshold, 0.0, closed=True)
+    problem = discretise(plant, cost, period)
+    certainty = design_certainty("variance", problem)
+    schedule, plant = schedule_by_variance(problem.plant, threshold), problem.plant
+    corrections = Predictor(plant).correction(schedule.covariance) * schedule.queries[:, None, None]
+    unit = np.eye(plant.states)
+    left = unit - corrections @ plant.C
+    posterior = left @ schedule.covariance @ left.swapaxes(1, 2) + corrections @ plant.V @ corrections.swapaxes(1, 2)
+    noise = float(np.sum(certainty.regulator.K * plant.W))
+    average = noise + float(np.sum(certainty.square * posterior.mean(axis=0)))
+    return Policy(
+        kind="variance",
+        steps=steps_at_the_actuator(plant, _measured(plant, schedule, corrections), certainty.regulator.L),
+        model=plant,
+        cost_all_time=problem.per_unit(certainty.cost_all_time),
+        scheduled=("sensor",),
+        sites=(frozenset({"controller", "actuator"}),),
+        locations=(count_ticks(len(schedule.queries), 0),),
+        initial={"prior": plant.mean},
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        settling=_settling(certainty, left),
+        cost=cost,
+        closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
+        schedule=schedule,
+    )
+
+
+def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> Estimation:
+    """Return the steps that filter the measurements that come."""
+    p, n = plant.outputs, plant.states
+    turn = Form(constant=Scheduled(CLOCK, np.where(schedule.queries, -1.0, 1.0)))
+    nothing, seen = {"prior": np.zeros((p, n))}, {"y": np.eye(p), "prior": -plant.C}
+    return Estimation(
+        (
+            Decide("sensor", "query", Trigger({"silent": Form(), "query": turn})),
+            Send("sensor", "sensor", ("y",), "query"),
+            Assign("controller", "innovation", (nothing, seen), Received("sensor")),
+            Assign("controller", ESTIMATE, {"prior": np.eye(n), "innovation": Scheduled(CLOCK, corrections)}),
+        ),
+        (Assign("controller", "prior", {ESTIMATE: plant.A, HELD: plant.B}),),
+        {"prior": plant.mean},
+        None,
+    )
+
+
+def _settling(certainty: Certainty, left: Array) -> float:
+    """Return the ticks in which regulator and filter forget."""
+    plant, turn = certainty.problem.plant, np.eye(certainty.problem.plant.states)
+    for kept in left:
+        turn = plant.A @ kept @ turn
+    filtering = radius(turn) ** (1 / len(left))
+    if filtering >= 1 - 1e-12:
+        raise UnstableError(
+            "the filter along the schedule does not forget its start: too few measurements for what the noise leaves "
+            "undetermined; expected a smaller threshold, or noise V on the measurement"
+        )
+    return 1 / (1 - max(radius(plant.A + plant.B @ certainty.regulator.L), filtering))
