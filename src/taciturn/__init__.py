@@ -40,17 +40,22 @@ if TYPE_CHECKING:
     from taciturn.simulation.statistics import regenerative as regenerative
     from taciturn.simulation.trajectory import Trajectory as Trajectory
     from taciturn.simulation.trajectory import simulate as simulate
+    from taciturn.study.compare import Comparison as Comparison
+    from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.losses import find_losses as find_losses
     from taciturn.study.reproduce import reproduce as reproduce
     from taciturn.study.tradeoff import Tradeoff as Tradeoff
     from taciturn.study.tradeoff import tradeoff as tradeoff
+    from taciturn.study.tune import Tuned as Tuned
+    from taciturn.study.tune import tune as tune
 
 # Where each public name lives; it is imported when it is first asked for, so that `taciturn --help` is quick.
 _HOME = {
     "Bank": "simulation.bank",
     "Burst": "model.network",
+    "Comparison": "study.compare",
     "ContinuousPlant": "model.plant",
     "Cost": "model.cost",
     "Course": "simulation.course",
@@ -73,10 +78,12 @@ _HOME = {
     "Tradeoff": "study.tradeoff",
     "Trajectory": "simulation.trajectory",
     "Trigger": "model.trigger",
+    "Tuned": "study.tune",
     "UnstableError": "errors",
     "average": "simulation.average",
     "batch_means": "simulation.statistics",
     "close": "loop",
+    "compare": "study.compare",
     "course": "simulation.course",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
@@ -88,6 +95,7 @@ _HOME = {
     "simulate": "simulation.trajectory",
     "solve_renewal": "analyse.renewal",
     "tradeoff": "study.tradeoff",
+    "tune": "study.tune",
 }
 __version__ = "0.1.0"
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place

@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".png", ".pdf")
-Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars"]
+Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars"]
 
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: points (x, y), drawn in a style, with an error bar of ±``error`` where given."""
+    """One curve: points (x, y), drawn in a style, with an error bar of ±``error`` where given: of x in ``"bars"``."""
 
     x: Sequence[float]
     y: Sequence[float]
@@ -31,12 +31,13 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes."""
+    """One pair of axes; with ``names``, those of y = 0, 1, …"""
 
     series: Sequence[Series]
     xlabel: str = ""
     ylabel: str = ""
     title: str = ""
+    names: Sequence[str] = ()
 
 
 def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
@@ -53,6 +54,8 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
         axis.set_ylabel(panel.ylabel)
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
+        if panel.names:
+            axis.set_yticks(range(len(panel.names)), panel.names)
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
     return figure
@@ -102,6 +105,8 @@ def _plot(axis: Any, series: Series) -> None:
         axis.vlines(series.x, 0, series.y, label=series.label, color=color or "0.4", linewidth=0.8)
     elif series.style == "stars":
         axis.plot(series.x, series.y, "*", markersize=9, label=series.label, color=color)
+    elif series.style == "bars":
+        axis.errorbar(series.x, series.y, xerr=series.error, fmt="o", markersize=4, label=series.label, color=color)
     elif series.error is not None:
         axis.errorbar(
             series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color

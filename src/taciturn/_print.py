@@ -6,12 +6,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from taciturn.model.estimate import Estimate
+
 if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.study.bench import Bench
+    from taciturn.study.compare import Comparison
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
+    from taciturn.study.tune import Tuned
 
 
 def evaluation(found: Evaluation) -> None:
@@ -78,6 +82,54 @@ def tradeoff(found: Tradeoff) -> None:
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
         typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
+
+
+def tuned(found: Tuned) -> None:
+    """Print the parameter that meets a budget, and the answer at it."""
+    parameter = found.parameter
+    value = Estimate(parameter.value, parameter.standard_error or 0.0, "simulation")
+    typer.echo(f"{parameter.name:14s} {value}")
+    evaluation(found.evaluation)
+    if found.beyond is not None:
+        other = found.beyond
+        rates = ", ".join(f"{rate}" for rate in other.evaluation.rates.values())
+        text = f"{other.parameter.value:.6g}: rate {rates}, cost {other.evaluation.cost}"
+        typer.echo(f"{'beyond':14s} the budget lies in a jump, on whose other side is {parameter.name} = {text}")
+
+
+def comparison(found: Comparison) -> None:
+    """Print a ranking."""
+    header = [
+        "",
+        "policy",
+        "parameter",
+        f"cost per {found.unit}",
+        "above all-time %",
+        "above the first",
+        "guaranteed ≤",
+    ]
+    rows: list[list[str]] = []
+    for one in found.ranking:
+        percent = 100 * (one.cost.value / found.cost_all_time - 1) if found.cost_all_time else None
+        rows.append(
+            [
+                one.name,
+                one.policy,
+                one.parameter,
+                str(one.cost),
+                "" if percent is None else f"{percent:+.2f}",
+                str(one.above) if one.above.value or one.above.standard_error else "",
+                "none" if one.cost_bound is None else f"{one.cost_bound:.6g}",
+            ]
+        )
+    _print_table(header, rows)
+    all_time = "" if found.cost_all_time is None else f"; all-time cost {found.cost_all_time:.6g}"
+    typer.echo(f"{found.rate:.6g} sends per {found.unit}{all_time}")
+    for one in found.ranking:
+        shared = "" if one.share == 1 else f"{100 * one.share:.1f} % of the time the first, else the second; "
+        notes = "; ".join(one.tuned.evaluation.notes)
+        if shared or notes:
+            typer.echo(f"{one.name}: {(shared + notes).removesuffix('; ')}")
 
 
 def _above(found: Evaluation) -> str:

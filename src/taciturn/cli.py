@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -33,6 +33,8 @@ File = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Link = Annotated[str | None, typer.Option(help="sensor or actuator: whose rate, where a policy decides on both.")]
+Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")]
 StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
 
 
@@ -60,8 +62,6 @@ def evaluate(
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
 ) -> None:
     """Cost, rate and guarantee of one policy."""
-    from typing import cast
-
     import taciturn
 
     _check_effort(standard_error, steps)
@@ -102,7 +102,7 @@ def tradeoff(
         list[str], typer.Option(metavar="NAME=v1,v2,…", help="A key of [policy], or dotted; repeat for a grid.")
     ],
     as_json: Json = False,
-    plot: Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")] = None,
+    plot: Plot = None,
     seed: Seed = 0,
     standard_error: StandardError = None,
 ) -> None:
@@ -132,6 +132,76 @@ def tradeoff(
             f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
             f"first at {values_text}: ask for a larger --standard-error"
         )
+
+
+@app.command()
+def tune(
+    file: File,
+    rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
+    cost: Annotated[float | None, typer.Option(help="Cost that is to be met.")] = None,
+    link: Link = None,
+    as_json: Json = False,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+) -> None:
+    """The parameter of a policy that meets a rate or a cost."""
+    import taciturn
+
+    _check_effort(standard_error)
+    problem = taciturn.load(file)
+    with _progress("searching") as progress:
+        found = taciturn.tune(
+            problem,
+            rate=rate,
+            cost=cost,
+            link=cast("Any", link),
+            seed=seed,
+            standard_error=standard_error,
+            progress=progress,
+        )
+    if as_json:
+        _print_json(found.document())
+    else:
+        _print.tuned(found)
+    if not found.evaluation.reached:
+        _refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
+
+
+@app.command()
+def compare(
+    files: Annotated[list[str], typer.Argument(metavar="FILE FILE…", help="Problems that differ in their policies.")],
+    rate: Annotated[float, typer.Option(help="Sends per step or per second, the same for all.")],
+    link: Link = None,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+) -> None:
+    """Several policies at the same rate, ranked, with the standard errors of their differences."""
+    import taciturn
+    from taciturn._figure import check_format, save
+
+    _check_effort(standard_error)
+    if plot is not None:
+        check_format(plot)
+    stems = [Path(file).stem for file in files]
+    names = [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]
+    problems = {name: taciturn.load(file) for name, file in zip(names, files, strict=True)}
+    with _progress("comparing") as progress:
+        found = taciturn.compare(
+            problems, rate, link=cast("Any", link), seed=seed, standard_error=standard_error, progress=progress
+        )
+    if as_json:
+        _print_json(found.document())
+    else:
+        _print.comparison(found)
+    if plot is not None:
+        save(found.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+    missed = [one.name for one in found.ranking if not one.reached]
+    if missed:
+        _refuse(f"the rate, or the standard error, was not reached by {', '.join(missed)}: ask for a larger one")
 
 
 @app.command()

@@ -1,8 +1,9 @@
-"""The catalogue: the design function of every policy kind. A new policy is one file and one line here."""
+"""The catalogue: the design function of every policy kind, and its knob. A new policy is a file and a line in each."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 from taciturn.design.absolute import absolute
 from taciturn.design.consistent import consistent
@@ -21,7 +22,7 @@ from taciturn.design.self_triggered import self_triggered
 from taciturn.design.send_on_delta import send_on_delta
 from taciturn.design.stochastic import stochastic
 from taciturn.design.variance import variance
-from taciturn.model.policy import Policy
+from taciturn.model.policy import LinkName, Policy
 from taciturn.renewal.policy import EventPolicy
 
 CATALOGUE: Mapping[str, Callable[..., Policy | EventPolicy]] = {
@@ -43,4 +44,47 @@ CATALOGUE: Mapping[str, Callable[..., Policy | EventPolicy]] = {
     "stochastic": stochastic,
     "periodic-schedule": periodic_schedule,
     "downsampled": downsampled,
+}
+
+
+@dataclass(frozen=True)
+class Knob:
+    """The parameter that trades the cost of a policy for its rate.
+
+    Args:
+        name: key of ``[policy]``.
+        link: whose rate it turns; omitted: the only one that the policy decides.
+        least: what it must exceed; a whole number may equal it.
+        whole: whether it is a whole number.
+        falls: whether the rate falls where it grows.
+        continuous: whether it is there for continuous plants (True), for discrete ones (False), or for both (None).
+    """
+
+    name: str
+    link: LinkName | None = None
+    least: float = 0.0
+    whole: bool = False
+    falls: bool = True
+    continuous: bool | None = None
+
+
+KNOBS: Mapping[str, tuple[Knob, ...]] = {
+    "all-time": (Knob("period", continuous=True),),
+    "periodic": (Knob("period", continuous=True), Knob("every", least=1, whole=True, continuous=False)),
+    "lqg": (Knob("theta"),),
+    "remote-lqg": (Knob("theta", "actuator"), Knob("zeta", "sensor")),
+    "lossy-lqg": (Knob("price"),),
+    "integral": (Knob("slope"),),
+    "consistent": (Knob("delta"),),
+    "absolute": (Knob("threshold"),),
+    "relative": (Knob("sigma"),),
+    "mixed": (Knob("threshold"),),
+    "dynamic": (Knob("sigma"),),
+    "send-on-delta": (Knob("delta"),),
+    "variance": (Knob("threshold"),),
+    "rollout": (Knob("every", least=2, whole=True),),
+    "self-triggered": (Knob("beta", least=1.0),),
+    "stochastic": (Knob("scale", falls=False),),
+    "periodic-schedule": (Knob("sends", least=1, whole=True, falls=False),),
+    "downsampled": (Knob("threshold"),),
 }

@@ -29,6 +29,7 @@ from taciturn.model.policy import (
     Decide,
     Guarantee,
     Identity,
+    LinkName,
     Location,
     NodeName,
     Policy,
@@ -171,6 +172,7 @@ def certainty_policy(
     locations: tuple[Location, ...] = (),
     guarantee: Guarantee | None = None,
     closed_form: ClosedForm | None = None,
+    fixed_rates: Mapping[LinkName, float] | None = None,
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
@@ -185,6 +187,7 @@ def certainty_policy(
         locations: finite locations.
         guarantee: what is proved.
         closed_form: what is known exactly.
+        fixed_rates: sends per tick that the design fixes.
         slower: how many times as long as sending always it takes to forget the start.
         notes: what a reader of its numbers must know.
     """
@@ -205,6 +208,7 @@ def certainty_policy(
         identity=identity,
         innovations=certainty.estimation.innovations,
         closed_form=closed_form,
+        fixed_rates=fixed_rates or {},
         notes=notes,
     )
 

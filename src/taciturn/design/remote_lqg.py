@@ -139,6 +139,7 @@ def remote_lqg(
         identity=None if controller == "actuator" else completed_square(cost_of_watch, prices.square()),
         innovations=estimation.innovations,
         closed_form=closed_form,
+        fixed_rates={} if watch.schedule is None else {"sensor": watch.schedule.rate},
         schedule=watch.schedule,
     )
 

@@ -36,16 +36,17 @@ def rollout(
 ) -> Policy:
     """Design the policy that rearranges the sends of periodic control within a window, and so beats it.
 
-    Every ``horizon`` ticks the controller compares all schedules of the window that have as many sends as periodic
-    control, each with its optimal gains and followed by periodic control: quadratic forms of the estimate and of the
-    input held. It takes the cheapest. Periodic control is one of them, hence
+    The window is of as many whole periods as fit into ``horizon``, and one at least. At its start the controller
+    compares all schedules of the window that have as many sends as periodic control, each with its optimal gains and
+    followed by periodic control: quadratic forms of the estimate and of the input held. It takes the cheapest. Periodic
+    control is one of them, hence
 
         rate = 1/every exactly,  J ≤ J_periodic(every).
 
     Args:
         plant: the plant.
         cost: the average cost.
-        horizon: ticks of the window, a multiple of ``every``.
+        horizon: ticks of the window, rounded to whole periods.
         every: ticks between sends of the periodic controller, at least 2.
         period: seconds between ticks; only with a continuous plant.
 
@@ -53,7 +54,7 @@ def rollout(
         The policy, with its guarantee.
 
     Raises:
-        ProblemError: a horizon that is no multiple of ``every``, more than 256 schedules, period missing or misplaced.
+        ProblemError: ``every`` below 2, more than 256 schedules, period missing or out of place.
         UnstableError: no stabilising periodic controller.
 
     Source: antunes2014rollout
@@ -64,12 +65,11 @@ def rollout(
         6
     """
     horizon, every = count("horizon", horizon), count("every", every, 2)
-    if horizon % every:
-        raise ProblemError(f"horizon is {horizon} and every is {every}; expected a horizon that is a multiple of every")
-    sends = horizon // every
-    if comb(horizon, sends) > MOST_FUTURES:
+    periods = max(1, horizon // every)
+    horizon = periods * every
+    if comb(horizon, periods) > MOST_FUTURES:
         raise ProblemError(
-            f"horizon is {horizon} and every is {every}, which is {comb(horizon, sends)} schedules; "
+            f"horizon is {horizon} and every is {every}, which is {comb(horizon, periods)} schedules; "
             f"expected at most {MOST_FUTURES}: a shorter horizon"
         )
     problem = discretise(plant, cost, period)
@@ -109,6 +109,7 @@ def rollout(
             Location(PLACE, rooms.following, "controller", FUTURE),
         ),
         guarantee=Guarantee(problem.per_unit(base.cost), statement, "antunes2014rollout"),
+        fixed_rates={"actuator": 1 / every},
         slower=horizon,
     )
 

@@ -69,6 +69,7 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
         settling=_settling(certainty, left),
         cost=cost,
         closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
+        fixed_rates={"sensor": schedule.rate},
         schedule=schedule,
     )
 

@@ -220,6 +220,7 @@ class Policy:
         guarantee, identity, innovations, closed_form: where the theory gives them.
         reset: the signal e⁺ = A e (1−σ) + w that a send sets to zero, where a renewal process decides all.
         tracking: where the policy follows a reference.
+        fixed_rates: sends per tick that the design fixes, whatever the plant does, by link.
         schedule: where a link is scheduled offline.
         notes: what a reader of its numbers must know.
 
@@ -248,6 +249,7 @@ class Policy:
     closed_form: ClosedForm | None = None
     reset: str | None = None
     tracking: Tracking | None = None
+    fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
     schedule: Schedule | None = None
     notes: tuple[str, ...] = ()
     sizes: Mapping[str, int] = field(init=False)

@@ -253,12 +253,11 @@ def _solved(loop: Loop, whatever_it_takes: bool) -> Averages:
 
 
 def _clocked(loop: Loop, found: Averages) -> Averages:
-    """Return simulated averages with the rates that a clock decides, which need no estimate."""
-    policy, known = loop.policy, dict[str, float]()
+    """Return simulated averages with the rates that need no estimate."""
+    policy = loop.policy
+    known: dict[str, float] = {**policy.fixed_rates}
     if loop.nominal and policy.closed_form is not None:
-        known = dict(policy.closed_form.rates)
-    elif policy.schedule is not None:
-        known = {"sensor": policy.schedule.rate}
+        known |= policy.closed_form.rates
     return replace(found, rates={**found.rates, **{link: Estimate(rate, 0.0, "exact") for link, rate in known.items()}})
 
 
