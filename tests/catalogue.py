@@ -10,6 +10,7 @@ from systems import System
 
 from taciturn import Cost, Loop, Network, Plant, Policy, close, design
 from taciturn.lqg.lossy import Channel, slowest_growth
+from taciturn.lqg.riccati import regulate
 
 Build = Callable[[System], Policy]
 
@@ -70,16 +71,47 @@ def lossy(protocol: Literal["udp", "tcp"], delay: int, horizon: int | None = Non
     return build
 
 
+def size_of(system: System) -> float:
+    """Return √J_all: a threshold of moderate size, in the units of the cost's root."""
+    return float(np.sqrt(design.all_time(system.plant, system.cost).cost_all_time))
+
+
+def steep(system: System) -> float:
+    """Return half of the largest σ for which a relative threshold has a bound."""
+    plant, cost = system.plant, system.cost
+    found = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    mu = np.linalg.eigvalsh(found.L.T @ found.H @ found.L)[-1]
+    least = np.linalg.eigvalsh(cost.Q - cost.N @ np.linalg.solve(cost.R, cost.N.T))[0]
+    return float(0.5 * np.sqrt(least / mu))
+
+
 BASELINES: Mapping[str, Build] = {
     "all-time": lambda s: design.all_time(s.plant, s.cost),
     "periodic hold": lambda s: design.periodic(s.plant, s.cost, every=2),
     "periodic model": lambda s: design.periodic(s.plant, s.cost, every=3, actuation="model"),
+    "pattern": lambda s: design.periodic_schedule(s.plant, s.cost, length=5, sends=3),
+    "variance": lambda s: design.variance(s.plant, s.cost, threshold=1.5 * np.abs(s.plant.V).max() + 0.2),
 }
 STATIONARY: Mapping[str, Build] = {
     "lqg joint hold": lambda s: design.lqg(s.plant, s.cost, theta=0.3),
     "lqg joint model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, actuation="model"),
     "lqg separate hold": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate"),
     "lqg separate model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate", actuation="model"),
+    "absolute": lambda s: design.absolute(
+        s.plant, s.cost, threshold=0.3 * size_of(s), weight=2 * np.eye(s.plant.inputs)
+    ),
+    "absolute state model": lambda s: design.absolute(
+        s.plant, s.cost, threshold=0.3 * size_of(s), error="state", actuation="model"
+    ),
+    "relative": lambda s: design.relative(s.plant, s.cost, sigma=steep(s)),
+    "mixed model": lambda s: design.mixed(
+        s.plant, s.cost, sigma=steep(s), threshold=0.3 * size_of(s), actuation="model"
+    ),
+    "dynamic": lambda s: design.dynamic(s.plant, s.cost, sigma=steep(s), rho=0.8, gain=1.5),
+    "stochastic": lambda s: design.stochastic(s.plant, s.cost, scale=3 / size_of(s) ** 2),
+    "stochastic model": lambda s: design.stochastic(s.plant, s.cost, scale=1 / size_of(s) ** 2, actuation="model"),
+    "self-triggered": lambda s: design.self_triggered(s.plant, s.cost, beta=1.3, max_interval=4),
+    "rollout": lambda s: design.rollout(s.plant, s.cost, horizon=4, every=2),
     "remote": remote("remote"),
     "remote, at the actuator": remote("actuator"),
     "remote, at the sensor": remote("sensor"),
@@ -87,6 +119,10 @@ STATIONARY: Mapping[str, Build] = {
     "lossy tcp": lossy("tcp", 0),
     "lossy udp, delayed": lossy("udp", 1),
     "lossy tcp, delayed": lossy("tcp", 1),
+}
+UNPROVED: Mapping[str, Build] = {
+    "downsampled": lambda s: design.downsampled(s.plant, s.cost, fast=1, slow=2, threshold=0.3 * size_of(s)),
+    "send-on-delta": lambda s: design.send_on_delta(s.plant, s.cost, delta=0.3 * size_of(s)),
 }
 MISSIONS: Mapping[str, Build] = {
     "remote, 30 steps": remote("remote", horizon=30),
@@ -100,9 +136,10 @@ MISSIONS: Mapping[str, Build] = {
     "lossy udp, delayed, 30 steps": lossy("udp", 1, horizon=30),
     "lossy tcp, delayed, 30 steps": lossy("tcp", 1, horizon=30),
 }
-POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **MISSIONS}
+POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **UNPROVED, **MISSIONS}
 GUARANTEED = (*STATIONARY, *MISSIONS)
-CLOSED_FORM = (*BASELINES, *(name for name in GUARANTEED if "at the actuator" in name))
-IDENTITY = tuple(name for name in GUARANTEED if name not in CLOSED_FORM)
-VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name == "remote, at the sensor")
+CLOSED_FORM = (*BASELINES, "stochastic model", *(name for name in GUARANTEED if "at the actuator" in name))
+IDENTITY = ("downsampled", "stochastic model", *(name for name in GUARANTEED if name not in CLOSED_FORM))
+SHRINKING = ("remote, at the sensor", "relative", "dynamic", "self-triggered", "rollout")
+VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name in SHRINKING)
 """Whose trigger is relative: without noise the state vanishes."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from catalogue import POLICIES, STATIONARY, VANISHING, closed
+from catalogue import POLICIES, STATIONARY, UNPROVED, VANISHING, closed
 from hypothesis import HealthCheck, given, settings
 from systems import System, systems
 
@@ -55,7 +55,7 @@ def decays_without_noise(system: System, name: str) -> None:
     assert (decline[1:] < -0.5).all() or sizes[1] < 1e-12
 
 
-@pytest.mark.parametrize("name", STATIONARY)
+@pytest.mark.parametrize("name", [*STATIONARY, *UNPROVED])
 def test_the_mean_square_stays(name: str) -> None:
     """Long runs do not grow."""
     FEW(given(system=systems())(lambda system: mean_square_stays(system, name)))()

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast, get_type_hints
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from taciturn._arrays import Array, quoted
+from taciturn._arrays import Array, ArrayLike, quoted
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -27,6 +28,7 @@ from taciturn.problem.tables import (
     JumpsTable,
     NetworkTable,
     PlantTable,
+    Rows,
     first_mistake,
     ours,
     suggest,
@@ -222,9 +224,11 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     checked: dict[str, Any] = {}
     for key, value in parameters.items():
         try:
-            checked[key] = TypeAdapter(hints[key]).validate_python(value, strict=True)
+            hint = Rows if hints[key] == ArrayLike | None else hints[key]  # a matrix is written as rows
+            adapter = TypeAdapter[Any](hint)
+            checked[key] = value if isinstance(value, np.ndarray) else adapter.validate_python(value, strict=True)
         except ValidationError as error:
-            raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
+            raise ProblemError(f"policy.{key} is {quoted(parameters[key])}; {ours(error.errors()[0]['msg'])}") from None
     return checked
 
 

@@ -7,6 +7,7 @@ from typing import Any, Never
 
 import numpy as np
 
+from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
@@ -22,9 +23,8 @@ EFFORT = 2_000_000  # steps of a look; all looks see the same draws
 LONGER = 8  # times as many where a loop has not settled, and for the last look
 FIRST, GROWTH, FARTHEST = 1.4, 1.5, 45.0  # of the walk in log(value), from where it starts
 HALVINGS = 12  # towards the end of what can be designed
-LOOKS = 100  # of the root finding
 CLOSE = 0.25  # standard errors of a look that a root may be off
-JUMP = 1e-12  # relative width of an interval over which what is sought jumps
+JUMP = 1e-11  # width in log(value) over which what is sought jumps
 SPAN = 0.02  # of log(value), for slopes
 STRIDE = 0.1  # of log(value), that a correction goes at most
 ROUNDS = 3  # of corrections at full precision
@@ -124,8 +124,8 @@ def tune(
         low, high = search.close_in(low, high)
         if low is high:
             return search.refine(low, standard_error)
-    ends = [search.measure(look, standard_error) for look in (low, high)]
-    return replace(ends[0], beyond=None if search.meets_exactly(low) else ends[1])
+    found = search.measure(low, standard_error)
+    return found if search.meets_exactly(low) else replace(found, beyond=search.measure(high, standard_error))
 
 
 def _knob(problem: Problem, link: LinkName | None) -> Knob:
@@ -234,6 +234,8 @@ class _Search:
             ProblemError: no value reaches the budget.
         """
         here = self._start()
+        if self.meets_exactly(here):
+            return here, here
         outwards = -1.0 if (here.above > 0) == self.rising else 1.0
         found = self._walk(here, outwards)
         if found is None:
@@ -251,25 +253,26 @@ class _Search:
         return next((look for look in map(self.look, inside) if look is not None), None)
 
     def close_in(self, low: _Look, high: _Look) -> tuple[_Look, _Look]:
-        """Return a look on the budget, twice; or those on both sides of a jump. Regula falsi, halved now and then."""
-        weights = [1.0, 1.0]
-        for count in range(LOOKS):
-            for look in (low, high):
-                if self.meets_exactly(look):
-                    return look, look
-            a, b = self._place(low.value), self._place(high.value)
-            if abs(b - a) <= JUMP * max(1.0, abs(a)):
-                break
-            left, right = weights[0] * low.above, weights[1] * high.above
-            share = 0.5 if count % 3 == 2 else min(0.95, max(0.05, left / (left - right)))
-            middle = self.look(self._value(a + share * (b - a)))
-            if middle is None:
+        """Return a look on the budget, twice; or those on both sides of a jump."""
+        ends = [low, high]
+
+        def above(place: float) -> float:
+            look = self.look(self._value(place))
+            if look is None:
                 self._refuse()
-            if middle.above <= 0:
-                low, weights = middle, [1.0, weights[1] / 2]
-            else:
-                high, weights = middle, [weights[0] / 2, 1.0]
-        return low, high
+            if self.meets_exactly(look):
+                ends[:] = [look, look]
+                return 0.0
+            side = int(look.above > 0)
+            if abs(self._place(look.value) - self._place(ends[1 - side].value)) < self._width(ends):
+                ends[side] = look
+            return look.above
+
+        _scipy.crossing(above, self._place(low.value), self._place(high.value), JUMP)
+        return ends[0], ends[1]
+
+    def _width(self, ends: list[_Look]) -> float:
+        return abs(self._place(ends[0].value) - self._place(ends[1].value))
 
     def refine(self, look: _Look, standard_error: float | None) -> Tuned:
         """Return the answer at full precision, corrected along the slope of the looks around it."""

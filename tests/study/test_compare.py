@@ -1,0 +1,131 @@
+"""Policies at the same rate: ranked, with honest differences."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from study.test_tune import MASSES, with_policy
+
+import taciturn
+from taciturn import Problem, ProblemError, compare
+
+FEW: dict[str, Problem] = {
+    "hold": MASSES,
+    "model": MASSES.changed({"actuation": "model"}),
+    "clock": with_policy("periodic", every=3),
+    "drawn": with_policy("stochastic", actuation="model"),
+}
+
+
+def test_the_cheapest_is_first_and_differences_are_those_of_the_costs() -> None:
+    """All at 0.3 sends per step; the exact ones without error."""
+    found = compare(FEW, 0.3)
+    costs = {one.name: one.cost for one in found.ranking}
+    assert [one.name for one in found.ranking] == ["model", "drawn", "hold", "clock"]
+    best = found.ranking[0]
+    for one in found.ranking:
+        apart = np.hypot(one.cost.standard_error, best.cost.standard_error)
+        assert abs(one.above.value - (one.cost.value - best.cost.value)) <= 5 * apart + 1e-12
+        assert one.above.standard_error <= apart + 1e-15
+        assert one.reached
+    assert costs["drawn"].standard_error == 0
+    exact = (
+        taciturn.evaluate(with_policy("periodic", every=3)).cost.value,
+        taciturn.evaluate(with_policy("periodic", every=4)).cost.value,
+    )
+    share = (0.3 - 0.25) / (1 / 3 - 0.25)  # of the time at every third step
+    assert costs["clock"].value == pytest.approx(share * exact[0] + (1 - share) * exact[1])
+    assert found.cost_all_time == pytest.approx(0.733478, abs=1e-6)
+
+
+@pytest.mark.evidence
+def test_standard_errors_cover_the_truth() -> None:
+    """Over sixteen seeds, the difference of hold and model from its mean: a chi-square within its range at 1e-4."""
+    few = {name: FEW[name] for name in ("hold", "model")}
+    rows = [compare(few, 0.3, seed=100 * seed, standard_error=1e-3).ranking[1].above for seed in range(16)]
+    values, errors = np.array([r.value for r in rows]), np.array([r.standard_error for r in rows])
+    weights = errors**-2
+    chi = float((weights * (values - np.average(values, weights=weights)) ** 2).sum())
+    assert chi < 44.3  # of 15 degrees of freedom
+    assert (errors < 2e-3).all()
+
+
+def test_common_draws_make_the_difference_of_neighbours_small() -> None:
+    """Two triggers that differ little are told apart better than by their costs alone."""
+    pair = [with_policy("absolute", threshold=1.0, weight=np.diag([1, 1, w, 1]), error="state") for w in (1.0, 1.1)]
+    loops = [problem.close(problem.design()) for problem in pair]
+    together = taciturn.difference(*loops, steps=2_000_000).cost.standard_error
+    apart = [taciturn.average(loop, steps=1_000_000).cost.standard_error for loop in loops]
+    assert together < 0.7 * np.hypot(*apart)
+    found = compare(dict(zip("ab", pair, strict=True)), 0.5, standard_error=1e-3)
+    assert found.ranking[1].above.value >= 0
+
+
+def test_bounds_are_those_at_the_rate() -> None:
+    """Sharper where the guarantee depends on the rate; of a shared time shared; none where none is proved."""
+    found = {one.name: one for one in compare(
+        {
+            "absolute": with_policy("absolute", threshold=1.0),
+            "rollout": with_policy("rollout", horizon=1, every=3),
+            "delta": with_policy("send-on-delta", delta=0.4),
+        },
+        0.3,
+        standard_error=2e-3,
+    ).ranking}  # fmt: skip
+    absolute, rollout = found["absolute"].tuned.evaluation, found["rollout"].tuned
+    assert found["absolute"].cost_bound == absolute.cost_bound_at_rate
+    assert rollout.beyond is not None
+    bounds = (rollout.evaluation.cost_bound, rollout.beyond.evaluation.cost_bound)
+    assert None not in bounds
+    assert min(bounds) < found["rollout"].cost_bound < max(bounds)
+    assert found["rollout"].cost.value < found["rollout"].cost_bound
+    assert found["delta"].cost_bound is None
+
+
+@pytest.mark.parametrize(
+    ("problems", "words"),
+    [
+        ({"one": MASSES}, "1 policies are given; expected at least two"),
+        ({"one": MASSES, "other": MASSES}, "one and other are one policy, lqg"),
+        ({"one": MASSES, "other": MASSES.changed({"theta": 2.0})}, "one and other are one policy, lqg"),
+        ({"one": MASSES, "other": MASSES.changed({"trigger": "joint"})}, "one and other are one policy, lqg"),
+        ({"one": MASSES, "other": MASSES.changed({"cost.R": [[1.0]]})}, "differ in [cost]"),
+        ({"one": MASSES, "other": MASSES.changed({"plant.V": [[1.0, 0.0], [0.0, 1.0]]})}, "differ in [plant]"),
+        ({"one": MASSES, "far": MASSES.changed({"trigger": "separate"})}, "far: no theta gives lqg the rate 0.3"),
+        ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: C or V is given"),
+    ],
+)
+def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], words: str) -> None:
+    """Naming the policy."""
+    with pytest.raises(ProblemError) as caught:
+        compare(problems, 0.3, standard_error=1e-2)
+    assert words in str(caught.value)
+
+
+def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
+    """A picture with a name for each policy; JSON without what JSON cannot say."""
+    found = compare({"hold": MASSES, "clock": FEW["clock"]}, 0.3, standard_error=1e-2)
+    axis = found.plot().axes[0]
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["clock", "hold"]
+    document: dict[str, Any] = json.loads(json.dumps(found.document(), allow_nan=False))
+    assert [place["name"] for place in document["ranking"]] == ["hold", "clock"]
+    assert document["ranking"][1]["parameter"]["share"] == pytest.approx(0.4)
+
+
+def test_continuous_plants_are_compared_per_second() -> None:
+    """Periodic control at any rate, consistent by quadrature: no simulation, no error."""
+    integrator = taciturn.load("wiener-double-integrator")
+    found = compare(
+        {
+            "clock": with_policy("periodic", integrator, actuation="model"),
+            "events": with_policy("consistent", integrator),
+        },
+        5.0,
+    )
+    assert [one.name for one in found.ranking] == ["events", "clock"]
+    assert found.unit == "second"
+    assert all(one.cost.standard_error == 0 for one in found.ranking)
