@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import taciturn
-from taciturn import Problem, TaciturnError
+from taciturn import Plant, Problem, TaciturnError
 
 SHARES = (0.1, 0.3, 0.5)  # of the base rate
 PLANTS = {
@@ -26,7 +26,6 @@ POLICIES: dict[str, dict[str, object]] = {
     "periodic, model": {"kind": "periodic", "actuation": "model"},
     "pattern of 12": {"kind": "periodic-schedule", "length": 12, "sends": 4},
     "rollout": {"kind": "rollout", "horizon": 1, "every": 3},
-    "rollout, 8 ticks": {"kind": "rollout", "horizon": 8, "every": 3},
     "lqg": {"kind": "lqg", "theta": 0.1},
     "lqg, model": {"kind": "lqg", "theta": 0.1, "actuation": "model"},
     "absolute": {"kind": "absolute", "threshold": 1.0},

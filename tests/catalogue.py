@@ -11,6 +11,7 @@ from systems import System
 from taciturn import Cost, Loop, Network, Plant, Policy, close, design
 from taciturn.lqg.lossy import Channel, slowest_growth
 from taciturn.lqg.riccati import regulate
+from taciturn.program.numpy import run
 
 Build = Callable[[System], Policy]
 
@@ -143,3 +144,10 @@ IDENTITY = ("downsampled", "stochastic model", *(name for name in GUARANTEED if 
 SHRINKING = ("remote, at the sensor", "relative", "dynamic", "self-triggered", "rollout")
 VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name in SHRINKING)
 """Whose trigger is relative: without noise the state vanishes."""
+
+
+def outputs(policy: Policy, seed: int, paths: int = 4, ticks: int = 60) -> dict[str, np.ndarray]:
+    """Return what a loop shows, (ticks, paths) of each output."""
+    loop = closed(policy)
+    program = loop.program()
+    return dict(run(program, loop.start(program, paths, seed), ticks).outputs)

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from taciturn.design.catalogue import CATALOGUE
+
 if TYPE_CHECKING:
     from conftest import Run, Write
 
@@ -37,7 +39,9 @@ def actual(**entries: str) -> dict[str, str]:
 
 def test_a_file_that_is_not_there_is_told_with_the_built_in_problems(run: Run) -> None:
     """And with the one that was perhaps meant."""
-    told = "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems double-integrator, lossy"
+    told = (
+        "there is no file 'xyzzy'; expected a problem file, or one of the built-in problems double-integrator, inverted"
+    )
     assert run("evaluate", "xyzzy").sentence.startswith(told)
     assert run("evaluate", "twomass").sentence.endswith("Did you mean 'two-mass'?")
     assert run("evaluate", "two-mass.toml").sentence.startswith("there is no file 'two-mass.toml'")
@@ -188,7 +192,7 @@ def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) 
         ({"policy": PERIODIC + "every = true"}, "policy.every is True; expected a whole number"),
         (
             {"policy": "[policy]\nkind = 1"},
-            "policy.kind is 1; expected one of all-time, periodic, lqg, remote-lqg, lossy-lqg, integral, consistent",
+            f"policy.kind is 1; expected one of {', '.join(CATALOGUE)}",
         ),
         ({"plant": "policy = 1\n" + plant()["plant"], "policy": ""}, "policy is 1; expected a table"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, cast
 
@@ -75,7 +75,8 @@ class Comparison:
     Args:
         rate: sends per step or per second.
         unit: what rate and cost count per: ``"step"`` or ``"second"``.
-        cost_all_time: exact cost of sending at every tick; None where the policies' ticks differ.
+        cost_all_time: exact cost of sending at every tick, of the policies with the most ticks; None where it is not
+            one number.
         ranking: the contestants.
     """
 
@@ -193,9 +194,16 @@ def compare(
         best = ranking[0]
         beside = [replace(one, above=_above(one, best, rate, seed + len(problems))) for one in found]
         ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-    all_time = {one.tuned.evaluation.cost_all_time for one in found}
-    same = len({round(value, 9) for value in all_time if value is not None}) == 1 and None not in all_time
-    return Comparison(rate, unit_of(best.tuned.problem), best.tuned.evaluation.cost_all_time if same else None, ranking)
+    return Comparison(rate, unit_of(found[0].tuned.problem), _all_time(found), ranking)
+
+
+def _all_time(found: Sequence[Contestant]) -> float | None:
+    """Return the cost of sending at every tick, of the policies with the most ticks per second."""
+    answers = [one.tuned.evaluation for one in found]
+    fastest = max(one.base_rate or 0.0 for one in answers)
+    costs = {one.cost_all_time for one in answers if one.base_rate == fastest}
+    known = [cost for cost in costs if cost is not None]
+    return known[0] if known and max(known) - min(known) <= 1e-9 * abs(known[0]) else None
 
 
 def _check(problems: Mapping[str, Problem]) -> None:
@@ -207,7 +215,7 @@ def _check(problems: Mapping[str, Problem]) -> None:
             if not _same(getattr(first, what), getattr(second, what)):
                 where = "[plant.actual]" if what == "actual" else f"[{what}]"
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
-        if first.kind == second.kind and _fixed(first) == _fixed(second):
+        if first.kind == second.kind and _same(_fixed(first), _fixed(second)):
             raise ProblemError(
                 f"{one} and {other} are one policy, {first.kind}, at the same rate; expected policies that differ in "
                 "more than the parameter that is tuned"
@@ -229,6 +237,9 @@ def _same(one: object, other: object) -> bool:
     """Tell whether two values, data classes of arrays perhaps, are the same."""
     if is_dataclass(one) and type(one) is type(other):
         return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
+    if isinstance(one, dict) and isinstance(other, dict):
+        known, found = cast("dict[str, object]", one), cast("dict[str, object]", other)
+        return known.keys() == found.keys() and all(_same(value, found[key]) for key, value in known.items())
     return bool(np.array_equal(cast("Any", one), cast("Any", other)))
 
 

@@ -1,0 +1,102 @@
+"""``taciturn tune`` and ``taciturn compare`` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli.conftest import Run
+
+import taciturn
+
+MASSES = Path(taciturn.__file__).parent / "problems" / "two-mass.toml"
+
+
+def with_policy(folder: Path, name: str, policy: str) -> str:
+    """Write the two masses with another policy; return the file."""
+    text = MASSES.read_text(encoding="utf-8")
+    path = folder / f"{name}.toml"
+    path.write_text(text[: text.index("[policy]")] + f"[policy]\n{policy}\n", encoding="utf-8")
+    return str(path)
+
+
+def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
+    """A line for the parameter with its error, then what evaluate prints."""
+    answer = run("tune", "two-mass", "--rate", "0.3", "--standard-error", "1e-3")
+    assert answer.code == 0
+    lines = answer.out.splitlines()
+    assert lines[0].startswith("theta          1.1")
+    assert " ± " in lines[0]
+    assert any(line.startswith("rate, actuator 0.3") or line.startswith("rate, actuator 0.29") for line in lines)
+
+
+def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
+    """Exact numbers, and the other side of the jump."""
+    answer = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3", "--json")
+    assert answer.code == 0
+    document = json.loads(answer.out)
+    assert document["parameter"] == {"name": "every", "value": 4, "standard_error": 0.0}
+    assert document["beyond"]["value"] == 3
+    assert document["rates"]["actuator"]["value"] == 0.25
+    told = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3")
+    assert "the budget lies in a jump, on whose other side is every = 3" in told.out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--rate", "0.05"], "it reaches rates from 0.20"),
+        (["--cost", "0.1"], "it reaches costs from 0.73"),
+        ([], "expected one of them"),
+        (["--rate", "0.3", "--cost", "1"], "expected one of them"),
+        (["--rate", "nan"], "rate is nan"),
+        (["--rate", "0"], "rate is 0"),
+        (["--rate", "x"], "'x' is not a valid float"),
+        (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
+        (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
+    ],
+)
+def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str], words: str) -> None:
+    """Exit code 2, nothing else printed."""
+    answer = run("tune", "two-mass", *arguments)
+    assert answer.code == 2
+    assert answer.out == ""
+    assert words in answer.sentence
+
+
+def test_compare_ranks_and_draws(run: Run, tmp_path: Path) -> None:
+    """Names are those of the files; a policy that shares its time says so; the picture is written."""
+    files = [
+        "two-mass",
+        with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'),
+        with_policy(tmp_path, "drawn", 'kind = "stochastic"\nactuation = "model"\nweight = [[2, 0, 0, 0], [0, 1, 0, 0], '
+                    "[0, 0, 1, 0], [0, 0, 0, 1]]"),
+    ]  # fmt: skip
+    picture = tmp_path / "ranking.svg"
+    answer = run("compare", *files, "--rate", "0.3", "--standard-error", "1e-3", "--plot", str(picture))
+    assert answer.code == 0
+    names = [line.split()[0] for line in answer.out.splitlines()[1:4]]
+    assert names == ["drawn", "two-mass", "clock"]
+    assert "clock: 40.0 % of the time the first, else the second" in answer.out
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+    document = json.loads(run("compare", *files, "--rate", "0.3", "--standard-error", "1e-3", "--json").out)
+    assert [place["name"] for place in document["ranking"]] == names
+    assert document["ranking"][1]["above_best"]["standard_error"] > 0
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        (["two-mass"], "1 policies are given"),
+        (["two-mass", "two-mass"], "two-mass (1) and two-mass (2) are one policy"),
+        (["two-mass", "rover"], "two-mass and rover differ in [plant]"),
+        (["two-mass", "nowhere"], "there is no file 'nowhere'"),
+    ],
+)
+def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str], words: str) -> None:
+    """Exit code 2, nothing else printed."""
+    answer = run("compare", *files, "--rate", "0.3")
+    assert answer.code == 2
+    assert answer.out == ""
+    assert words in answer.sentence
