@@ -52,7 +52,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "0.3", "--cost", "1"], "expected one of them"),
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
-        (["--rate", "x"], "'x' is not a valid float"),
+        (["--rate", "x"], "Invalid value for '--rate'"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
     ],
@@ -67,12 +67,12 @@ def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str],
 
 def test_compare_ranks_and_draws(run: Run, tmp_path: Path) -> None:
     """Names are those of the files; a policy that shares its time says so; the picture is written."""
+    weight = [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     files = [
         "two-mass",
         with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'),
-        with_policy(tmp_path, "drawn", 'kind = "stochastic"\nactuation = "model"\nweight = [[2, 0, 0, 0], [0, 1, 0, 0], '
-                    "[0, 0, 1, 0], [0, 0, 0, 1]]"),
-    ]  # fmt: skip
+        with_policy(tmp_path, "drawn", f'kind = "stochastic"\nactuation = "model"\nweight = {weight}'),
+    ]
     picture = tmp_path / "ranking.svg"
     answer = run("compare", *files, "--rate", "0.3", "--standard-error", "1e-3", "--plot", str(picture))
     assert answer.code == 0
