@@ -62,7 +62,7 @@ class Told:
         elif isinstance(step, Evaluate):
             self.signals[step.signal] = np.array([self.value(step.forms[self.which(step.on)])])
         elif isinstance(step, Draw):
-            self.signals[step.signal] = np.array([next(self.uniforms)])
+            self.signals[step.signal] = np.array([-np.log(next(self.uniforms))])  # exponential, by inversion
         elif isinstance(step, Decide):
             self.outcome[step.decision] = int(np.argmin([self.value(form) for form in step.trigger.options.values()]))
         else:
