@@ -16,6 +16,7 @@ import taciturn
 from taciturn import Plant, Problem, TaciturnError
 
 SHARES = (0.1, 0.3, 0.5)  # of the base rate
+PRECISION = 1e-3  # standard error of a cost, in all-time costs
 PLANTS = {
     "two-mass": "two masses and a spring",
     "inverted-pendulum": "inverted pendulum on a cart",
@@ -72,7 +73,8 @@ def table(plant: str, share: float) -> dict[str, Any]:
     base = taciturn.load(plant)
     rate = share / base.design().tick
     fit, why = fitting(base, rate)
-    found = taciturn.compare(fit, rate)
+    wanted = PRECISION * base.design().cost_all_time
+    found = taciturn.compare(fit, rate, standard_error=wanted)
     return {"plant": plant, "title": PLANTS[plant], "share": share, **found.document(), "left_out": why}
 
 

@@ -141,6 +141,9 @@ POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **UNPROVED, **MISSIO
 GUARANTEED = (*STATIONARY, *MISSIONS)
 CLOSED_FORM = (*BASELINES, "stochastic model", *(name for name in GUARANTEED if "at the actuator" in name))
 IDENTITY = ("downsampled", "stochastic model", *(name for name in GUARANTEED if name not in CLOSED_FORM))
+FIELD = tuple(
+    name for name in STATIONARY if not name.startswith(("lqg", "remote", "lossy"))
+)  # whose bounds hold over 300 systems, from which it follows that the mean square stays
 SHRINKING = ("remote, at the sensor", "relative", "dynamic", "self-triggered", "rollout")
 VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name in SHRINKING)
 """Whose trigger is relative: without noise the state vanishes."""
