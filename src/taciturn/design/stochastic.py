@@ -66,7 +66,7 @@ def stochastic(
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[3.0]]), Cost([[1.0]], [[1.0]])
         >>> policy = stochastic(plant, cost, actuation="model")
         >>> round(policy.closed_form.rates["actuator"], 6)
-        0.55235
+        0.520178
     """
     scale = number("scale", scale, 0.0)
     problem = discretise(plant, cost, period)
