@@ -94,6 +94,8 @@ def test_whole_numbers_keep_the_budget_and_name_the_other_side() -> None:
     exactly = tune(problem, rate=0.25)
     assert exactly.parameter.value == 4
     assert exactly.beyond is None
+    last = tune(with_policy("rollout", horizon=1, every=3), rate=0.5, standard_error=1e-2)
+    assert last.parameter.value == 2  # at the end of its range
     by_cost = tune(problem, cost=0.8)
     assert by_cost.parameter.value == 2
     assert by_cost.evaluation.cost.value <= 0.8

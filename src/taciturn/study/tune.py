@@ -241,6 +241,8 @@ class _Search:
         if found is None:
             self._refuse()
         before, after = found
+        if self.meets_exactly(after):
+            return after, after
         low, high = (before, after) if before.above <= 0 else (after, before)
         while self.knob.whole and (middle := self._between(low, high)) is not None:
             low, high = (middle, high) if middle.above <= EXACT * self.goal.budget else (low, middle)
@@ -329,7 +331,7 @@ class _Search:
             there = self.look(self._moved(start, outwards * distance)) or self._edge(here, outwards, start, distance)
             if there.value == here.value:
                 return None
-            if (there.above > 0) != side:
+            if (there.above > 0) != side or self.meets_exactly(there):
                 return here, there
             here = there
         return None
