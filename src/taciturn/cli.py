@@ -175,7 +175,7 @@ def compare(
     as_json: Json = False,
     plot: Plot = None,
     seed: Seed = 0,
-    standard_error: StandardError = None,
+    standard_error: Annotated[float | None, typer.Option(help="Of each cost. Default: 3e-4 of all-time's.")] = None,
 ) -> None:
     """Several policies at the same rate, ranked, with the standard errors of their differences."""
     import taciturn

@@ -88,7 +88,7 @@ def test_compare_ranks_and_draws(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        (["two-mass"], "1 policies are given"),
+        (["two-mass"], "the number of policies is 1"),
         (["two-mass", "two-mass"], "two-mass (1) and two-mass (2) are one policy"),
         (["two-mass", "rover"], "two-mass and rover differ in [plant]"),
         (["two-mass", "nowhere"], "there is no file 'nowhere'"),

@@ -185,13 +185,13 @@ def test_a_free_sensor_is_always_queried_and_a_dear_one_only_where_it_must_be() 
 def test_an_unstable_plant_that_is_never_queried_is_refused() -> None:
     """Without noise nothing is worth a query, and nothing would tell where rounding drives the state."""
     with pytest.raises(
-        UnstableError, match=r"with zeta = 1 the sensor is never queried, and the plant is unstable: .*"
+        UnstableError, match=r"at the price or threshold 1 the sensor is never queried, and the plant is unstable: .*"
     ):
         design.remote_lqg(Plant([[2.0]], [[1.0]], [[0.0]]), WEIGHTS, theta=0.2, zeta=1.0)
 
 
 def test_what_queries_cannot_settle_is_refused(monkeypatch) -> None:
-    """A covariance that overflows before a query is worth its price, and one that drifts for longer than is waited."""
+    """A covariance that overflows before the sensor is queried, and one that drifts for longer than is waited."""
     with pytest.raises(UnstableError, match="overflows before a query is worth its price"):
         Predictor(SCALAR).follow(np.array([[1e155]]), False)
     monkeypatch.setattr(queries, "LONGEST", 40)

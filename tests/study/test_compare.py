@@ -89,7 +89,7 @@ def test_bounds_are_those_at_the_rate() -> None:
 @pytest.mark.parametrize(
     ("problems", "words"),
     [
-        ({"one": MASSES}, "1 policies are given; expected at least two"),
+        ({"one": MASSES}, "the number of policies is 1; expected at least two"),
         ({"one": MASSES, "other": MASSES}, "one and other are one policy, lqg"),
         ({"one": MASSES, "other": MASSES.changed({"theta": 2.0})}, "one and other are one policy, lqg"),
         ({"one": MASSES, "other": MASSES.changed({"trigger": "joint"})}, "one and other are one policy, lqg"),

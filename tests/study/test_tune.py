@@ -54,8 +54,7 @@ def test_the_standard_error_of_the_parameter_is_its_spread() -> None:
     found = [tune(MASSES, rate=0.3, standard_error=1e-3, seed=seed).parameter for seed in range(16)]
     claimed = np.sqrt(np.mean([parameter.standard_error**2 for parameter in found]))
     spread = np.std([parameter.value for parameter in found], ddof=1)
-    # the search may miss the budget by three standard errors, which adds to what is claimed
-    assert 0.3 < spread / claimed < 3.5
+    assert 0.4 < spread / claimed < 1.8
 
 
 def test_a_cost_is_met() -> None:
@@ -141,6 +140,7 @@ def test_links_have_knobs_of_their_own() -> None:
     [
         (MASSES, {"rate": 0.05}, "it reaches rates from 0.20"),
         (MASSES, {"rate": 1.5}, "to 1; expected a rate in between"),
+        (MASSES, {"rate": 1e308}, "it reaches rates from 0.20"),
         (MASSES, {"cost": 0.5}, "it reaches costs from 0.733"),
         (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "it reaches rates from 0.58"),
         (MASSES, {}, "expected one of them"),

@@ -8,6 +8,8 @@ from taciturn._arrays import Array
 from taciturn.design.certainty import Certainty
 from taciturn.model.policy import Guarantee
 
+LARGEST = 1e100  # threshold, factor or share that a rule may have: its square is still a number
+
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
     """Return the least μ with M ⪯ μ·weight, both semidefinite; None where the weight does not see all that M does."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number
+from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -14,6 +15,7 @@ from taciturn.model.policy import Location, Policy
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 WAIT = "wait"
+LONGEST = 10_000  # ticks from look to look
 
 
 def downsampled(
@@ -56,9 +58,11 @@ def downsampled(
         [[3, 0], [0, 0], [1, 1], [2, 2]]
     """
     fast, slow = count("fast", fast), count("slow", slow)
+    if slow > LONGEST:
+        raise ProblemError(f"slow is {slow}; expected at most {LONGEST} ticks")
     if slow < fast:
         raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in ticks from look to look")
-    threshold = number("threshold", threshold, 0.0, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("downsampled", problem), np.eye(problem.plant.states)
     looked_at = Scheduled(WAIT, [unit] + [0 * unit] * (slow - 1))

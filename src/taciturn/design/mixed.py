@@ -6,7 +6,7 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._scipy import block_diagonal
-from taciturn.design.bounds import bound_by_state
+from taciturn.design.bounds import LARGEST, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE
 from taciturn.lqg.discrete import discretise
@@ -66,8 +66,8 @@ def relative_to_state(
     source: str,
 ) -> Policy:
     """Return the policy that sends iff |e|² > σ²|x̂|² + Y²."""
-    sigma = number("sigma", sigma, 0.0, closed=True)
-    threshold = number("threshold", threshold, 0.0, closed=True)
+    sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty(kind, problem), np.eye(problem.plant.states)
     silent = Form((DEVIATION, ESTIMATE), block_diagonal(unit, -(sigma**2) * unit))

@@ -22,6 +22,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 MOST_PATTERNS = 2000
+LONGEST = 1000  # ticks of a pattern
 
 
 def periodic_schedule(
@@ -43,7 +44,7 @@ def periodic_schedule(
         The policy, with its exact cost.
 
     Raises:
-        ProblemError: more sends than ticks, more than 2,000 patterns, period missing or out of place.
+        ProblemError: more sends than ticks, more than 1,000 ticks or 2,000 patterns, period missing or out of place.
         UnstableError: no pattern has a stabilising gain.
 
     Source: bengaid2006
@@ -54,6 +55,8 @@ def periodic_schedule(
         {'actuator': 0.4}
     """
     length, sends = count("length", length), count("sends", sends)
+    if length > LONGEST:
+        raise ProblemError(f"length is {length}; expected at most {LONGEST} ticks")
     if sends > length:
         raise ProblemError(f"sends is {sends} and length is {length}; expected at most as many sends as ticks")
     if comb(length - 1, sends - 1) > MOST_PATTERNS * sends:

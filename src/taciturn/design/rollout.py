@@ -67,9 +67,9 @@ def rollout(
     horizon, every = count("horizon", horizon), count("every", every, 2)
     periods = max(1, horizon // every)
     horizon = periods * every
-    if comb(horizon, periods) > MOST_FUTURES:
+    if horizon > MOST_FUTURES or comb(horizon, periods) > MOST_FUTURES:
         raise ProblemError(
-            f"horizon is {horizon} and every is {every}, which is {comb(horizon, periods)} schedules; "
+            f"horizon is {horizon} and every is {every}, which is more than {MOST_FUTURES} schedules; "
             f"expected at most {MOST_FUTURES}: a shorter horizon"
         )
     problem = discretise(plant, cost, period)

@@ -6,6 +6,7 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._modes import radius
+from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import SEND, design_certainty, steps_at_the_actuator
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.lqg.discrete import discretise
@@ -44,7 +45,7 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
         >>> send_on_delta(plant, cost, delta=1.0).scheduled
         ('sensor',)
     """
-    delta = number("delta", delta, 0.0, closed=True)
+    delta = number("delta", delta, 0.0, LARGEST, closed=True)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)

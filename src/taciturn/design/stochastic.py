@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, number, semidefinite, symmetrised
-from taciturn.design.bounds import largest_ratio
+from taciturn.design.bounds import LARGEST, largest_ratio
 from taciturn.design.certainty import (
     DEVIATION,
     SEND,
@@ -15,7 +15,7 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -57,7 +57,7 @@ def stochastic(
 
     Raises:
         ProblemError: W of the wrong size, indefinite or zero, s not positive, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        UnstableError: no stabilising gain or filter, or a weight that lets a growing error stand.
 
     Source: han2015
 
@@ -68,7 +68,7 @@ def stochastic(
         >>> round(policy.closed_form.rates["actuator"], 6)
         0.520178
     """
-    scale = number("scale", scale, 0.0)
+    scale = number("scale", scale, 0.0, LARGEST)
     problem = discretise(plant, cost, period)
     certainty, n = design_certainty("stochastic", problem), problem.plant.states
     W = scale * (np.eye(n) if weight is None else semidefinite("weight", weight, n, "(states, states)"))
@@ -101,24 +101,35 @@ def stochastic(
 
 
 def _renewed(certainty: Certainty, W: Array) -> ClosedForm | None:
-    """Return cost and rate from one send to the next; None where silence may last too long to be followed."""
+    """Return cost and rate from one send to the next; None where silence may last too long to be followed.
+
+    Raises:
+        UnstableError: silence that the weight does not end costs more and more, so that the mean is infinite.
+    """
     problem, A, noise = certainty.problem, certainty.problem.plant.A, certainty.corrections
     values, vectors = np.linalg.eigh(W)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
-    Sigma, silent, length, excess = noise, 1.0, 1.0, 0.0
+    Sigma, silent, length, excess, before = noise, 1.0, 1.0, 0.0, np.inf
     for _ in range(LONGEST):
         factor = np.linalg.cholesky(np.eye(len(W)) + root.T @ Sigma @ root)
         reach = np.linalg.solve(factor, root.T @ Sigma)
         kept, stays = symmetrised(Sigma - reach.T @ reach), 1 / float(np.prod(np.diag(factor)))
-        cost, following = float(np.sum(certainty.square * kept)), symmetrised(A @ kept @ A.T + noise)
+        following = symmetrised(A @ kept @ A.T + noise)
         silent *= stays
+        paid = silent * float(np.sum(certainty.square * kept))
         settled = np.abs(following - Sigma).max() <= CONVERGED * np.abs(Sigma).max()
         tail = stays / (1 - stays) if settled and stays < 1 else 0.0  # what is left is geometric
-        length, excess = length + silent * (1 + tail), excess + silent * cost * (1 + tail)
-        if tail or silent <= CONVERGED * length or (settled and silent == 0):
+        length, excess = length + silent * (1 + tail), excess + paid * (1 + tail)
+        ended = silent <= CONVERGED * length
+        if tail or (ended and paid <= CONVERGED * excess):
             average = certainty.cost_all_time + excess / length
             return ClosedForm(problem.per_unit(average), {"actuator": 1 / length})
-        Sigma = following
+        if ended and paid >= before:
+            raise UnstableError(
+                "the mean cost is infinite: weight does not see an error that grows faster than silence becomes rare; "
+                "expected a weight that sees every mode that does not decay, or a larger scale"
+            )
+        Sigma, before = following, paid
         if not np.isfinite(Sigma @ Sigma).all():
             return None
     return None

@@ -73,7 +73,10 @@ def discretise(
             )
         return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
     if period is None:
-        raise ProblemError("period is missing; expected the seconds between ticks, as the plant is continuous in time")
+        raise ProblemError(
+            "period is missing; expected the seconds between ticks, as the plant is continuous in time "
+            "(give plant.dt if A and B are those of a step)"
+        )
     number("period", period, 0.0)
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)

@@ -209,7 +209,7 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
 def _check(problems: Mapping[str, Problem]) -> None:
     """Refuse what cannot be compared."""
     if len(problems) < 2:
-        raise ProblemError(f"{len(problems)} policies are given; expected at least two, to compare them")
+        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two, to compare them")
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
         for what in ("plant", "actual", "cost", "network", "reference"):
             if not _same(getattr(first, what), getattr(second, what)):

@@ -100,7 +100,8 @@ def tune(
         progress: called with the fraction done.
 
     Returns:
-        The parameter with its standard error, and the evaluation.
+        The parameter with the standard error that it has as an answer to the budget, and the evaluation at this
+        parameter, whose standard errors are those of any evaluation.
 
     Raises:
         ProblemError: a budget that no value reaches, none or two budgets, a policy without such a parameter.
@@ -114,7 +115,8 @@ def tune(
     """
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
-        raise ProblemError(f"rate is {rate} and cost is {cost}; expected one of them, the budget")
+        got = "both" if rate is not None else "neither"
+        raise ProblemError(f"of rate and cost {got} is given; expected one of them, the budget: --rate or --cost")
     name, budget = ("rate", rate) if rate is not None else ("cost", cost)
     knob = _knob(problem, link)
     goal = _Goal(name, number(name, budget, 0.0), link or knob.link)
@@ -140,7 +142,7 @@ def _knob(problem: Problem, link: LinkName | None) -> Knob:
     if len(knobs) > 1:
         raise ProblemError(f"{problem.kind} decides on two links; expected link, one of {[k.link for k in knobs]}")
     if not knobs:
-        raise ProblemError(f"{problem.kind} has no parameter that changes this rate; expected another kind, as lqg")
+        raise ProblemError(f"{problem.kind} has no parameter for this rate; expected another kind, such as lqg")
     return knobs[0]
 
 
@@ -239,7 +241,10 @@ class _Search:
         outwards = -1.0 if (here.above > 0) == self.rising else 1.0
         found = self._walk(here, outwards)
         if found is None:
-            self._refuse()
+            nearest = min(self._looks(), key=lambda look: abs(look.above))
+            if abs(nearest.above) > SURE * nearest.error:
+                self._refuse()
+            return nearest, nearest  # a rate of 1, which a vanishing threshold approaches
         before, after = found
         if self.meets_exactly(after):
             return after, after
@@ -281,13 +286,14 @@ class _Search:
         place = self._place(look.value)
         around = [self.look(self._value(place + step)) for step in (-SPAN, SPAN)]
         near = [one for one in around if one is not None]
-        slope = pace = 0.0
+        slope = pace = blur = 0.0
         if len(near) == 2:
             slope = (near[1].above - near[0].above) / (2 * SPAN)
             rates = [self.goal.rate(one.evaluation).value for one in near]
             pace = (rates[1] - rates[0]) / (2 * SPAN)
         measured = self._look(look.value, LONGER * EFFORT) if look.error and slope else look
         for _ in range(ROUNDS):
+            blur = measured.error  # of what decides the place
             place -= float(np.clip(measured.above / slope, -STRIDE, STRIDE)) if slope else 0.0
             measured = self._look(self._value(place), standard_error=standard_error)
             if abs(measured.above) <= max(SURE * measured.error, EXACT * self.goal.budget) or not slope:
@@ -295,7 +301,7 @@ class _Search:
         else:
             measured = replace(measured, evaluation=replace(measured.evaluation, reached=False))
         changes = slope / (measured.value - self.knob.least)
-        error = measured.error / abs(changes) if changes else None
+        error = blur / abs(changes) if changes else None
         costs = [one.evaluation.cost.value for one in near]
         along = (costs[1] - costs[0]) / (2 * SPAN) / pace if pace else None
         return self._tuned(measured, error, along)
@@ -354,11 +360,11 @@ class _Search:
         Raises:
             ProblemError: always.
         """
-        start = next(look for look in self._seen.values() if isinstance(look, _Look))
+        start = self._looks()[0]
         for outwards in (-1.0, 1.0):
             self._walk(start, outwards)
-        looks = [look for look in self._seen.values() if isinstance(look, _Look)]
-        found = sorted(look.above + self.goal.budget for look in looks)
+        looks = self._looks()
+        found = sorted(self.goal.of(look.evaluation).value for look in looks)
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
@@ -367,6 +373,9 @@ class _Search:
             + (f" (beyond: {failed})" if failed else "")
             + f"; expected a {self.goal.name} in between"
         )
+
+    def _looks(self) -> list[_Look]:
+        return [look for look in self._seen.values() if isinstance(look, _Look)]
 
     def _place(self, value: float) -> float:
         """Return where a value is on the axis that is searched."""
