@@ -62,7 +62,7 @@ def dynamic(
     """
     sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
     rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST)
-    if gain * rho < 1:
+    if gain * rho < 1 - 1e-12:
         raise ProblemError(
             f"gain is {gain:g} and rho {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
             "so that the credit never falls below 0"
