@@ -2,7 +2,8 @@
 
     python benchmarks/comparison.py [--json docs/comparison.json]
 
-A policy that does not reach a rate is left out of that ranking, with the sentence that says why.
+A policy that does not reach a rate is left out of that ranking, with the sentence that says why. Tables that are in the
+file already are kept: it can be interrupted, and goes on where it was.
 """
 
 from __future__ import annotations
@@ -74,7 +75,13 @@ def table(plant: str, share: float) -> dict[str, Any]:
     rate = share / base.design().tick
     fit, why = fitting(base, rate)
     wanted = PRECISION * base.design().cost_all_time
-    found = taciturn.compare(fit, rate, standard_error=wanted)
+    found = None
+    while found is None:
+        try:
+            found = taciturn.compare(fit, rate, standard_error=wanted)
+        except TaciturnError as error:  # of one policy, whose name comes first
+            name, _, why[name] = str(error).partition(": ")
+            del fit[name]
     return {"plant": plant, "title": PLANTS[plant], "share": share, **found.document(), "left_out": why}
 
 
@@ -84,17 +91,24 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="where to write the tables")
     arguments = parser.parse_args()
     tables: list[dict[str, Any]] = []
+    if arguments.json and arguments.json.is_file():
+        tables = json.loads(arguments.json.read_text(encoding="utf-8"))
     for plant in PLANTS:
         for share in SHARES:
-            tables.append(table(plant, share))
-            for place in tables[-1]["ranking"]:
+            if any(one["plant"] == plant and one["share"] == share for one in tables):
+                continue
+            found = table(plant, share)
+            tables.append(found)
+            for place in found["ranking"]:
                 above = place["above_best"]
                 apart = f"{above['value']:.3g} ± {above['standard_error']:.1g}"
                 print(
                     f"{plant:26s}{share:5.0%}  {place['name']:20s}{place['cost']['value']:12.5g}  +{apart}", flush=True
                 )
-            for name, text in tables[-1]["left_out"].items():
+            for name, text in found["left_out"].items():
                 print(f"{plant:26s}{share:5.0%}  {name:20s}{text}")
+            order = [(plant, share) for plant in PLANTS for share in SHARES]
+            tables.sort(key=lambda one: order.index((one["plant"], one["share"])))
             if arguments.json:
                 arguments.json.write_text(json.dumps(tables, indent=1) + "\n", encoding="utf-8")
 

@@ -26,6 +26,7 @@ from taciturn.study.tune import Tuned, tune
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+LARGE = 0.05  # share of the cost that a correction for the rate may be
 RELATIVE_ERROR = 3e-4  # of the all-time cost, where no standard error is asked
 
 
@@ -185,9 +186,9 @@ def compare(
         try:
             wanted = _wanted(problem) if standard_error is None else standard_error
             tuned = tune(problem, rate=rate, link=link, seed=seed + index, standard_error=wanted, progress=report)
+            found.append(_at_rate(name, tuned, rate, link))
         except TaciturnError as error:
             raise type(error)(f"{name}: {error}") from None
-        found.append(_at_rate(name, tuned, rate, link))
     found.sort(key=lambda one: one.cost.value)
     ranking, best = tuple(found), None
     while best is None or ranking[0].name != best.name:  # until no difference says that another one is cheaper
@@ -269,6 +270,12 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName | None) -> Con
         bound = None if bound is None or other is None else share * bound + (1 - share) * other
     elif tuned.slope is not None:
         shift, error = _shift(tuned, rate, link)
+        if abs(shift) + error > LARGE * abs(cost.value):
+            raise ProblemError(
+                f"the cost of {here.policy} cannot be told at the rate {rate:g}, near which it changes by "
+                f"{abs(tuned.slope):.2g} per {here.rate_unit}: it is at the edge of what it keeps stable; "
+                "expected another rate, or another policy"
+            )
         cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
     return Contestant(name, here.policy, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound)
 
