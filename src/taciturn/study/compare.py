@@ -76,8 +76,8 @@ class Comparison:
     Args:
         rate: sends per step or per second.
         unit: what rate and cost count per: ``"step"`` or ``"second"``.
-        cost_all_time: exact cost of sending at every tick, of the policies with the most ticks; None where it is not
-            one number.
+        cost_all_time: exact cost of sending at every tick, the least that a policy with the most ticks per second has;
+            None where none is known.
         ranking: the contestants.
     """
 
@@ -199,12 +199,11 @@ def compare(
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:
-    """Return the cost of sending at every tick, of the policies with the most ticks per second."""
+    """Return the least cost of sending at every tick, of the policies with the most ticks per second."""
     answers = [one.tuned.evaluation for one in found]
     fastest = max(one.base_rate or 0.0 for one in answers)
-    costs = {one.cost_all_time for one in answers if one.base_rate == fastest}
-    known = [cost for cost in costs if cost is not None]
-    return known[0] if known and max(known) - min(known) <= 1e-9 * abs(known[0]) else None
+    costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
+    return min((cost for cost in costs if cost is not None), default=None)
 
 
 def _check(problems: Mapping[str, Problem]) -> None:
