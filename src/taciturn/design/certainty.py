@@ -37,6 +37,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
+from taciturn.model.schedule import Schedule
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
@@ -210,6 +211,47 @@ def certainty_policy(
         closed_form=closed_form,
         fixed_rates=fixed_rates or {},
         notes=notes,
+    )
+
+
+def sensor_policy(
+    kind: str,
+    certainty: Certainty,
+    estimation: Estimation,
+    settling: float,
+    *,
+    locations: tuple[Location, ...] = (),
+    closed_form: ClosedForm | None = None,
+    schedule: Schedule | None = None,
+) -> Policy:
+    """Return the policy whose controller sits at the actuator and gets what the sensor sends.
+
+    Args:
+        kind: name in the catalogue.
+        certainty: filter and regulator of sending always.
+        estimation: the steps that decide, send and filter.
+        settling: ticks in which regulator and filter forget.
+        locations: finite locations.
+        closed_form: what is known exactly.
+        schedule: where the sensor is scheduled offline.
+    """
+    problem = certainty.problem
+    return Policy(
+        kind=kind,
+        steps=steps_at_the_actuator(problem.plant, estimation, certainty.regulator.L),
+        model=problem.plant,
+        cost_all_time=problem.per_unit(certainty.cost_all_time),
+        scheduled=("sensor",),
+        sites=(frozenset({"controller", "actuator"}),),
+        locations=locations,
+        initial=estimation.initial,
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        settling=settling,
+        cost=problem.cost,
+        closed_form=closed_form,
+        fixed_rates={} if schedule is None else {"sensor": schedule.rate},
+        schedule=schedule,
     )
 
 

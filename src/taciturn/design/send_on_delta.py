@@ -7,7 +7,7 @@ import numpy as np
 from taciturn._arrays import number
 from taciturn._modes import radius
 from taciturn.design.bounds import LARGEST
-from taciturn.design.certainty import SEND, design_certainty, steps_at_the_actuator
+from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
@@ -51,19 +51,7 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)
     steady = steady_filter(plant.A, plant.C, plant.W, taken)
     slowest = max(radius(plant.A + plant.B @ certainty.regulator.L), radius(plant.A - plant.A @ steady.gain @ plant.C))
-    return Policy(
-        kind="send-on-delta",
-        steps=steps_at_the_actuator(plant, _heard(plant, steady, delta), certainty.regulator.L),
-        model=plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
-        scheduled=("sensor",),
-        sites=(frozenset({"controller", "actuator"}),),
-        initial={"prior": plant.mean},
-        tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - slowest),
-        cost=cost,
-    )
+    return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), 1 / (1 - slowest))
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> Estimation:

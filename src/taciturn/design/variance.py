@@ -6,7 +6,7 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn._modes import radius
-from taciturn.design.certainty import CLOCK, Certainty, count_ticks, design_certainty, steps_at_the_actuator
+from taciturn.design.certainty import CLOCK, Certainty, count_ticks, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
@@ -55,21 +55,13 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
     posterior = left @ schedule.covariance @ left.swapaxes(1, 2) + corrections @ plant.V @ corrections.swapaxes(1, 2)
     noise = float(np.sum(certainty.regulator.K * plant.W))
     average = noise + float(np.sum(certainty.square * posterior.mean(axis=0)))
-    return Policy(
-        kind="variance",
-        steps=steps_at_the_actuator(plant, _measured(plant, schedule, corrections), certainty.regulator.L),
-        model=plant,
-        cost_all_time=problem.per_unit(certainty.cost_all_time),
-        scheduled=("sensor",),
-        sites=(frozenset({"controller", "actuator"}),),
+    return sensor_policy(
+        "variance",
+        certainty,
+        _measured(plant, schedule, corrections),
+        _settling(certainty, left),
         locations=(count_ticks(len(schedule.queries), 0),),
-        initial={"prior": plant.mean},
-        tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=_settling(certainty, left),
-        cost=cost,
         closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
-        fixed_rates={"sensor": schedule.rate},
         schedule=schedule,
     )
 

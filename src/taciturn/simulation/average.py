@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from taciturn._arrays import count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.program.controls import controlled
 from taciturn.simulation.sampling import Averages, Estimator, Part, Progress, Sampling, sends
 
 LEAST_STEPS = 1024
@@ -34,7 +33,7 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
     reduced = loop.reducible if reduced is None else reduced
     program = loop.reduced_program() if reduced else loop.program()
     lean = program.keep({EXCESS, *sends(loop)})
-    return Estimator(lean, controlled(program, lean), EXCESS, identity.constant, 1.0)
+    return Estimator(lean, program, EXCESS, identity.constant, 1.0)
 
 
 def plain_average(loop: Loop) -> Estimator:
@@ -43,7 +42,7 @@ def plain_average(loop: Loop) -> Estimator:
     problem, program = loop.problem, loop.program()
     lean = program.keep({COST, *sends(loop)}, states=final)
     if loop.horizon is None:
-        return Estimator(lean, controlled(program, lean), COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
+        return Estimator(lean, program, COST, problem.noise_cost / problem.tick, 1.0 / problem.tick)
     alpha = problem.cost.discount
     ticks = loop.horizon if alpha == 1 else (1 - alpha**loop.horizon) / (1 - alpha)
     return Estimator(lean, None, COST, problem.noise_cost * ticks, 1.0)

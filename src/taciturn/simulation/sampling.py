@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from math import lcm
 
 import numpy as np
@@ -13,7 +14,7 @@ from taciturn._arrays import Array
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
-from taciturn.program.controls import CONTROL
+from taciturn.program.controls import CONTROL, controlled
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
@@ -63,17 +64,22 @@ class Estimator:
 
     Args:
         program: one tick of the loop.
-        controlled: the same with control variates among its sums, for long runs; None for missions.
+        whole: the same before anything was left out, of which control variates are made; None for missions.
         sum: name of the sum.
         offset: what is added, in the units of the cost.
         scale: factor of the mean per tick.
     """
 
     program: Program
-    controlled: Program | None
+    whole: Program | None
     sum: str
     offset: float
     scale: float
+
+    @cached_property
+    def controlled(self) -> Program | None:
+        """The program with control variates among its sums, for long runs; None for missions."""
+        return None if self.whole is None else controlled(self.whole, self.program)
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,9 +165,10 @@ class Sampling:
         Not to a difference: of two loops that differ on few paths, these are all that a fit would see.
         """
         part = self.parts[0]
+        if len(self.parts) > 1 or self.controls.any():
+            return False
         program, many = part.estimator.controlled, len(part.controls)
-        alone = len(self.parts) == 1 and not self.controls.any()
-        if not alone or program is None or many == 0 or paths < ROOM * (many + 1):
+        if program is None or many == 0 or paths < ROOM * (many + 1):
             return False
         self._read([program], [[*part.names, *part.controls]])
         return True

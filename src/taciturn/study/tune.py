@@ -28,6 +28,7 @@ JUMP = 1e-11  # width in log(value) over which what is sought jumps
 SPAN = 0.02  # of log(value), for slopes
 STRIDE = 0.1  # of log(value), that a correction goes at most
 ROUNDS = 3  # of corrections at full precision
+PASSED = 20  # whole numbers on either side that are passed over where nothing can be designed
 SURE = 3.0  # standard errors by which the answer may miss the budget
 EXACT = 1e-9  # relative
 
@@ -256,8 +257,12 @@ class _Search:
     def _between(self, low: _Look, high: _Look) -> _Look | None:
         """Return the look at the whole number nearest to the middle that can be designed, or None."""
         first, last = sorted((int(low.value), int(high.value)))
-        inside = sorted(range(first + 1, last), key=lambda value: abs(2 * value - first - last))
-        return next((look for look in map(self.look, inside) if look is not None), None)
+        for away in range(min(PASSED, (last - first) // 2)):
+            for value in (middle := (first + last) // 2) - away, middle + away:
+                look = self.look(value) if first < value < last else None
+                if look is not None:
+                    return look
+        return None
 
     def close_in(self, low: _Look, high: _Look) -> tuple[_Look, _Look]:
         """Return a look on the budget, twice; or those on both sides of a jump."""
