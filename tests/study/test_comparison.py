@@ -37,7 +37,7 @@ def test_there_is_a_table_for_each_plant_and_rate() -> None:
 
 
 @pytest.mark.evidence
-@pytest.mark.parametrize("table", [t for t in TABLES if t["share"] > 0.2], ids=name_of)
+@pytest.mark.parametrize("table", [t for t in TABLES if t["share"] == 0.5], ids=name_of)
 def test_the_costs_of_a_table_are_found_again(table: dict[str, Any]) -> None:
     """Evaluated anew at the parameters that the table names, with another seed."""
     script = runpy.run_path(str(ROOT / "benchmarks" / "comparison.py"))
@@ -51,7 +51,7 @@ def test_the_costs_of_a_table_are_found_again(table: dict[str, Any]) -> None:
             if at is None:
                 continue
             changed = problem.changed({parameter["name"]: at})
-            found = taciturn.evaluate(changed, seed=99, standard_error=1e-3 * table["cost_all_time"]).cost
+            found = taciturn.evaluate(changed, seed=99, standard_error=2e-3 * table["cost_all_time"]).cost
             value += share * found.value
             variance += (share * found.standard_error) ** 2
         error = np.sqrt(variance + place["cost"]["standard_error"] ** 2)
