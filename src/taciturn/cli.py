@@ -201,7 +201,7 @@ def compare(
             typer.echo(f"picture: {plot}")
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
-        _refuse(f"the rate, or the standard error, was not reached by {', '.join(missed)}: ask for a larger one")
+        _refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
 
 
 @app.command()

@@ -111,9 +111,9 @@ def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], w
 def test_a_cost_that_the_rate_does_not_fix_is_refused() -> None:
     """At the edge of what a policy keeps stable, the rate's standard error alone moves the cost by more than it is."""
     found = taciturn.tune(MASSES, rate=0.3, standard_error=1e-2)
-    assert at_rate("hold", found, 0.3, None).cost.value == pytest.approx(0.827, abs=0.02)
+    assert at_rate("hold", found, 0.3, "actuator").cost.value == pytest.approx(0.827, abs=0.02)
     with pytest.raises(ProblemError, match="at the edge of what it keeps stable"):
-        at_rate("hold", replace(found, slope=-1e4), 0.3, None)
+        at_rate("hold", replace(found, slope=-1e4), 0.3, "actuator")
 
 
 def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:

@@ -37,6 +37,7 @@ class Contestant:
     Args:
         name: given by the user.
         policy: its kind.
+        link: whose rate it is.
         tuned: the policy; where its rate jumps across the one that is asked, the one below, with the one ``beyond``.
         share: of the time that is spent on ``tuned``, so that the rate is met; the rest on the one beyond.
         cost: at exactly the rate of the comparison.
@@ -46,6 +47,7 @@ class Contestant:
 
     name: str
     policy: str
+    link: LinkName
     tuned: Tuned
     share: float
     cost: Estimate
@@ -62,11 +64,6 @@ class Contestant:
     def reached(self) -> bool:
         """Whether rate and standard error were met."""
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
-
-    @property
-    def link(self) -> str:
-        """Whose rate it is."""
-        return next(iter(self.tuned.evaluation.rates))
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +183,7 @@ def compare(
         try:
             wanted = _wanted(problem) if standard_error is None else standard_error
             tuned = tune(problem, rate=rate, link=link, seed=seed + index, standard_error=wanted, progress=report)
-            found.append(_at_rate(name, tuned, rate, link))
+            found.append(_at_rate(name, tuned, rate, link or _only_link(tuned)))
         except TaciturnError as error:
             raise type(error)(f"{name}: {error}") from None
     found.sort(key=lambda one: one.cost.value)
@@ -251,21 +248,21 @@ def _wanted(problem: Problem) -> float | None:
         return None
 
 
-def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName | None) -> Contestant:
+def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant:
     """Return the cost of a policy at exactly this rate."""
     here = tuned.evaluation
-    bound = here.cost_bound if here.cost_bound_at_rate is None else here.cost_bound_at_rate
+    bound = _bound(here)
     share, cost = 1.0, here.cost
     if tuned.beyond is not None:
         there = tuned.beyond.evaluation
-        low, high = (_rate(one, link).value for one in (here, there))
+        low, high = (one.rates[link].value for one in (here, there))
         share = (high - rate) / (high - low)
         cost = Estimate(
             share * cost.value + (1 - share) * there.cost.value,
             float(np.hypot(share * cost.standard_error, (1 - share) * there.cost.standard_error)),
             cost.method,
         )
-        other = there.cost_bound if there.cost_bound_at_rate is None else there.cost_bound_at_rate
+        other = _bound(there)
         bound = None if bound is None or other is None else share * bound + (1 - share) * other
     elif tuned.slope is not None:
         shift, error = _shift(tuned, rate, link)
@@ -276,14 +273,14 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName | None) -> Con
                 "expected another rate, or another policy"
             )
         cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
-    return Contestant(name, here.policy, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound)
+    return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound)
 
 
-def _shift(tuned: Tuned, rate: float, link: LinkName | None) -> tuple[float, float]:
+def _shift(tuned: Tuned, rate: float, link: LinkName) -> tuple[float, float]:
     """Return what the cost is off because the rate is, and its standard error."""
     if tuned.slope is None:
         return 0.0, 0.0
-    found = _rate(tuned.evaluation, link)
+    found = tuned.evaluation.rates[link]
     return tuned.slope * (found.value - rate), abs(tuned.slope) * found.standard_error
 
 
@@ -299,7 +296,7 @@ def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimat
         return above
     steps = max(contestant.tuned.evaluation.steps for contestant in pair)
     found = difference(loop, other, seed=seed, steps=steps).cost
-    shifts, errors = zip(*(_shift(contestant.tuned, rate, None) for contestant in pair), strict=True)
+    shifts, errors = zip(*(_shift(contestant.tuned, rate, contestant.link) for contestant in pair), strict=True)
     error = float(np.sqrt(found.standard_error**2 + sum(error**2 for error in errors)))
     common = Estimate(found.value - shifts[0] + shifts[1], error, "simulation")
     return common if error < apart else above
@@ -315,8 +312,14 @@ def _loop(one: Contestant) -> Loop | None:
     return None if loop.identity is None else loop
 
 
-def _rate(evaluation: Evaluation, link: LinkName | None) -> Estimate:
-    return next(iter(evaluation.rates.values())) if link is None else evaluation.rates[link]
+def _only_link(tuned: Tuned) -> LinkName:
+    """Return the link whose rate was tuned where none was named: the policy decides on one."""
+    return cast("LinkName", next(iter(tuned.evaluation.rates)))
+
+
+def _bound(evaluation: Evaluation) -> float | None:
+    """Return the sharpest bound that is proved."""
+    return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate
 
 
 def _short(value: float) -> str:
