@@ -172,7 +172,7 @@ def compare(
     """
     check_effort(seed, standard_error, None)
     rate = number("rate", rate, 0.0)
-    _check(problems)
+    _check(problems, link)
     found: list[Contestant] = []
     for index, (name, problem) in enumerate(problems.items()):
 
@@ -203,7 +203,7 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
     return min((cost for cost in costs if cost is not None), default=None)
 
 
-def _check(problems: Mapping[str, Problem]) -> None:
+def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
     """Refuse what cannot be compared."""
     if len(problems) < 2:
         raise ProblemError(f"the number of policies is {len(problems)}; expected at least two, to compare them")
@@ -212,21 +212,21 @@ def _check(problems: Mapping[str, Problem]) -> None:
             if not _same(getattr(first, what), getattr(second, what)):
                 where = "[plant.actual]" if what == "actual" else f"[{what}]"
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
-        if first.kind == second.kind and _same(_fixed(first), _fixed(second)):
+        if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
                 f"{one} and {other} are one policy, {first.kind}, at the same rate; expected policies that differ in "
                 "more than the parameter that is tuned"
             )
 
 
-def _fixed(problem: Problem) -> dict[str, object]:
+def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
     """Return the parameters that are not tuned, with those that are not given."""
     defaults = {
         key: parameter.default
         for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
         if parameter.default is not parameter.empty
     }
-    tuned = {knob.name for knob in KNOBS[problem.kind]}
+    tuned = {knob.name for knob in KNOBS[problem.kind] if link is None or knob.link in (None, link)}
     return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
 
 
