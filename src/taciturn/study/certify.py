@@ -1,0 +1,190 @@
+"""What is proved of one loop by matrix inequalities: decay, gain, cost; beside sending always."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+
+from taciturn._cvxpy import expect_solver
+from taciturn._modes import accumulate, radius
+from taciturn.analyse.certificates import (
+    NoCertificateError,
+    bound_cost,
+    bound_state,
+    find_decay,
+    find_gain,
+)
+from taciturn.analyse.switched import Switched, switched, switched_innovations
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.problem import Problem
+from taciturn.study.evaluate import unit_of
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class Certificates:
+    """What is proved of a loop, and the same of sending always.
+
+    A number that could not be proved is None, and a note says why. Those of sending always are None where no action of
+    the trigger sends on every link that the policy decides on, or where that loop is unstable.
+
+    Args:
+        policy: its kind.
+        unit: what the cost counts per.
+        states: entries of the state z that decides on the future.
+        actions: labels of the trigger.
+        decay: without noise the state shrinks by this factor per tick, until the limit is reached.
+        limit: what the cost without noise ends below; 0 where the state vanishes.
+        overshoot: |z_k| ≤ overshoot · decay^k |z_0| where the limit is 0; else None.
+        decay_all_time: the exact factor of sending always.
+        gain: Σ stage cost ≤ gain² Σ|w|² + residual · ticks, w the noise of a tick in units of its standard deviation.
+        gain_residual: per tick; 0 where the trigger has no constants.
+        gain_all_time: the same of sending always.
+        cost_bound: no average cost under white noise exceeds it.
+        cost_all_time: exact cost of sending always.
+        mean_square_bound: no average of |x|² under white noise exceeds it.
+        mean_square_all_time: the same of sending always.
+        seconds: wall time.
+        notes: what the reader must know.
+    """
+
+    policy: str
+    unit: Literal["step", "second"]
+    states: int
+    actions: tuple[str, ...]
+    decay: float | None
+    limit: float | None
+    overshoot: float | None
+    decay_all_time: float | None
+    gain: float | None
+    gain_residual: float | None
+    gain_all_time: float | None
+    cost_bound: float | None
+    cost_all_time: float | None
+    mean_square_bound: float | None
+    mean_square_all_time: float | None
+    seconds: float
+    notes: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn certify --json``."""
+        result: dict[str, Any] = {
+            "policy": self.policy,
+            "unit": self.unit,
+            "states": self.states,
+            "actions": list(self.actions),
+            "decay": self.decay,
+            "limit": self.limit,
+            "overshoot": self.overshoot,
+            "decay_all_time": self.decay_all_time,
+            "gain": self.gain,
+            "gain_residual": self.gain_residual,
+            "gain_all_time": self.gain_all_time,
+            "cost_bound": self.cost_bound,
+            "cost_all_time": self.cost_all_time,
+            "mean_square_bound": self.mean_square_bound,
+            "mean_square_all_time": self.mean_square_all_time,
+            "seconds": round(self.seconds, 4),
+        }
+        return result | ({"notes": list(self.notes)} if self.notes else {})
+
+
+def certify(problem: Problem) -> Certificates:
+    """Return what is proved of a problem's loop by quadratic Lyapunov functions.
+
+    Every number rests on matrix inequalities whose solution was verified, with a bound on rounding, before it is
+    returned.
+
+    Args:
+        problem: from ``load`` or ``Problem``; a plant that is not the one of the design is served.
+
+    Returns:
+        The certificates.
+
+    Raises:
+        ProblemError: the loop is not of the switched linear form with one quadratic trigger, nothing could be proved,
+            or cvxpy and clarabel are not installed.
+
+    Source: heemels2013, rump2006
+
+    Example:
+        >>> from taciturn import load
+        >>> found = certify(load("two-mass"))
+        >>> round(found.decay, 2), round(found.cost_bound, 2)  # J_all = 0.7335, guaranteed 0.8068
+        (0.97, 0.8)
+    """
+    began = time.perf_counter()
+    policy = problem.design()
+    loop = problem.close(policy)
+    matrices = switched(loop)
+    expect_solver()
+    law = switched_innovations(loop) if loop.reducible else matrices
+    notes: list[str] = []
+    decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
+    cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
+    if decay is None and gain is None and cost is None and square is None:
+        raise ProblemError(f"nothing is proved of this loop: {notes[0]}")
+    always = _always(loop, matrices)
+    tick = policy.tick
+    return Certificates(
+        policy=policy.kind,
+        unit=unit_of(problem),
+        states=matrices.states,
+        actions=matrices.labels,
+        decay=None if decay is None else decay.rate,
+        limit=None if decay is None else decay.limit / tick,
+        overshoot=None if decay is None else decay.overshoot,
+        decay_all_time=always.decay,
+        gain=None if gain is None else gain.value,
+        gain_residual=None if gain is None else gain.residual,
+        gain_all_time=always.gain,
+        cost_bound=None if cost is None else loop.problem.per_unit(cost.value),
+        cost_all_time=always.cost,
+        mean_square_bound=None if square is None else square.value,
+        mean_square_all_time=always.mean_square,
+        seconds=time.perf_counter() - began,
+        notes=(*notes, *(f"proved of the plant that is simulated: {text}" for text in loop.departures)),
+    )
+
+
+@dataclass(frozen=True)
+class _Always:
+    """What becomes of the loop if everything is sent."""
+
+    decay: float | None = None
+    gain: float | None = None
+    cost: float | None = None
+    mean_square: float | None = None
+
+
+def _always(loop: Loop, matrices: Switched) -> _Always:
+    """Return the numbers of sending always: exact, but for the gain."""
+    if matrices.sends is None:
+        return _Always()
+    alone = matrices.under(matrices.sends)
+    F, G, slowest = alone.F[0], alone.G, radius(alone.F[0])
+    if slowest >= 1:
+        return _Always(slowest)
+    covariance = accumulate(F, G @ G.T)
+    return _Always(
+        slowest,
+        None if (gain := _attempt(find_gain, alone, [])) is None else gain.value,
+        loop.problem.per_unit(float(np.trace(alone.M[0] @ covariance)) + alone.constant),
+        float(np.trace(alone.X @ covariance @ alone.X.T)) + alone.hidden,
+    )
+
+
+def _attempt(find: Callable[[Switched], Found], matrices: Switched, notes: list[str]) -> Found | None:
+    """Return what is proved, or None with a note of why nothing is."""
+    try:
+        return find(matrices)
+    except NoCertificateError as error:
+        if str(error) not in notes:
+            notes.append(str(error))
+        return None

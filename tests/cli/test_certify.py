@@ -1,0 +1,85 @@
+"""``taciturn certify`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from cli.conftest import Run, Write
+
+import taciturn
+
+
+def test_certify_prints_what_is_proved_beside_sending_always(run: Run, write: Write) -> None:
+    """One line for each number, and the scalar plant vanishes."""
+    answer = run("certify", write())
+    assert answer.code == 0
+    lines = answer.out.splitlines()
+    assert lines[0] == "policy         lqg, 2 states, actions silent, send"
+    assert lines[1].split() == ["proved", "sending", "always"]
+    names = ["decay", "gain", "cost, at most", "E|x|², at most"]
+    assert [line[:14].strip() for line in lines[2:]] == names
+    assert lines[2].endswith("per tick without noise, to nothing")
+
+
+def test_certify_prints_one_document(run: Run, write: Write) -> None:
+    """The document holds what the function returns."""
+    file = write()
+    answer = run("certify", file, "--json")
+    assert answer.code == 0
+    document, found = json.loads(answer.out), taciturn.certify(taciturn.load(file)).document()
+    assert document | {"seconds": 0.0} == found | {"seconds": 0.0}
+    assert document["cost_all_time"] <= document["cost_bound"] <= 1.5 * document["cost_all_time"] * (1 + 1e-6)
+    assert document["decay_all_time"] <= document["decay"] < 1
+
+
+def test_a_threshold_leaves_a_residual(run: Run, write: Write) -> None:
+    """The lines name what the constants of the trigger leave."""
+    answer = run("certify", write(policy='[policy]\nkind = "absolute"\nthreshold = 0.2\n'))
+    assert "until the cost is at most" in answer.out
+    assert "from noise to the root of the cost of a tick, and " in answer.out
+
+
+def test_another_plant_is_certified_with_a_note(run: Run, write: Write) -> None:
+    """What is proved is proved of the plant that is simulated."""
+    actual = "[plant.actual]\nA = [[1.1]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
+    answer = run("certify", write(more=actual))
+    assert answer.code == 0
+    assert "proved of the plant that is simulated: the plant is not the one of the design" in answer.out
+
+
+@pytest.mark.parametrize(
+    ("policy", "words"),
+    [
+        ('kind = "dynamic"\nsigma = 0.1\nrho = 0.8\ngain = 2.0', "dynamic triggers on credit"),
+        ('kind = "periodic"\nevery = 2', "periodic decides by the clock"),
+        ('kind = "relative"\nsigma = 20.0', "nothing is proved of this loop"),
+        ('kind = "self-triggered"\nbeta = 1.5\nmax_interval = 4', "takes"),
+        ('kind = "lqg"', "policy.theta is missing"),
+    ],
+)
+def test_what_cannot_be_certified_is_one_sentence(run: Run, write: Write, policy: str, words: str) -> None:
+    """Exit code 2, one sentence, no traceback, nothing on standard output."""
+    sentence = run("certify", write(policy=f"[policy]\n{policy}\n")).sentence
+    assert words in sentence
+    assert "expected" in sentence or "missing" in sentence
+
+
+def test_a_policy_without_ticks_is_one_sentence(run: Run, write: Write) -> None:
+    """A trigger in continuous time has no map from tick to tick."""
+    plant = "[plant]\nA = [[0.5]]\nB = [[1.0]]\n[plant.jumps]\nrate = 2.0\ncovariance = [[1.0]]\n"
+    policy = '[policy]\nkind = "integral"\nslope = 0.05\nh_max = 2.0\n'
+    assert "has no loop of nodes; expected policy.period" in run("certify", write(plant=plant, policy=policy)).sentence
+
+
+def test_a_missing_file_and_a_missing_solver_are_one_sentence(
+    run: Run, write: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The remedy of the second is the extra."""
+    assert "there is no file" in run("certify", "nowhere.toml").sentence
+
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    monkeypatch.setattr("taciturn._cvxpy.import_module", missing)
+    assert "pip install 'taciturn[certify]'" in run("certify", write()).sentence
