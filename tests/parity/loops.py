@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from systems import System
 
-from taciturn import Form, Network, Policy, Scheduled, Trigger, close
+from taciturn import Bell, Form, Network, Policy, Scheduled, Trigger, close
 from taciturn.loop import Loop
 from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send
 from taciturn.program import numpy as interpreter
@@ -48,7 +48,8 @@ def programs(loop: Loop) -> list[Program]:
 
 
 def every_feature(system: System, seed: int) -> Loop:
-    """Return a loop with losses on both links, a clock, a location that decisions move, a memory, a draw, three labels.
+    """Return a loop with losses on both links, a clock, a location that decisions move, a memory, a draw, a bell, three
+    labels.
 
     The numbers are random: nothing is claimed of this policy but that it is one.
     """
@@ -71,7 +72,7 @@ def every_feature(system: System, seed: int) -> Loop:
     trigger = Trigger({
         "silent": Form(("estimate", "error"), Scheduled("mood", Psi), plus={"spent": 0.1}),
         "short": Form(("error",), square(m, 0.2), Scheduled("clock", draws.uniform(0, 1, 3))),
-        "full": Form(plus={"luck": 2.0, "spent": -0.05}, constant=0.3),
+        "full": Form(("error",), plus={"luck": 2.0, "spent": -0.05}, constant=0.3, bell=Bell(-0.4, np.eye(m) + 0.5)),
     })  # fmt: skip
     spent = (Form(("error",), square(m, 0.1), plus={"spent": 0.5}), Form(plus={"spent": 0.25}), Form(constant=1.0))
     kept, command = {"held": 0.9 * np.eye(m)}, {"command": np.eye(m)}

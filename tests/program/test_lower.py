@@ -86,7 +86,8 @@ class Told:
         stacked = np.concatenate([self.signals[name] for name in form.signals]) if form.signals else np.zeros(0)
         square = 0.0 if form.Psi is None else stacked @ self.read(form.Psi) @ stacked
         added = sum(weight * self.signals[name][0] for name, weight in form.plus.items())
-        return float(square + added + self.read(form.constant))
+        bell = 0.0 if form.bell is None else form.bell.height * np.exp(-0.5 * stacked @ form.bell.Pi @ stacked)
+        return float(square + bell + added + self.read(form.constant))
 
 
 def undrawn(loop: Loop) -> Program:

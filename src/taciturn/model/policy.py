@@ -22,7 +22,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
 from taciturn.model.schedule import Schedule
-from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations
+from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations, Reset
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
 NodeName = Literal["sensor", "controller", "actuator"]
@@ -218,7 +218,7 @@ class Policy:
         cost: the cost it was designed for; with an identity, a guarantee or a closed form.
         prediction: of an actuator that runs the model continuously between ticks.
         guarantee, identity, innovations, closed_form: where the theory gives them.
-        reset: the signal e⁺ = A e (1−σ) + w that a send sets to zero, where a renewal process decides all.
+        reset: the error that every send sets to zero, where there is one.
         tracking: where the policy follows a reference.
         fixed_rates: sends per tick that the design fixes, whatever the plant does, by link.
         schedule: where a link is scheduled offline.
@@ -247,7 +247,7 @@ class Policy:
     identity: Identity | None = None
     innovations: Innovations | None = None
     closed_form: ClosedForm | None = None
-    reset: str | None = None
+    reset: Reset | None = None
     tracking: Tracking | None = None
     fixed_rates: Mapping[LinkName, float] = field(default_factory=lambda: {})
     schedule: Schedule | None = None
@@ -362,6 +362,8 @@ class Policy:
         size = sum(self._size(name) for name in form.signals)
         if form.Psi is not None and shape_of(form.Psi) != (size, size):
             raise ProblemError(f"Psi over {form.signals} has shape {shape_of(form.Psi)}; expected {(size, size)}")
+        if form.bell is not None and len(form.bell.Pi) != size:
+            raise ProblemError(f"Pi over {form.signals} has shape {form.bell.Pi.shape}; expected {(size, size)}")
         for name in form.plus:
             if self._size(name) != 1:
                 raise ProblemError(f"{name} has {self._size(name)} entries; expected a scalar signal")

@@ -64,6 +64,27 @@ class Innovations:
     error_covariance: Array
 
 
+@dataclass(frozen=True, eq=False)
+class Reset:
+    """The error e⁺ = A e (1−σ) + w that a send sets to zero, A that of the model, w independent from tick to tick.
+
+    Args:
+        covariance: of w, (n, n); where the plant is moved by jumps, w is theirs.
+        signals: the signals that are M e when the decision is taken: M by name, (entries, n);
+            e itself comes first.
+        square: what silence costs beyond sending always is e'(square)e per tick, (n, n).
+    """
+
+    covariance: Array
+    signals: Mapping[str, Array]
+    square: Array
+
+    @property
+    def error(self) -> str:
+        """Name of the signal that is e itself."""
+        return next(iter(self.signals))
+
+
 @dataclass(frozen=True)
 class ClosedForm:
     """Cost and rates that are known exactly, in the units of the cost and per tick.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, frozen, number
+from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
 from taciturn.errors import ProblemError
 
 
@@ -67,14 +67,41 @@ def shape_of(value: Matrix) -> tuple[int, ...]:
 
 
 @dataclass(frozen=True, eq=False)
+class Bell:
+    """The term height · exp(−½ η'Πη) of a form: it falls from its height at η = 0.
+
+    Args:
+        height: a number.
+        Pi: Π, (d, d), semidefinite.
+
+    Raises:
+        ProblemError: Π is not symmetric or not semidefinite.
+
+    Example:
+        >>> Bell(-2.0, [[1.0]]).height
+        -2.0
+    """
+
+    height: float
+    Pi: Array
+
+    def __init__(self, height: float, Pi: ArrayLike) -> None:
+        """Check and freeze."""
+        object.__setattr__(self, "height", number("the height of a bell", height))
+        size = len(array("Pi", Pi, (None, None), "(entries, entries)"))
+        object.__setattr__(self, "Pi", semidefinite("Pi", Pi, size, "(entries, entries)"))
+
+
+@dataclass(frozen=True, eq=False)
 class Form:
-    """A scalar: η'Ψη + Σ weight·s + constant, with η the stack of ``signals`` and s scalar signals.
+    """A scalar: η'Ψη + height·exp(−½η'Πη) + Σ weight·s + constant, η the stack of ``signals``, s scalar signals.
 
     Args:
         signals: names of the signals stacked in η.
         Psi: weight of the quadratic part, (d, d), symmetric; omitted: none.
         constant: a number, or a table of numbers by location.
         plus: weight of each scalar signal that is added (a memory, a drawn threshold).
+        bell: the exponential of a quadratic; omitted: none.
 
     Raises:
         ProblemError: Psi without signals, or not symmetric.
@@ -84,6 +111,7 @@ class Form:
     Psi: Matrix | None
     constant: float | Scheduled
     plus: Mapping[str, float]
+    bell: Bell | None
 
     def __init__(
         self,
@@ -91,9 +119,10 @@ class Form:
         Psi: ArrayLike | Scheduled | None = None,
         constant: float | Scheduled = 0.0,
         plus: Mapping[str, float] | None = None,
+        bell: Bell | None = None,
     ) -> None:
         """Check and freeze."""
-        if (Psi is None) != (not signals):
+        if (Psi is None) != (not signals) and not (bell is not None and signals):
             got = f"signals {signals} without Psi" if Psi is None else "Psi without signals"
             raise ProblemError(f"a form has {got}; expected both, or neither")
         checked = None if Psi is None else matrix("Psi", Psi)
@@ -111,6 +140,9 @@ class Form:
         object.__setattr__(self, "constant", _constant(constant))
         weights = {name: number(f"the weight of {name}", value) for name, value in (plus or {}).items()}
         object.__setattr__(self, "plus", weights)
+        if bell is not None and not signals:
+            raise ProblemError("a form has a bell without signals; expected both, or neither")
+        object.__setattr__(self, "bell", bell)
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -22,8 +22,9 @@ from taciturn.model.policy import (
     Step,
     Terms,
 )
-from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.model.trigger import Bell, Form, Matrix, Scheduled
 from taciturn.program.draws import UNIFORM, minus_two_log
+from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.ops import State
 
@@ -93,10 +94,15 @@ class Tick:
         b = self.builder
         values = [value for name in form.signals for value in self.read(name)]
         square = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values)
+        bell = None if form.bell is None else self._bell(form.bell, values)
         added = b.combine(list(form.plus.values()), [self.read(name)[0] for name in form.plus])
         constant = self.number(form.constant)
         fixed = None if constant == 0.0 and isinstance(constant, float) else b.value(constant)
-        return self.value(b.add(square, added, fixed))
+        return self.value(b.add(square, bell, added, fixed))
+
+    def _bell(self, bell: Bell, values: Vector) -> int:
+        halved = self.value(self.builder.quadratic(self.coefficients(bell.Pi / 2), values))
+        return self.builder.scale(bell.height, falling(self.builder, halved))
 
     def pick(self, condition: Condition | None, options: Sequence[int]) -> int:
         """Return the option of the outcome that came."""

@@ -1,8 +1,9 @@
-"""Nodes for integrals over an ellipsoid, of which only what Gaussian noise reaches matters."""
+"""Nodes for integrals over a region, of which only what Gaussian noise reaches matters."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,42 @@ from taciturn.renewal._whiten import White
 STEEP = 4.0  # a map this much steeper than one has finer nodes at once
 SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
 FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
+
+
+class Region(Protocol):
+    """Errors that are kept, symmetric about 0: a chord of them above each place of the outer axes."""
+
+    def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the ends of the next axis, given the outer ones.
+
+        Args:
+            outer: (places, outer axes).
+            low: where the window begins, (places,).
+            high: where it ends, (places,).
+
+        Returns:
+            The ends, which need not be exact beyond the window; the same number twice where nothing is kept.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """The region Σ_i m_i x_i² ≤ 1.
+
+    Args:
+        m: (n,).
+    """
+
+    m: Array
+
+    def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
+        """Return the ends of the next axis, exactly; infinite where nothing bounds it."""
+        axis, left = outer.shape[1], np.ones(len(outer))
+        for m, x in zip(self.m, outer.T, strict=False):
+            left = np.maximum(left - m * x * x, 0.0)
+        chord = np.sqrt(left / self.m[axis]) if self.m[axis] > 0 else np.full(len(left), np.inf)
+        return -chord, chord
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,20 +123,22 @@ class TooManyNodes(Exception):  # noqa: N818
 class _Span:
     """The part of an axis that is kept, one for each node of the outer axes: a chord, cut by a window."""
 
-    chord: Array
+    first: Array
+    last: Array
     low: Array
     high: Array
     slack: bool
 
 
-def place(white: White, window: Window, density: float, more: int, most: int) -> Nodes:
-    """Return nodes for Σ_i m_i x_i² ≤ 1, axis by axis, each on the chord that the outer ones leave.
+def place(white: White, region: Region, window: Window, density: float, more: int, most: int) -> Nodes:
+    """Return nodes for a region, axis by axis, each on the chord that the outer ones leave.
 
     An axis whose chord no kept error reaches has equidistant nodes, the others those of Gauss; outer ones of
-    them in the angle, x = c sin φ, as the inner integral ends like a square root.
+    them in the angle, x = centre + c sin φ, as the inner integral ends like a square root.
 
     Args:
         white: the chain.
+        region: where errors are kept.
         window: where kept errors are.
         density: of the nodes, 1 for the usual one.
         more: pairs of nodes on each Gaussian axis, so that a finer set is finer on all of them.
@@ -113,11 +152,10 @@ def place(white: White, window: Window, density: float, more: int, most: int) ->
     """
     n = len(white.m)
     levels = list[Level]()
-    x, weight, left = np.zeros((1, 0)), np.ones(1), np.ones(1)
+    x, weight = np.zeros((1, 0)), np.ones(1)
     bends = np.maximum(1.0, np.linalg.norm(white.F, axis=0) / STEEP)
     for axis in range(n):
-        centre, deviation = window.given_outer(x)
-        span = _span(centre, float(window.reach[axis]) * deviation, left, float(white.m[axis]))
+        span = _span(x, region, window)
         rule = _equidistant if span.slack else _straight if axis == n - 1 else _angular
         afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first ones are dropped
         inner, inner_weight = rule(span, density * float(bends[axis]), more, afforded)
@@ -126,18 +164,19 @@ def place(white: White, window: Window, density: float, more: int, most: int) ->
         outer = np.repeat(np.arange(len(x)), inner.shape[1])
         x = np.hstack([np.repeat(x, inner.shape[1], axis=0), inner.reshape(-1, 1)])
         weight = (weight[:, None] * inner_weight).ravel()
-        left = np.maximum(left[:, None] - white.m[axis] * inner * inner, 0.0).ravel()
         kept = weight > 0
-        x, weight, left = x[kept], weight[kept], left[kept]
+        x, weight = x[kept], weight[kept]
         levels.append(Level(x[:, axis], np.searchsorted(outer[kept], np.arange(len(span.low)))))
     return Nodes(x, weight, tuple(levels))
 
 
-def _span(centre: Array, reach: float, left: Array, m: float) -> _Span:
-    chord = np.sqrt(left / m) if m > 0 else np.full(len(left), np.inf)
+def _span(outer: Array, region: Region, window: Window) -> _Span:
+    centre, deviation = window.given_outer(outer)
+    reach = float(window.reach[outer.shape[1]]) * deviation
     low, high = centre - reach, centre + reach
-    slack = bool(((low > -chord) & (high < chord)).all())
-    return _Span(chord, np.clip(low, -chord, chord), np.clip(high, -chord, chord), slack)
+    first, last = region.extent(outer, low, high)
+    slack = bool(((low > first) & (high < last)).all())
+    return _Span(first, last, np.clip(low, first, last), np.clip(high, first, last), slack)
 
 
 def _equidistant(span: _Span, density: float, _: int, most: float) -> tuple[Array, Array]:
@@ -156,12 +195,13 @@ def _straight(span: _Span, density: float, more: int, most: float) -> tuple[Arra
 
 
 def _angular(span: _Span, density: float, more: int, most: float) -> tuple[Array, Array]:
-    chord = np.where(span.chord > 0, span.chord, 1.0)
-    low, high = np.arcsin(span.low / chord), np.arcsin(span.high / chord)
+    centre, chord = (span.last + span.first) / 2, (span.last - span.first) / 2
+    unit = np.where(chord > 0, chord, 1.0)
+    low, high = (np.arcsin(np.clip((end - centre) / unit, -1.0, 1.0)) for end in (span.low, span.high))
     half = (high - low)[:, None] / 2
-    nodes, weights = _gauss(float((half[:, 0] * span.chord).max()), density, more, most)
+    nodes, weights = _gauss(float((half[:, 0] * chord).max()), density, more, most)
     angle = (high + low)[:, None] / 2 + half * nodes
-    return span.chord[:, None] * np.sin(angle), span.chord[:, None] * half * weights * np.cos(angle)
+    return centre[:, None] + chord[:, None] * np.sin(angle), chord[:, None] * half * weights * np.cos(angle)
 
 
 def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[Array, Array]:

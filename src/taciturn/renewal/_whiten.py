@@ -25,35 +25,75 @@ class White:
         F: (n, n).
         m: ascending, so the axes that bind least come first, (n,).
         Gamma: (n, n).
+        rows: x = rows e for an error e of the chain it is made of, (n, states).
     """
 
     F: Array
     m: Array
     Gamma: Array
+    rows: Array
 
 
 @dataclass(frozen=True, eq=False)
-class _Data:
+class Data:
+    """A chain with a threshold of 1.
+
+    Args:
+        F: (n, n).
+        noise: (n, n).
+        Psi: Ψ/δ, (n, n).
+        Gamma: (n, n).
+        rows: of the coordinates, in those of the chain, (n, states).
+    """
+
     F: Array
     noise: Array
     Psi: Array
     Gamma: Array
+    rows: Array
 
-    def seen_in(self, rows: Array, columns: Array) -> _Data:
+    def seen_in(self, rows: Array, columns: Array) -> Data:
         """Return the data for z = rows e, e = columns z."""
-        return _Data(
+        return Data(
             rows @ self.F @ columns,
             symmetrised(rows @ self.noise @ rows.T),
             symmetrised(columns.T @ self.Psi @ columns),
             symmetrised(columns.T @ self.Gamma @ columns),
+            rows @ self.rows,
         )
 
 
-def whiten(chain: Chain) -> White:
+def reduced(chain: Chain) -> Data:
+    """Return the chain without the directions that no noise ever reaches or nothing ever sees.
+
+    Args:
+        chain: with Gaussian noise.
+
+    Returns:
+        The chain in as few coordinates.
+
+    Raises:
+        NoQuadratureError: jumps; nothing is ever sent.
+
+    Source: khashooei2017
+    """
+    if isinstance(chain.noise, JumpNoise):
+        raise NoQuadratureError("the noise comes in jumps; expected Gaussian noise; ask for the quadrature of jumps")
+    data = _seen(_reached(Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma, np.eye(len(chain.F)))))
+    if not data.Psi.any():
+        raise NoQuadratureError(
+            "nothing is ever sent: the noise reaches no direction of the error that is weighed; expected some; give "
+            "the plant noise, or weigh the states that it reaches"
+        )
+    return data
+
+
+def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
     """Return the chain without the directions that no noise reaches or nothing sees, its noise white, Ψ diagonal.
 
     Args:
         chain: with Gaussian noise.
+        otherwise: what the reader of a refusal is told to do.
 
     Returns:
         The chain in at most three coordinates.
@@ -63,30 +103,23 @@ def whiten(chain: Chain) -> White:
 
     Source: khashooei2017
     """
-    if isinstance(chain.noise, JumpNoise):
-        raise NoQuadratureError("the noise comes in jumps; expected Gaussian noise; ask for the quadrature of jumps")
-    data = _seen(_reached(_Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma)))
+    data = reduced(chain)
     n = len(data.F)
-    if not data.Psi.any():
-        raise NoQuadratureError(
-            "nothing is ever sent: the noise reaches no direction of the error that Ψ sees; expected some; give the "
-            "plant noise, or weigh the states that it reaches"
-        )
     if n > MOST_STATES:
         raise NoQuadratureError(
             f"{n} directions of the error are reached by noise and count; expected at most {MOST_STATES} for a "
-            "quadrature; simulate instead"
+            f"quadrature; {otherwise}"
         )
     half = root(data.noise)
     if half.shape[1] < n:
         raise NoQuadratureError(
             f"the noise of one check fills {half.shape[1]} of the {n} directions of the error that count; expected "
-            "all of them for a quadrature; simulate instead"
+            f"all of them for a quadrature; {otherwise}"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
     inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
     white = data.seen_in(inverse, half @ turn)
-    return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma)
+    return White(white.F, np.where(m > 1e-15 * n * m[-1], m, 0.0), white.Gamma, white.rows)
 
 
 def spread(white: White) -> Array:
@@ -129,7 +162,7 @@ def spread(white: White) -> Array:
     )
 
 
-def _reached(data: _Data) -> _Data:
+def _reached(data: Data) -> Data:
     """Return the data on the span of the noises that add up over the checks."""
     half = root(data.noise)
     size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0
@@ -146,7 +179,7 @@ def _reached(data: _Data) -> _Data:
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 
-def _seen(data: _Data) -> _Data:
+def _seen(data: Data) -> Data:
     """Return the data without the directions that neither Ψ nor Γ sees, now or later."""
     if not data.F.size:
         return data
