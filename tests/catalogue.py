@@ -77,6 +77,13 @@ def size_of(system: System) -> float:
     return float(np.sqrt(design.all_time(system.plant, system.cost).cost_all_time))
 
 
+def dear(system: System) -> float:
+    """Return three times what the first tick of silence costs on average: a price at which sends are worth a while."""
+    reset = design.excess(system.plant, system.cost, delta=0.0, actuation="model").reset
+    assert reset is not None
+    return 3 * float(np.trace(reset.square @ reset.covariance))
+
+
 def steep(system: System) -> float:
     """Return half of the largest σ for which a relative threshold has a bound."""
     plant, cost = system.plant, system.cost
@@ -98,6 +105,8 @@ STATIONARY: Mapping[str, Build] = {
     "lqg joint model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, actuation="model"),
     "lqg separate hold": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate"),
     "lqg separate model": lambda s: design.lqg(s.plant, s.cost, theta=0.3, trigger="separate", actuation="model"),
+    "excess hold": lambda s: design.excess(s.plant, s.cost, delta=0.05 * size_of(s) ** 2),
+    "excess model": lambda s: design.excess(s.plant, s.cost, theta=0.1, actuation="model"),
     "absolute": lambda s: design.absolute(
         s.plant, s.cost, threshold=0.3 * size_of(s), weight=2 * np.eye(s.plant.inputs)
     ),
@@ -124,6 +133,7 @@ STATIONARY: Mapping[str, Build] = {
 UNPROVED: Mapping[str, Build] = {
     "downsampled": lambda s: design.downsampled(s.plant, s.cost, fast=1, slow=2, threshold=0.3 * size_of(s)),
     "send-on-delta": lambda s: design.send_on_delta(s.plant, s.cost, delta=0.3 * size_of(s)),
+    "near-optimal": lambda s: design.near_optimal(s.plant, s.cost, price=dear(s)),
 }
 MISSIONS: Mapping[str, Build] = {
     "remote, 30 steps": remote("remote", horizon=30),
@@ -140,7 +150,12 @@ MISSIONS: Mapping[str, Build] = {
 POLICIES: Mapping[str, Build] = {**BASELINES, **STATIONARY, **UNPROVED, **MISSIONS}
 GUARANTEED = (*STATIONARY, *MISSIONS)
 CLOSED_FORM = (*BASELINES, "stochastic model", *(name for name in GUARANTEED if "at the actuator" in name))
-IDENTITY = ("downsampled", "stochastic model", *(name for name in GUARANTEED if name not in CLOSED_FORM))
+IDENTITY = (
+    "downsampled",
+    "near-optimal",
+    "stochastic model",
+    *(name for name in GUARANTEED if name not in CLOSED_FORM),
+)
 FIELD = tuple(
     name for name in STATIONARY if not name.startswith(("lqg", "remote", "lossy"))
 )  # whose bounds hold over 300 systems, from which it follows that the mean square stays

@@ -13,6 +13,7 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Form, Network, Plant, Policy, ProblemError, Trigger, close, design
 from taciturn.analyse.renewal import chain_of, solve_renewal
 from taciturn.model.policy import Assign, Decide, Identity, Received, Send
+from taciturn.model.theory import Reset
 from taciturn.problem import parse
 from taciturn.renewal.chain import NoQuadratureError
 
@@ -49,7 +50,7 @@ def absolute(plant: Plant, cost: Cost, weight: np.ndarray, threshold: float) -> 
         settling=base.settling,
         cost=cost,
         identity=Identity(base.cost_all_time, (Form(("error",), H), Form()), "send"),
-        reset="error",
+        reset=Reset(plant.W, {"error": unit}, H),
     )
 
 
@@ -110,16 +111,22 @@ def test_evaluate_solves_what_it_can_and_says_how() -> None:
 
 
 def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
-    """Four states: simulated by default with the reason, refused where an exact answer is asked for."""
+    """Four states: by never-die paths where intervals are short, else simulated and told why; never exact."""
     tables = {
         "plant": {"A": (np.eye(4, k=1) - 0.5 * np.eye(4)).tolist(), "B": np.eye(4).tolist(), "W": np.eye(4).tolist()},
         "cost": {"Q": np.eye(4).tolist(), "R": np.eye(4).tolist()},
         "policy": {"kind": "consistent", "period": 0.3},
     }
     problem = parse(tables, "here")
-    found = taciturn.evaluate(problem, standard_error=0.05)
-    assert found.cost.method == "simulation"
-    assert any(note.startswith("simulated: ") for note in found.notes)
+    paths = taciturn.evaluate(problem, standard_error=0.05)
+    plain = taciturn.evaluate(problem, standard_error=0.05, method="simulation")
+    spread = np.hypot(paths.cost.standard_error, plain.cost.standard_error)
+    assert abs(paths.cost.value - plain.cost.value) <= 4 * spread
+    assert (paths.cost.method, paths.notes) == ("simulation", ())
+    assert paths.steps != plain.steps
+    seldom = taciturn.evaluate(problem.changed({"delta": 20.0}), standard_error=0.05)
+    assert seldom.cost.method == "simulation"
+    assert any(note.startswith("simulated: ") for note in seldom.notes)
     with pytest.raises(ProblemError, match=r"method is 'exact', and .*simulate"):
         taciturn.evaluate(problem, method="exact")
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
 from taciturn._arrays import Array, instance
 from taciturn.loop import Loop
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
+if TYPE_CHECKING:
+    from taciturn.renewal.paths import PathAnswer
+    from taciturn.renewal.rates import WindowBound
+
+ROUGH = 1e-2  # relative standard error, at first
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
 
 
@@ -51,6 +59,72 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
     return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy)
 
 
+def sample_renewal(loop: Loop, standard_error: float, seed: int = 0) -> PathAnswer | None:
+    """Return what never-die paths find, where intervals are so short that they are quicker than a simulation.
+
+    Args:
+        loop: closed with the plant and network of the design.
+        standard_error: absolute, of the excess, in the units of the cost.
+        seed: of the draws.
+
+    Returns:
+        Rate per tick and excess; None where a simulation is quicker.
+
+    Raises:
+        NoQuadratureError: more than one error decides, or hardly anything is sent.
+
+    Source: hajivassiliou1996
+    """
+    if loop.problem.jumps is not None:
+        return None
+    chain = chain_of(loop)
+    from taciturn.renewal.paths import expect_quicker, solve_paths
+
+    if not expect_quicker(chain):
+        return None
+    found = solve_paths(chain, standard_error=ROUGH, seed=seed)
+    if found.excess.standard_error > standard_error:
+        found = solve_paths(chain, standard_error=standard_error / found.excess.value, seed=seed)
+    return found
+
+
+def bound_rate(loop: Loop) -> tuple[float, float] | None:
+    """Return certified bounds of the sends per tick, where one error decides alone; None where none are known.
+
+    Source: royen2014
+    """
+    if loop.problem.jumps is not None:
+        return None
+    try:
+        chain = chain_of(loop)
+        from taciturn.renewal.rates import rate_bounds
+
+        return rate_bounds(chain)
+    except NoQuadratureError:
+        return None
+
+
+def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
+    """Return how many sends any window of so many ticks sees at most, in the mean and with a confidence.
+
+    Raises:
+        NoQuadratureError: more than one error decides, or the noise comes in jumps.
+
+    Source: royen2014
+
+    Example:
+        >>> from taciturn import Cost, Plant, close, design
+        >>> plant = Plant([[1.0]], [[1.0]], [[1.0]])
+        >>> policy = design.excess(plant, Cost([[1.0]], [[1.0]]), delta=9.0, actuation="model")
+        >>> found = bound_sends(close(plant, policy), 100)
+        >>> found.mean < found.most < 100
+        True
+    """
+    from taciturn.renewal.rates import sends_in_window
+
+    return sends_in_window(chain_of(loop), ticks, confidence)
+
+
 def expect_affordable(loop: Loop) -> None:
     """Refuse what is solved much more slowly than it is simulated.
 
@@ -82,8 +156,14 @@ def chain_of(loop: Loop) -> Chain:
     Psi, delta, Gamma = weights
     if delta <= 0:
         raise NoQuadratureError(f"the threshold is {delta:g}; expected one above 0, or 'simulation'")
-    noise = problem.plant.W if problem.jumps is None else problem.jumps
+    assert policy.reset is not None
+    noise = policy.reset.covariance if problem.jumps is None else problem.jumps
     return Chain(problem.plant.A, noise, Psi, delta, Gamma)
+
+
+def decides_alone(policy: object) -> bool:
+    """Tell whether the error that a send resets is all that a policy decides by, once it is beyond a threshold."""
+    return isinstance(policy, Policy) and _weights(policy) is not None
 
 
 def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
@@ -92,7 +172,7 @@ def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
     if policy.reset is None or identity is None or identity.on is None or list(decisions) != [identity.on]:
         return None
     forms = [*decisions[identity.on].options.values(), *identity.forms]
-    parts = [_parts(form, policy.reset) for form in forms]
+    parts = [_parts(form, policy.reset.signals) for form in forms]
     if len(parts) != 4 or None in parts:
         return None
     (Psi, offset), (sent, delta), (Gamma, kept), (resent, none) = (part for part in parts if part is not None)
@@ -101,10 +181,13 @@ def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
     return Psi, delta - offset, Gamma
 
 
-def _parts(form: Form, signal: str) -> tuple[Array | None, float] | None:
-    """Return the weight of the signal and the constant, or None where the form looks at anything else."""
-    if form.plus or form.signals not in ((), (signal,)):
+def _parts(form: Form, signals: Mapping[str, Array]) -> tuple[Array | None, float] | None:
+    """Return the weight of the error and the constant, or None where the form is no quadratic of the error alone."""
+    if form.plus or form.bell is not None or len(form.signals) > 1:
         return None
     if isinstance(form.Psi, Scheduled) or isinstance(form.constant, Scheduled):
         return None
-    return form.Psi, form.constant
+    if form.Psi is None:
+        return None, form.constant
+    seen = [signals[name] for name in form.signals if name in signals]
+    return (seen[0].T @ form.Psi @ seen[0], form.constant) if seen else None

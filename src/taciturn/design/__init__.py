@@ -4,10 +4,13 @@ from taciturn.design.absolute import absolute
 from taciturn.design.consistent import consistent
 from taciturn.design.downsampled import downsampled
 from taciturn.design.dynamic import dynamic
+from taciturn.design.excess import excess
 from taciturn.design.integral import integral
 from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.design.lqg import lqg
 from taciturn.design.mixed import mixed
+from taciturn.design.near_optimal import near_optimal
+from taciturn.design.optimal import optimal
 from taciturn.design.periodic import all_time, periodic
 from taciturn.design.periodic_schedule import periodic_schedule
 from taciturn.design.relative import relative
@@ -24,10 +27,13 @@ __all__ = [
     "consistent",
     "downsampled",
     "dynamic",
+    "excess",
     "integral",
     "lossy_lqg",
     "lqg",
     "mixed",
+    "near_optimal",
+    "optimal",
     "periodic",
     "periodic_schedule",
     "relative",

@@ -79,5 +79,6 @@ def absolute(
         initial,
         identity=certainty.completed_square(),
         guarantee=None if mu is None else bound_by_silence(certainty, mu * threshold**2, "astrom2002"),
+        reset=certainty.reset(actuation),
         notes=("no bound is known: the weight does not see every error that costs",) if mu is None else (),
     )

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from taciturn.design.absolute import absolute
 from taciturn.design.consistent import consistent
 from taciturn.design.downsampled import downsampled
 from taciturn.design.dynamic import dynamic
+from taciturn.design.excess import excess
 from taciturn.design.integral import integral
 from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.design.lqg import lqg
 from taciturn.design.mixed import mixed
+from taciturn.design.near_optimal import near_optimal
+from taciturn.design.optimal import optimal
 from taciturn.design.periodic import all_time, periodic
 from taciturn.design.periodic_schedule import periodic_schedule
 from taciturn.design.relative import relative
@@ -23,9 +27,10 @@ from taciturn.design.send_on_delta import send_on_delta
 from taciturn.design.stochastic import stochastic
 from taciturn.design.variance import variance
 from taciturn.model.policy import LinkName, Policy
-from taciturn.renewal.policy import EventPolicy
+from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
-CATALOGUE: Mapping[str, Callable[..., Policy | EventPolicy]] = {
+AnyPolicy: TypeAlias = Policy | EventPolicy | OptimalPolicy
+CATALOGUE: Mapping[str, Callable[..., AnyPolicy]] = {
     "all-time": all_time,
     "periodic": periodic,
     "lqg": lqg,
@@ -33,6 +38,9 @@ CATALOGUE: Mapping[str, Callable[..., Policy | EventPolicy]] = {
     "lossy-lqg": lossy_lqg,
     "integral": integral,
     "consistent": consistent,
+    "excess": excess,
+    "optimal": optimal,
+    "near-optimal": near_optimal,
     "absolute": absolute,
     "relative": relative,
     "mixed": mixed,
@@ -76,6 +84,9 @@ KNOBS: Mapping[str, tuple[Knob, ...]] = {
     "lossy-lqg": (Knob("price"),),
     "integral": (Knob("slope"),),
     "consistent": (Knob("delta"),),
+    "excess": (Knob("delta"), Knob("theta")),
+    "optimal": (Knob("price"),),
+    "near-optimal": (Knob("price"),),
     "absolute": (Knob("threshold"),),
     "relative": (Knob("sigma"),),
     "mixed": (Knob("threshold"),),

@@ -38,6 +38,7 @@ from taciturn.model.policy import (
     Step,
 )
 from taciturn.model.schedule import Schedule
+from taciturn.model.theory import Reset
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 Actuation: TypeAlias = Literal["hold", "model"]
@@ -79,6 +80,17 @@ class Certainty:
     def square(self) -> Array:
         """Price e'L'HLe of acting on a state that is off the estimate by e, (n, n)."""
         return self.regulator.L.T @ self.regulator.H @ self.regulator.L
+
+    def reset(self, actuation: Actuation) -> Reset | None:
+        """Return the error x̃ − x̂ of a model that a send corrects; None where none is corrected for good.
+
+        It is moved by what measurements add to the estimate, which is independent from tick to tick if the state is
+        measured or all noise is Gaussian.
+        """
+        problem, L = self.problem, self.regulator.L
+        if actuation != "model" or not (problem.plant.full_state or problem.jumps is None):
+            return None
+        return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
     def completed_square(self) -> Identity:
         """Return J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)]."""
@@ -174,6 +186,7 @@ def certainty_policy(
     guarantee: Guarantee | None = None,
     closed_form: ClosedForm | None = None,
     fixed_rates: Mapping[LinkName, float] | None = None,
+    reset: Reset | None = None,
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
@@ -189,6 +202,7 @@ def certainty_policy(
         guarantee: what is proved.
         closed_form: what is known exactly.
         fixed_rates: sends per tick that the design fixes.
+        reset: the error that a send resets.
         slower: how many times as long as sending always it takes to forget the start.
         notes: what a reader of its numbers must know.
     """
@@ -210,6 +224,7 @@ def certainty_policy(
         innovations=certainty.estimation.innovations,
         closed_form=closed_form,
         fixed_rates=fixed_rates or {},
+        reset=reset,
         notes=notes,
     )
 

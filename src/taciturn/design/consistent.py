@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from taciturn._arrays import Array, instance, number
-from taciturn._modes import radius
-from taciturn.design.certainty import SEND, expect_average
-from taciturn.errors import ProblemError
-from taciturn.lqg.discrete import discretise
-from taciturn.lqg.prediction import prediction_cost
+from taciturn._arrays import number
+from taciturn.design.certainty import SEND
+from taciturn.design.prediction import ERROR, predict_continuously, predicted_policy, refuse_what_is_not_predicted
 from taciturn.model.cost import Cost
-from taciturn.model.plant import ContinuousPlant, Plant, Prediction
-from taciturn.model.policy import Assign, Decide, Guarantee, Identity, Policy, Received, Send, Step
+from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.policy import Policy
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
-ERROR = "error"
 ROUNDING = 1e-12  # relative, of a threshold that is given as its largest value
 
 
@@ -52,10 +47,8 @@ def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, del
         (1.25, 1.25)
     """
     plant, period = refuse_what_is_not_predicted("consistent", plant, cost), number("period", period, 0.0)
-    price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
-    prediction = Prediction.of(plant, price.L)
-    problem = discretise(plant, cost, period, prediction)
-    largest, base, Gamma = price.slope_in_rate(period), price.periodic(period), price.weight(period)
+    found = predict_continuously("consistent", plant, cost, period)
+    largest, base = found.price.slope_in_rate(period), found.cost_all_time
     delta = largest if delta is None else number("delta", delta, 0.0, closed=True)
     guarantee, notes = None, tuple[str, ...]()
     if delta <= largest * (1 + ROUNDING):
@@ -63,62 +56,5 @@ def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, del
         guarantee = Guarantee(base + delta / period, statement, "khashooei2017", base, delta / period)
     else:
         notes = (f"delta = {delta:g} is above its largest consistent value {largest:.6g}: consistency not guaranteed",)
-    closed = problem.plant.A + problem.plant.B
-    rule = Trigger({"silent": Form((ERROR,), Gamma), SEND: Form(constant=delta)})
-    return Policy(
-        kind="consistent",
-        steps=predicted_steps(closed, rule),
-        model=problem.plant,
-        cost_all_time=base,
-        scheduled=("sensor",),
-        sites=(frozenset({"controller", "actuator"}),),
-        initial={"prediction": plant.mean, "forecast": plant.mean},
-        tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - radius(closed)),
-        cost=cost,
-        prediction=prediction,
-        guarantee=guarantee,
-        identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
-        reset=ERROR,
-        notes=notes,
-    )
-
-
-def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
-    """Return the plant, if both ends can predict its state in continuous time.
-
-    Raises:
-        ProblemError: a discrete plant, C or V, or a cost that is no average.
-    """
-    instance("plant", plant, Plant, ContinuousPlant)
-    instance("cost", cost, Cost)
-    if isinstance(plant, Plant):
-        raise ProblemError(
-            f"the plant is discrete in time, and {kind} predicts in continuous time; "
-            "expected a continuous plant: remove plant.dt, and give A, B and W per second"
-        )
-    if not plant.full_state:
-        raise ProblemError(f"C or V is given, and {kind} measures the full state; expected neither: remove them")
-    expect_average(kind, cost)
-    return plant
-
-
-def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the steps of a sensor that decides on the error of a prediction it shares with the other end.
-
-    Args:
-        closed: e^{(A+BL)τ}, (n, n).
-        rule: over ``error``, the state less its prediction.
-    """
-    unit = np.eye(len(closed))
-    return (
-        Assign("sensor", ERROR, {"y": unit, "prediction": -unit}),
-        Decide("sensor", SEND, rule),
-        Send("sensor", "sensor", ("y",), SEND),
-        Assign("controller", "estimate", ({"forecast": unit}, {"y": unit}), Received("sensor")),
-        Assign("actuator", "input", {"estimate": unit}),
-        Assign("controller", "forecast", {"estimate": closed}),
-        Assign("sensor", "copy", ({"prediction": unit}, {"y": unit}), SEND),
-        Assign("sensor", "prediction", {"copy": closed}),
-    )
+    rule = Trigger({"silent": Form((ERROR,), found.Gamma), SEND: Form(constant=delta)})
+    return predicted_policy("consistent", found, rule, guarantee, notes)

@@ -76,5 +76,6 @@ def downsampled(
         initial,
         identity=certainty.completed_square(),
         locations=(Location(WAIT, np.array(left), "controller", SEND),),
+        reset=certainty.reset(actuation),
         slower=slow,
     )

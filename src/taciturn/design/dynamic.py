@@ -89,6 +89,7 @@ def dynamic(
         initial,
         identity=certainty.completed_square(),
         guarantee=guarantee,
+        reset=certainty.reset(actuation),
         slower=max(1.0, 1 / (1 - rho) / certainty.settling),
         notes=notes,
     )

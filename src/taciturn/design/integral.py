@@ -11,7 +11,7 @@ from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn._modes import radius
 from taciturn.design.certainty import SEND
-from taciturn.design.consistent import ERROR, predicted_steps, refuse_what_is_not_predicted
+from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.prediction import PredictionCost, prediction_cost

@@ -94,6 +94,7 @@ def lqg(
             "J ≤ (1+θ) J_all, mean-square stable",
             "khashooei2017",
         ),
+        reset=certainty.reset(actuation),
     )
 
 

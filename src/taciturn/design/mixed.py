@@ -81,5 +81,6 @@ def relative_to_state(
         initial,
         identity=certainty.completed_square(),
         guarantee=guarantee,
+        reset=certainty.reset(actuation),
         notes=notes,
     )

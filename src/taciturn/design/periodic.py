@@ -24,6 +24,7 @@ from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send, Step
+from taciturn.model.theory import Reset
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
@@ -107,7 +108,7 @@ def periodic(
     turn = Scheduled(CLOCK, [-1.0] + [1.0] * (every - 1))
     trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
     steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
-    return by_the_clock("periodic", certainty, steps, initial, average, 1 / every, every)
+    return by_the_clock("periodic", certainty, steps, initial, average, 1 / every, every, certainty.reset(actuation))
 
 
 def _every_tick(kind: str, certainty: Certainty) -> Policy:
@@ -124,6 +125,7 @@ def by_the_clock(
     average: float,
     rate: float,
     length: int,
+    reset: Reset | None = None,
 ) -> Policy:
     """Return a policy whose clock of so many ticks decides all, with its cost and its sends per tick."""
     return certainty_policy(
@@ -134,6 +136,7 @@ def by_the_clock(
         identity=None,
         locations=(count_ticks(length, 0),),
         closed_form=ClosedForm(certainty.problem.per_unit(average), {"actuator": rate}),
+        reset=reset,
         slower=length,
     )
 

@@ -96,6 +96,7 @@ def stochastic(
         identity=certainty.completed_square(),
         guarantee=guarantee,
         closed_form=_renewed(certainty, W) if exact else None,
+        reset=certainty.reset(actuation),
         notes=("no bound is known: the weight does not see every error that costs",) if mu is None else (),
     )
 

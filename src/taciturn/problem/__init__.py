@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from taciturn._arrays import Array, ArrayLike, quoted
-from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
@@ -33,7 +33,7 @@ from taciturn.problem.tables import (
     ours,
     suggest,
 )
-from taciturn.renewal.policy import EventPolicy
+from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 BUILT_IN = Path(__file__).parent.parent / "problems"
 
@@ -70,6 +70,10 @@ class Problem:
                 triggered in continuous time.
         """
         policy = self.designed()
+        if isinstance(policy, OptimalPolicy):
+            raise ProblemError(
+                f"{policy.kind} decides by a boundary that no node evaluates: it is for analysis; expected near-optimal"
+            )
         if isinstance(policy, EventPolicy):
             raise ProblemError(
                 f"{policy.kind} without a period is triggered in continuous time and has no loop of nodes; "
@@ -77,8 +81,8 @@ class Problem:
             )
         return policy
 
-    def designed(self) -> Policy | EventPolicy:
-        """Design the policy, which may have no ticks.
+    def designed(self) -> AnyPolicy:
+        """Design the policy, which may be one that no nodes run.
 
         Raises:
             ProblemError: a parameter is unknown, missing or out of range, or the policy knows no such network.

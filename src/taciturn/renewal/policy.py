@@ -1,4 +1,4 @@
-"""Policies whose events have no ticks: between the jumps of the noise the trigger is watched continuously."""
+"""Policies that are analysed and not run: watched between ticks, or decided by a boundary that is no quadratic."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.policy import Policy
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 
 
@@ -49,3 +50,25 @@ class EventPolicy:
             return None
         share = min(1.0, self.trigger.saturation / interval) if interval > 0 else 1.0
         return self.cost_all_time + self.trigger.c * share
+
+
+@dataclass(frozen=True, eq=False)
+class OptimalPolicy:
+    """The best schedule of an error that a send resets, at a price per send.
+
+    Its boundary is found by quadrature and is no quadratic, so that no node runs it.
+
+    Args:
+        kind: name in the catalogue.
+        looked_at: a policy of the same nodes, with another trigger: what is known of the loop is read from it.
+        price: λ, of a send, in the units of the cost times those of time.
+    """
+
+    kind: str
+    looked_at: Policy
+    price: float
+
+    @property
+    def cost_all_time(self) -> float:
+        """Cost of sending at every tick, in the units of the cost."""
+        return self.looked_at.cost_all_time

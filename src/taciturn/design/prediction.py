@@ -1,0 +1,134 @@
+"""A sensor and a controller that run one model in continuous time, corrected by what is sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, instance
+from taciturn._modes import radius
+from taciturn.design.certainty import SEND, expect_average
+from taciturn.errors import ProblemError
+from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.prediction import PredictionCost, prediction_cost
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant, Prediction
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send, Step
+from taciturn.model.theory import Guarantee, Identity, Reset
+from taciturn.model.trigger import Form, Trigger
+
+ERROR = "error"
+
+
+@dataclass(frozen=True, eq=False)
+class Predicted:
+    """What every policy shares that looks at the error of a prediction every τ seconds.
+
+    Args:
+        problem: the plant from look to look; its input is the state of the model.
+        prediction: of the actuator.
+        price: what predicting on costs, as a function of time.
+        Gamma: Γ(τ), cost in silence of an error before the decision, per look.
+        cost_all_time: V_p(1/τ), of sending at every look, per second.
+    """
+
+    problem: Discrete
+    prediction: Prediction
+    price: PredictionCost
+    Gamma: Array
+    cost_all_time: float
+
+    @property
+    def reset(self) -> Reset:
+        """The error of the prediction."""
+        square = self.Gamma / self.problem.tick
+        return Reset(self.problem.plant.W, {ERROR: np.eye(len(self.Gamma))}, square)
+
+
+def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> Predicted:
+    """Return the problem of a sensor that looks every τ seconds.
+
+    Raises:
+        ProblemError: a discrete plant, C or V, a cost that is no average, or no period.
+        UnstableError: no stabilising gain.
+    """
+    plant = refuse_what_is_not_predicted(kind, plant, cost)
+    price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
+    prediction = Prediction.of(plant, price.L)
+    problem = discretise(plant, cost, period, prediction)
+    tick = problem.tick
+    return Predicted(problem, prediction, price, price.weight(tick), price.periodic(tick))
+
+
+def predicted_policy(
+    kind: str, predicted: Predicted, rule: Trigger, guarantee: Guarantee | None = None, notes: tuple[str, ...] = ()
+) -> Policy:
+    """Return the policy whose sensor decides by a rule over the ``error`` of the prediction.
+
+    Args:
+        kind: name in the catalogue.
+        predicted: the problem from look to look.
+        rule: over ``error``.
+        guarantee: what is proved.
+        notes: what a reader of its numbers must know.
+    """
+    problem, base = predicted.problem, predicted.cost_all_time
+    closed = problem.plant.A + problem.plant.B
+    return Policy(
+        kind=kind,
+        steps=predicted_steps(closed, rule),
+        model=problem.plant,
+        cost_all_time=base,
+        scheduled=("sensor",),
+        sites=(frozenset({"controller", "actuator"}),),
+        initial={"prediction": problem.plant.mean, "forecast": problem.plant.mean},
+        tick=problem.tick,
+        noise_cost=problem.noise_cost,
+        settling=1 / (1 - radius(closed)),
+        cost=problem.cost,
+        prediction=predicted.prediction,
+        guarantee=guarantee,
+        identity=Identity(base, (Form((ERROR,), predicted.Gamma / problem.tick), Form()), SEND),
+        reset=predicted.reset,
+        notes=notes,
+    )
+
+
+def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
+    """Return the plant, if both ends can predict its state in continuous time.
+
+    Raises:
+        ProblemError: a discrete plant, C or V, or a cost that is no average.
+    """
+    instance("plant", plant, Plant, ContinuousPlant)
+    instance("cost", cost, Cost)
+    if isinstance(plant, Plant):
+        raise ProblemError(
+            f"the plant is discrete in time, and {kind} predicts in continuous time; "
+            "expected a continuous plant: remove plant.dt, and give A, B and W per second"
+        )
+    if not plant.full_state:
+        raise ProblemError(f"C or V is given, and {kind} measures the full state; expected neither: remove them")
+    expect_average(kind, cost)
+    return plant
+
+
+def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
+    """Return the steps of a sensor that decides on the error of a prediction it shares with the other end.
+
+    Args:
+        closed: e^{(A+BL)τ}, (n, n).
+        rule: over ``error``, the state less its prediction.
+    """
+    unit = np.eye(len(closed))
+    return (
+        Assign("sensor", ERROR, {"y": unit, "prediction": -unit}),
+        Decide("sensor", SEND, rule),
+        Send("sensor", "sensor", ("y",), SEND),
+        Assign("controller", "estimate", ({"forecast": unit}, {"y": unit}), Received("sensor")),
+        Assign("actuator", "input", {"estimate": unit}),
+        Assign("controller", "forecast", {"estimate": closed}),
+        Assign("sensor", "copy", ({"prediction": unit}, {"y": unit}), SEND),
+        Assign("sensor", "prediction", {"copy": closed}),
+    )

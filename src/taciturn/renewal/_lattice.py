@@ -1,0 +1,32 @@
+"""Normals for means over noises: few points that fill space evenly, shifted at random so that the means are fair."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import ndtri
+
+from taciturn import _scipy
+from taciturn._arrays import Array
+
+
+class Lattice:
+    """Sobol points, as many and of as many dimensions as are asked for.
+
+    Args:
+        points: a power of 2.
+        dimensions: at least 0.
+    """
+
+    def __init__(self, points: int, dimensions: int) -> None:
+        """Place the points."""
+        self.dimensions = dimensions
+        self.places = _scipy.sobol(max(dimensions, 1), points, np.random.default_rng(points))
+
+    def normals(self, draws: np.random.Generator, copies: int) -> Array:
+        """Return standard normals, (copies, points, dimensions): every row is a draw, those of a copy spread evenly.
+
+        Each copy is shifted by a uniform draw of its own [cranley1976].
+        """
+        levels = (self.places + draws.random((copies, 1, self.places.shape[1]))) % 1.0
+        found = np.asarray(ndtri(np.clip(levels, 1e-300, 1 - 1e-16)), dtype=np.float64)
+        return found[..., : self.dimensions]

@@ -1,0 +1,243 @@
+"""What no scheduling of an error that a send resets can beat: a lower bound by duality, with its confidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import stdtrit
+
+from taciturn._arrays import Array
+from taciturn._modes import root
+from taciturn.errors import ProblemError
+from taciturn.renewal._lattice import Lattice
+from taciturn.renewal.fitted import Bits, Fitted, squares
+
+ABREAST = 32  # batches that run side by side; their means are independent
+MOST = 16  # times as many
+PATHS = 64  # of a batch
+NARROWER = 0.8  # of the paths that are left, before the others are dropped
+PRECISE = 5e-4  # of the bound: what the confidence should cost
+NOISES = 64  # over which a conditional mean is taken, and as many mirrored
+FREE = 2000  # paths that bound what is still to be saved
+CERTAIN = 6.0  # standard errors
+SAFETY = 1.5
+HIGHEST = 1.25  # times what the fit says: no bound is sought above
+LONGEST = 4096  # checks of a path
+ROUNDS = 60
+
+
+@dataclass(frozen=True)
+class DualBound:
+    """No schedule has a mean cost per check, sends at their price included, below ``gain``.
+
+    Args:
+        gain: with this confidence.
+        expected: the estimate that it is the lower end of.
+        checks: that the longest path took.
+    """
+
+    gain: float
+    expected: float
+    checks: int
+
+
+def bound_schedules(
+    F: Array, noise: Array, Gamma: Array, price: float, fitted: Fitted, confidence: float, seed: int = 0
+) -> DualBound:
+    """Return a lower bound of min E[e'Γe(1−σ) + λσ] over all schedules σ of e⁺ = F e(1−σ) + w that look back only.
+
+    With the first send of a cycle at the check t, c_j = e_j'Γe_j and any martingale M_t,
+
+        D(g) = E min_{t≥1} [Σ_{j<t} (c_j − g) − M_t]  ≤  inf_t E Σ_{j<t} (c_j − g),
+
+    and a g with λ − g + D(g) ≥ 0 is not above the least mean. M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
+    φ = min(0, U) of a fitted U is nearly the best. Conditional means are those of lattice points shifted at random,
+    which keeps M a martingale.
+
+    A path ends where the minimum is certain: whatever it sees later, no schedule saves more than β from there on.
+    From any error a, with n_j the errors from 0 and r_t = min_a Σ_{j<t} c(F^j a + n_j) what a least-squares fit
+    of a leaves, the most that is ever saved is at most E max(max_{t≤T} (g t − r_t), g T − r_T + itself): a β at which
+    the right-hand side is below β is larger. A path that is not certain after the last check is charged β.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        Gamma: Γ, (n, n).
+        price: λ > 0.
+        fitted: a schedule that is nearly the best; the bound holds whatever it is.
+        confidence: with which the bound holds, in (0, 1), one-sided.
+        seed: of the draws.
+
+    Raises:
+        ProblemError: what may still be saved has no bound within the longest path.
+
+    Source: brown2010, rogers2002
+
+    Example:
+        >>> from taciturn.renewal.fitted import fit_schedule
+        >>> unit = np.eye(1)
+        >>> fitted = fit_schedule(unit, unit, unit, 10.0)
+        >>> 0.98 < bound_schedules(unit, unit, unit, 10.0, fitted, 0.999).gain / fitted.gain < 1.02
+        True
+    """
+    game = _Game(F, root(noise), Gamma, fitted)
+    draws = np.random.default_rng(seed)
+    highest = HIGHEST * fitted.gain
+    saved = _most_saved(game, highest, fitted.interval, draws)
+    pilot = _Duel(game, fitted.gain, saved, draws).run(ABREAST)
+    above = price - fitted.gain + pilot.values
+    spread, sure = float(above.std(ddof=1)), (1 + confidence) / 2  # of each of two runs at most
+    quantile = float(stdtrit(ABREAST - 1, sure))
+    wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2
+    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
+    gain, slope, found = fitted.gain, pilot.slope, DualBound(0.0, fitted.gain, pilot.checks)
+    for _ in range(2):
+        lower = (quantile + 1) * spread / np.sqrt(batches)
+        gain = min(max(gain + (float(above.mean()) - lower) / slope, 0.0), highest)
+        final = _Duel(game, gain, saved, draws).run(batches)
+        above, slope = price - gain + final.values, final.slope
+        mean, error = float(above.mean()), float(above.std(ddof=1)) / np.sqrt(batches)
+        short = min(mean - float(stdtrit(batches - 1, sure)) * error, 0.0)
+        lower = max(found.gain, gain + short)  # λ − g + D(g) falls at least as fast as g grows
+        found = DualBound(float(lower), float(gain + mean / slope), max(found.checks, final.checks))
+        if not short:  # else too much was asked for, and what was seen says what to ask of new draws
+            break
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Game:
+    """The error, and the schedule that the martingale is made of."""
+
+    F: Array
+    half: Array
+    Gamma: Array
+    fitted: Fitted
+
+    def after(self, error: Array, w: Array) -> Array:
+        """Return the means over the noises of min(0, U) after a check, (batches, paths).
+
+        Args:
+            error: (batches, paths, n).
+            w: (batches, noises, n).
+        """
+        mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
+
+        def spread(weight: Array) -> Array:
+            crossed = 2 * (mean @ weight) @ turned
+            crossed += squares(mean, weight)[:, :, None]
+            crossed += squares(w, weight)[:, None]
+            return crossed
+
+        return self._saved(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
+
+    def now(self, error: Array) -> Array:
+        """Return min(0, U) of each error."""
+        return self._saved(squares(error, self.Gamma), squares(error, self.fitted.Pi))
+
+    def _saved(self, cost: Array, power: Array) -> Array:
+        bell = self.fitted.height * np.exp(-0.5 * np.maximum(power, 0.0))
+        return np.minimum(cost - self.fitted.gain - bell, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Outcome:
+    """Mean of the minimum of each batch, how fast it falls with g (and 1), and the checks of the longest path."""
+
+    values: Array
+    slope: float
+    checks: int
+
+
+class _Duel:
+    """Paths of which each takes its minimum, in batches that share the noises of conditional means."""
+
+    def __init__(self, game: _Game, gain: float, saved: float, draws: np.random.Generator) -> None:
+        self.game, self.gain, self.saved, self.draws = game, gain, saved, draws
+        self.rank = game.half.shape[1]
+        self.lattice = Lattice(NOISES, self.rank)
+
+    def run(self, batches: int) -> _Outcome:
+        """Return what so many batches find, a multiple of those that run side by side."""
+        found = [self._side_by_side() for _ in range(batches // ABREAST)]
+        slope = float(np.mean([when.mean() for _, when, _ in found]))
+        return _Outcome(np.concatenate([least for least, _, _ in found]), slope, max(last for _, _, last in found))
+
+    def _side_by_side(self) -> tuple[Array, Array, int]:
+        """Return the mean minimum of each batch, the mean check it is at, and how many checks were needed."""
+        game, n = self.game, len(self.game.F)
+        error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
+        total, least, when = np.zeros(going.shape), np.full(going.shape, np.inf), np.zeros(going.shape)
+        sums = np.zeros((2, ABREAST))
+        for check in range(1, LONGEST + 1):
+            w = self.lattice.normals(self.draws, ABREAST) @ game.half.T
+            expected = game.after(error, np.concatenate([w, -w], axis=1))
+            drawn = self.draws.standard_normal((*going.shape, self.rank))
+            error = error @ game.F.T + drawn @ game.half.T
+            total = total + expected - game.now(error)
+            lower = total < least
+            least, when = np.where(lower, total, least), np.where(lower, check, when)
+            total = total + squares(error, game.Gamma) - self.gain
+            if check == LONGEST:
+                least = np.minimum(least, total - self.saved)
+            certain: Bits = np.asarray(total - self.saved >= least, dtype=np.bool_)
+            ends = going & (certain | (check == LONGEST))
+            sums += np.stack([np.where(ends, least, 0.0).sum(axis=1), np.where(ends, when, 0.0).sum(axis=1)])
+            going = going & ~ends
+            width = int(going.sum(axis=1).max())
+            if not width:
+                return sums[0] / PATHS, sums[1] / PATHS, check
+            if width < NARROWER * going.shape[1]:
+                first = np.argsort(~going, axis=1, kind="stable")[:, :width]
+                going = np.take_along_axis(going, first, 1)
+                total, least, when = (np.take_along_axis(a, first, 1) for a in (total, least, when))
+                error = np.take_along_axis(error, first[:, :, None], 1)
+        raise AssertionError
+
+
+def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Generator) -> float:
+    """Return β, which no schedule saves more than, from any error on.
+
+    Raises:
+        ProblemError: within the longest path there is none.
+    """
+    looks = max(16, int(4 * interval))
+    while looks <= LONGEST:
+        best, last = _left_over(game, gain, looks, draws)
+        saved = SAFETY * max(float(best.mean()), gain)
+        for _ in range(ROUNDS):
+            more = np.maximum(best, last + saved)
+            gap = more - saved
+            if gap.mean() + CERTAIN * gap.std() / np.sqrt(FREE) < 0:
+                return saved
+            saved = max(SAFETY * float(more.mean()), 1.1 * saved)
+        looks *= 2
+    raise ProblemError(
+        f"an error may be kept for more than {LONGEST} checks before silence is sure to cost; expected a lower price "
+        "or a higher rate for a lower bound"
+    )
+
+
+def _left_over(game: _Game, gain: float, looks: int, draws: np.random.Generator) -> tuple[Array, Array]:
+    """Return max_{t≤T} (g t − r_t) and g T − r_T of free paths, the maximum over whole strides of checks from above."""
+    n, weigh = len(game.F), root(game.Gamma).T
+    stride = max(1, looks // 64)
+    entries, error = len(weigh), np.zeros((FREE, n))
+    seen, rows = np.empty((looks * entries, FREE)), np.empty((looks * entries, n))
+    power, before, best, squares = np.eye(n), np.zeros(FREE), np.zeros(FREE), np.zeros(FREE)
+    for check in range(1, looks + 1):
+        end = check * entries
+        rows[end - entries : end], seen[end - entries : end] = weigh @ power, weigh @ error.T
+        squares = squares + (seen[end - entries : end] ** 2).sum(axis=0)
+        if check % stride == 0 or check == looks:
+            scale = np.abs(rows[:end]).max(axis=0)
+            basis, triangle = np.linalg.qr(rows[:end] / np.where(scale > 0, scale, 1.0))
+            basis = basis[:, np.abs(np.diag(triangle)) > 0]
+            along = basis.T @ seen[:end]
+            left = np.maximum(squares - (along * along).sum(axis=0), before)
+            best = np.maximum(best, gain * check - before)  # r grows with t
+            before = left
+        power = game.F @ power
+        error = error @ game.F.T + draws.standard_normal((FREE, game.half.shape[1])) @ game.half.T
+    return np.maximum(best, gain * looks - before), gain * looks - before

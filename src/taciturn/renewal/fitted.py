@@ -1,0 +1,176 @@
+"""The best scheduling of an error that a send resets, nearly: its value as the exponential of a quadratic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._modes import root
+from taciturn.errors import ProblemError
+from taciturn.renewal._lattice import Lattice
+
+Bits = npt.NDArray[np.bool_]
+PATHS = 1000
+SNAPSHOTS = 100  # of the paths, whose kept errors are fitted to
+LONGEST = 20_000  # checks in which every path should have been sent a few times
+POINTS = 1200  # at which the value is fitted, from near 0 to beyond the farthest
+NEAREST, FARTHEST = 0.3, 1.5
+NOISES = 128  # over which the value after a check is averaged, and as many mirrored
+RANK = 1e-9  # relative standard deviation of a direction that no noise reaches
+ITERATIONS, SETTLED = 400, 1e-7
+DAMPING = 0.5
+FLOOR = 1e-9  # of the price, below which a value is no longer told from 0
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """Send iff e'Γe − height·exp(−½e'Πe) > gain.
+
+    Args:
+        gain: about the least mean of what a check costs, sends at their price included.
+        height: what it saves at most to keep an error, on average.
+        Pi: Π, (n, n), semidefinite.
+        interval: mean checks between sends of the threshold policy whose errors it was fitted to.
+    """
+
+    gain: float
+    height: float
+    Pi: Array
+    interval: float
+
+    def sends(self, error: Array, Gamma: Array) -> Bits:
+        """Tell which errors are sent, (errors, n) to (errors,)."""
+        bell = self.height * np.exp(-0.5 * np.maximum(squares(error, self.Pi), 0.0))
+        return squares(error, Gamma) - bell > self.gain
+
+
+def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
+    """Return nearly the best schedule of e⁺ = F e(1−σ) + w where silence costs e'Γe and a send λ.
+
+    The best sends iff U(e) = e'Γe − g + V(e) > 0 with V(e) = E min(0, U(F e + w)), and g such that λ − g + V(0) = 0.
+    V is −exp(a − ½e'Πe) here: value iteration, each time fitted in least squares of log(−V), weighed with |V|, at
+    errors that a threshold keeps.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        Gamma: Γ, (n, n), semidefinite.
+        price: λ > 0, of a send.
+        seed: of the errors it is fitted to.
+        points: how many those are.
+
+    Raises:
+        ProblemError: at this price hardly anything is ever sent.
+
+    Source: cogill2007
+
+    Example:
+        >>> found = fit_schedule(np.eye(1), np.eye(1), np.eye(1), 10.0)
+        >>> 0 < found.gain < 10 and found.height > 0
+        True
+    """
+    half = root(noise)
+    # the same errors for all prices of half an octave, so that what is found changes smoothly with the price
+    scale = float(np.sum(Gamma * noise)) or price
+    about = scale * 2.0 ** (round(2 * math.log2(price / scale)) / 2)
+    kept, interval = keep_errors(F, noise, lambda e: squares(e, Gamma) > about, seed)
+    # coordinates in which kept errors have about the covariance 1
+    units = np.where(kept.std(axis=0) > 0, kept.std(axis=0), 1.0)
+    _, deviations, right = np.linalg.svd(kept / units / np.sqrt(len(kept)), full_matrices=False)
+    seen = deviations > RANK * deviations[0]
+    into = (right[seen] / deviations[seen, None]) / units
+    draws = np.random.default_rng(seed)
+    x = kept[draws.choice(len(kept), points)] * draws.uniform(NEAREST, FARTHEST, (points, 1))
+    x = np.vstack([np.zeros((1, len(F))), x])
+    w = Lattice(NOISES, half.shape[1]).normals(draws, len(x)) @ half.T
+    after = ((x @ F.T)[:, None] + np.concatenate([w, -w], axis=1)).reshape(-1, len(F))
+    cost = squares(after, Gamma)
+    here, there = _terms(x @ into.T), _terms(after @ into.T)
+    size = int(seen.sum())
+    gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
+    fit[: size + 1] = [np.log(price / 2), *[-0.2] * size]
+    for _ in range(ITERATIONS):
+        value = -np.exp(np.minimum(there @ fit, np.log(price)))
+        value = np.minimum(cost - gain + value, 0.0).reshape(len(x), -1).mean(axis=1)
+        value = np.minimum(value, -FLOOR * price)
+        weight = np.abs(value) / price
+        found = _least_squares(here * weight[:, None], np.log(-value) * weight)
+        change = max(abs(price + value[0] - gain) / price, np.abs(found - fit).max())
+        gain, fit = max(gain + DAMPING * (price + value[0] - gain), FLOOR * price), found
+        if change < SETTLED:
+            break
+    values, vectors = np.linalg.eigh(_weight(-2 * fit[1:], size))
+    Pi = into.T @ (vectors * np.maximum(values, 0.0)) @ vectors.T @ into
+    return Fitted(float(gain), float(np.exp(fit[0])), frozen(symmetrised(Pi)), interval)
+
+
+def _least_squares(rows: Array, values: Array) -> Array:
+    """Return the shortest x that is nearest to rows·x = values."""
+    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
+    used = sizes > 1e-10 * sizes[0]
+    return right[used].T @ (left[:, used].T @ values / sizes[used])
+
+
+def squares(x: Array, weight: Array) -> Array:
+    """Return x'Mx of each row, (…, n) to (…,)."""
+    return ((x @ weight) * x).sum(axis=-1)
+
+
+def _terms(z: Array) -> Array:
+    """Return 1, the squares and the products of the coordinates, (points, terms)."""
+    d = z.shape[1]
+    products = [z[:, i] * z[:, j] for i in range(d) for j in range(i)]
+    return np.stack([np.ones(len(z)), *(z * z).T, *products], axis=1)
+
+
+def _weight(terms: Array, d: int) -> Array:
+    """Return M with z'Mz = Σ terms · (squares, products)."""
+    M = np.diag(terms[:d])
+    pairs = [(i, j) for i in range(d) for j in range(i)]
+    for (i, j), value in zip(pairs, terms[d:], strict=True):
+        M[i, j] = M[j, i] = value / 2
+    return M
+
+
+def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: int = 0) -> tuple[Array, float]:
+    """Return errors that a rule keeps, once every path was sent a few times, and the mean checks between sends.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        sends: tells which of some errors are sent, (errors, n) to (errors,).
+        seed: of the draws.
+
+    Returns:
+        Errors, (any, n), all of those that occur if none is ever kept; and the interval, to a few per cent.
+
+    Raises:
+        ProblemError: hardly any is ever sent.
+    """
+    draws, half = np.random.default_rng(seed), root(noise)
+    error, sent_ever, counted, checks = np.zeros((PATHS, len(F))), 0, 0, 0
+    kept: list[Array] = []
+    settle = 8
+    while checks < settle + SNAPSHOTS:
+        error = error @ F.T + draws.standard_normal((PATHS, half.shape[1])) @ half.T
+        sent = sends(error)
+        checks, sent_ever = checks + 1, sent_ever + int(sent.sum())
+        if checks > settle:
+            kept.append(error[~sent])
+            counted += int(sent.sum())
+        error[sent] = 0.0
+        if checks == settle and sent_ever < 4 * PATHS:
+            settle *= 2
+            if settle > LONGEST:
+                raise ProblemError(
+                    f"an error is sent less than once in {LONGEST // 4} checks; expected a lower price or threshold"
+                )
+    found = np.concatenate(kept)
+    if not len(found):
+        found = draws.standard_normal((PATHS, half.shape[1])) @ half.T
+    return found, SNAPSHOTS * PATHS / max(counted, 1)

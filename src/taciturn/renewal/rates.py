@@ -1,0 +1,227 @@
+"""Bounds on how often an error-reset chain sends that need neither a quadrature nor a simulation, in any dimension."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taciturn._arrays import Array, count, number
+from taciturn._modes import radius, root, summed
+from taciturn.renewal._chi import enclosed
+from taciturn.renewal._whiten import Data, reduced
+from taciturn.renewal.chain import Chain
+
+MOST_CHECKS = 2048  # that are looked at one by one
+SETTLED = 1e-10  # relative: what twice the checks may change
+SLACK = 1e-13  # of the largest standard deviation: what rounding may move any of them by
+STABLE = 1 - 1e-9
+FEW = 64  # checks, which tell whether intervals are short
+NEVER = 1e-300
+LARGE = 1e100  # standard deviations
+SPARE = 1e-12  # relative: what a covariance is made larger by, to be above others for certain
+TINY = 1e-16
+ROUNDED = 1e-12  # absolute, of a probability that Fourier transforms convolve
+
+
+@dataclass(frozen=True, eq=False)
+class WindowBound:
+    """How often a window of checks sees a send, at most.
+
+    Args:
+        mean: the number of sends is no more in the mean.
+        most: nor above this, with the confidence that was asked for.
+    """
+
+    mean: float
+    most: int
+
+
+def rate_bounds(chain: Chain) -> tuple[float, float]:
+    """Return certified bounds on the rate of sends per check of a chain with Gaussian noise, in any dimension.
+
+    Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error that is never reset, E = {e: e'Ψe ≤ δ}, which is
+    convex and symmetric, p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E) the survival of an interval. The rate is
+    1/Σ_j a_j.
+
+    Above: a_j ≥ p_1 ⋯ p_j by the Gaussian correlation inequality (Royen). What is cut off such a sum is positive.
+
+    Below: a_j ≤ min_k a_{j−k} p_k. For given the error e after check j − k, the one at check j, were it not reset, is
+    F^k e + n, n distributed as n_k, which is in E most probably if e = 0 (Anderson); then average over the e that were
+    kept so far. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is no less than a_j. For any k the sum of the a_j after
+    check J is no more than (p_k + p_k² + …)(u_{J−k+1} + … + u_J), which is finite as some p_k < 1.
+
+    Args:
+        chain: with Gaussian noise.
+
+    Returns:
+        A lower and an upper bound of the rate, in (0, 1]. Where kept errors are wide beside the noise of one check,
+        the upper one is well above the rate and the lower one well below.
+
+    Raises:
+        NoQuadratureError: jumps; nothing is ever sent, so that the rate is 0.
+
+    Source: royen2014, anderson1955
+
+    Example:
+        >>> unit = np.eye(2)
+        >>> low, high = rate_bounds(Chain(unit, unit, unit, 1.0, unit))
+        >>> round(low, 3), round(high, 3)
+        (0.607, 0.669)
+    """
+    data = _seen(chain)
+    onward = _onward(data)
+    kept = _kept(data)
+    lows, highs = np.empty(MOST_CHECKS), np.empty(MOST_CHECKS)
+    below, above = np.ones(MOST_CHECKS + 1), np.ones(MOST_CHECKS + 1)
+    last, shortest, longest = 0, 1.0, np.inf
+    for j in range(1, MOST_CHECKS + 1):
+        lows[j - 1], highs[j - 1] = next(kept)
+        below[j] = below[j - 1] * lows[j - 1]
+        above[j] = (above[j - 1 :: -1] * highs[:j]).min()
+        if j == max(2 * last, 1):
+            before, last = (shortest, longest), j
+            shortest = float(below[: j + 1].sum() + below[j] * onward)
+            longest = float(above[: j + 1].sum()) + _rest(above[1 : j + 1], highs[:j])
+            if (
+                j >= 2 * len(data.F)
+                and shortest - before[0] <= SETTLED * shortest
+                and before[1] - longest <= SETTLED * longest
+            ):
+                break
+    return 1 / longest, 1 / shortest
+
+
+def least_interval(chain: Chain, checks: int = FEW) -> float:
+    """Return a lower bound on the mean interval in checks, 1 + Σ_j p_1 ⋯ p_j over some of them.
+
+    It is what :func:`rate_bounds` has above the rate, where so many checks say all there is to say.
+
+    Args:
+        chain: with Gaussian noise.
+        checks: that are summed over.
+
+    Raises:
+        NoQuadratureError: jumps; nothing is ever sent.
+        ProblemError: checks is no whole number of at least 1.
+
+    Source: royen2014
+
+    Example:
+        >>> unit = np.eye(1)
+        >>> round(least_interval(Chain(0 * unit, unit, unit, 1.0, unit)), 4)  # 1/P(|z| > 1)
+        3.1515
+    """
+    return float(_survival(chain, count("checks", checks)).sum())
+
+
+def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound:
+    """Return bounds on the number of sends in any window of so many checks.
+
+    Intervals are independent and alike, with a survival P(X > j) ≥ q_j = p_1 ⋯ p_j (:func:`rate_bounds`). So on one
+    probability space each is at least as long as an X' whose survival is q. The first send of a window may come at its
+    first check, and every later one ends an interval. So the number of sends in k checks is at most 1 + N'(k − 1), N'
+    counting the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean solves U_m = Σ_{j ≤ m} f_j (1 + U_{m−j}),
+    and P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1), which is convolved.
+
+    Args:
+        chain: with Gaussian noise, after any past.
+        checks: k ≥ 1.
+        confidence: probability with which no more than ``most`` are sent, in (0, 1 − 10⁻¹⁰).
+
+    Returns:
+        The bound on the mean, and the least one at this confidence that follows.
+
+    Raises:
+        NoQuadratureError: jumps; nothing is ever sent.
+        ProblemError: checks or confidence out of range.
+
+    Source: royen2014
+
+    Example:
+        >>> unit = np.eye(2)
+        >>> found = sends_in_window(Chain(unit, unit, unit, 1.0, unit), 20, 0.99)
+        >>> round(found.mean, 2), found.most
+        (13.65, 17)
+    """
+    count("checks", checks)
+    number("confidence", confidence, 0.0, 1 - 1e-10)
+    arrives = np.concatenate([[0.0], -np.diff(_survival(chain, checks))])[:checks]  # at 0, 1, …, k − 1
+    renewals = np.zeros(checks)
+    for m in range(1, checks):
+        renewals[m] = arrives[1 : m + 1] @ (1 + renewals[m - 1 :: -1])
+    return WindowBound(1 + float(renewals[-1]), _least(arrives, 1 - confidence))
+
+
+def _least(arrives: Array, risk: float) -> int:
+    """Return the least m for which m intervals fill the window but for some risk, by doubling and then by halves."""
+    powers = [arrives]
+    while powers[-1].sum() > risk - ROUNDED:
+        powers.append(_convolved(powers[-1], powers[-1]))
+    m, sums = 0, np.eye(1, len(arrives))[0]
+    for step in range(len(powers) - 1, -1, -1):
+        longer = _convolved(sums, powers[step])
+        if longer.sum() > risk - ROUNDED:
+            m, sums = m + (1 << step), longer
+    return m + 1
+
+
+def _convolved(one: Array, other: Array) -> Array:
+    """Return the distribution of a sum, as far as the window goes."""
+    size = 1 << (2 * len(one) - 1).bit_length()
+    product = np.fft.irfft(np.fft.rfft(one, size) * np.fft.rfft(other, size), size)
+    return np.maximum(product[: len(one)], 0.0)
+
+
+def _survival(chain: Chain, checks: int) -> Array:
+    """Return q_0, …, q_checks."""
+    survival = np.zeros(checks + 1)
+    survival[0] = 1.0
+    for j, (low, _) in zip(range(1, checks + 1), _kept(_seen(chain)), strict=False):
+        survival[j] = survival[j - 1] * low
+        if survival[j] < NEVER:
+            break  # zeros are safe
+    return survival
+
+
+def _seen(chain: Chain) -> Data:
+    """Return the chain in the directions that decide."""
+    return reduced(replace(chain, Gamma=chain.Psi))
+
+
+def _kept(data: Data) -> Iterator[tuple[float, float]]:
+    """Yield bounds on p_1, p_2, …; a factor of S_j is carried on, which has twice the digits of S_j."""
+    noise, seen = root(data.noise), root(data.Psi).T
+    factor: Array = noise
+    while True:
+        deviations = np.linalg.svd(seen @ factor, compute_uv=False)
+        slack = SLACK * float(deviations[0])
+        low, _ = enclosed(np.square(deviations + slack), 1.0)
+        _, high = enclosed(np.square(np.maximum(deviations - slack, 0.0)), 1.0)
+        large = float(deviations[0]) > LARGE  # beyond, nothing is kept any more, and p_j falls
+        yield 0.0 if large else low, high
+        if not large:
+            _, upper = np.linalg.qr(np.hstack([data.F @ factor, noise]).T)
+            factor = np.asarray(upper, dtype=np.float64).T
+
+
+def _rest(above: Array, highs: Array) -> float:
+    """Return a bound on Σ a_j over all later checks: the best k that Σ over the last k extends to."""
+    ends = np.cumsum(above[::-1])
+    return float((ends * highs / np.maximum(1 - highs, TINY)).min())
+
+
+def _onward(data: Data) -> float:
+    """Return Σ_i p^i, p ≤ every p_j: of a covariance X ≥ F X F' + noise, above every S_j; 0 where there is none."""
+    if radius(data.F) >= STABLE:
+        return 0.0
+    size = float(np.linalg.norm(summed(data.F, data.noise), 2))
+    more = data.noise + SPARE * size * np.eye(len(data.F))
+    X = summed(data.F, more)
+    if not np.isfinite(X).all() or np.linalg.eigvalsh(X - data.F @ X @ data.F.T - data.noise)[0] <= 0:
+        return 0.0
+    seen = root(data.Psi).T
+    weights = np.maximum(np.linalg.eigvalsh(seen @ X @ seen.T), 0.0)
+    p, _ = enclosed(weights + SPARE * weights[-1], 1.0)
+    return p / max(1 - p, TINY)

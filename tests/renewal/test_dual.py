@@ -1,0 +1,117 @@
+"""Lower bounds by duality: below the optimum whatever they are made of, near it where that is good, and refusals."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taciturn.errors import ProblemError
+from taciturn.renewal import dual
+from taciturn.renewal.dual import DualBound, bound_schedules
+from taciturn.renewal.fitted import Fitted, fit_schedule
+from taciturn.renewal.optimal import solve_optimal
+
+UNIT = np.eye(1)
+PLANE = (
+    np.array([[0.9, 0.4], [-0.3, 1.0]]),
+    np.array([[1.0, 0.3], [0.3, 0.5]]),
+    np.array([[1.0, 0.2], [0.2, 0.4]]),
+)
+PRICE = 5.0
+
+
+@pytest.fixture(scope="module")
+def fitted() -> Fitted:
+    """Return the nearly best schedule in the plane."""
+    return fit_schedule(*PLANE, PRICE)
+
+
+@pytest.fixture(scope="module")
+def least() -> float:
+    """Return the least mean cost in the plane, sends at their price included."""
+    return solve_optimal(*PLANE, PRICE).cost
+
+
+@pytest.fixture(scope="module")
+def line() -> tuple[Fitted, float]:
+    """Return the nearly best schedule of a scalar, and the bound that it gives."""
+    fitted = fit_schedule(UNIT, UNIT, UNIT, 4.0)
+    return fitted, bound_schedules(UNIT, UNIT, UNIT, 4.0, fitted, 0.9999).gain
+
+
+def bound(fitted: Fitted, confidence: float = 0.9999, seed: int = 0) -> DualBound:
+    """Return the bound in the plane."""
+    return bound_schedules(*PLANE, PRICE, fitted, confidence, seed)
+
+
+@pytest.mark.parametrize(("F", "price"), [(0.5, 2.0), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)])
+def test_on_a_scalar_the_bound_is_within_half_a_percent_of_the_optimum(F: float, price: float) -> None:
+    """Below it, stable and unstable."""
+    A = np.array([[F]])
+    found = bound_schedules(A, UNIT, UNIT, price, fit_schedule(A, UNIT, UNIT, price), 0.9999)
+    best = solve_optimal(A, UNIT, UNIT, price).cost
+    assert 0.995 * best <= found.gain <= best
+    assert found.gain < found.expected
+
+
+def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float) -> None:
+    """Estimates differ by no more than what their confidence costs, and none is above the optimum by more."""
+    found = [bound(fitted, seed=seed) for seed in range(2)]
+    for one in found:
+        assert 0.99 * least <= one.gain <= least
+        assert one.expected - least <= one.expected - one.gain
+        for other in found:
+            assert abs(one.expected - other.expected) <= (one.expected - one.gain) + (other.expected - other.gain)
+    assert len({one.gain for one in found}) == 2
+    assert bound(fitted, seed=1) == found[1]
+
+
+def test_a_bound_that_is_surer_is_lower(fitted: Fitted, least: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the same draws, from an even chance to one in a million; usually the surer one is given more draws."""
+    monkeypatch.setattr(dual, "MOST", 1)
+    gains = [bound(fitted, confidence).gain for confidence in (0.5, 0.99, 0.999999)]
+    assert gains[0] > gains[1] > gains[2] > 0.95 * least
+
+
+@pytest.mark.evidence
+def test_a_bound_is_above_the_optimum_no_more_often_than_it_says() -> None:
+    """400 seeds of a scalar at a confidence of 90 %: at most 40 and four standard deviations are above."""
+    fitted, best = fit_schedule(UNIT, UNIT, UNIT, 2.0), solve_optimal(UNIT, UNIT, UNIT, 2.0).cost
+    found = [bound_schedules(UNIT, UNIT, UNIT, 2.0, fitted, 0.9, seed).gain for seed in range(400)]
+    assert sum(gain > best for gain in found) <= 40 + 4 * 6
+
+
+@pytest.mark.parametrize(
+    "silly",
+    [
+        lambda f: replace(f, gain=1.3 * f.gain),
+        lambda f: replace(f, gain=0.9 * f.gain),
+        lambda f: replace(f, height=0.0),
+        lambda f: replace(f, height=2 * f.height),
+        lambda f: replace(f, Pi=10 * f.Pi),
+        lambda f: replace(f, Pi=0 * f.Pi),
+    ],
+)
+def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float]) -> None:
+    """Whatever the martingale is made of, nothing costs less; nothing is better than what is fitted."""
+    fitted, good = line
+    found = bound_schedules(UNIT, UNIT, UNIT, 4.0, silly(fitted), 0.9999)
+    assert 0 <= found.gain <= solve_optimal(UNIT, UNIT, UNIT, 4.0).cost
+    assert found.gain < good
+
+
+def test_a_bound_is_never_more_than_sending_always() -> None:
+    """At a price that nothing is worth waiting for: the price, nearly."""
+    price = 1e-3
+    found = bound_schedules(UNIT, UNIT, UNIT, price, fit_schedule(UNIT, UNIT, UNIT, price), 0.9999)
+    assert 0.9 * price <= found.gain <= price
+
+
+def test_what_silence_may_never_cost_is_refused() -> None:
+    """An error that the next check forgets, at a price of many: keeping it is hardly worse than sending it."""
+    F, price = 0 * UNIT, 10.0
+    fitted = fit_schedule(F, UNIT, UNIT, price)
+    with pytest.raises(ProblemError, match=r"kept for more than 4096 checks .*; expected a lower price or a higher"):
+        bound_schedules(F, UNIT, UNIT, price, fitted, 0.999)
