@@ -7,6 +7,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from taciturn import design as design
+    from taciturn.analyse.limits import LowerBound as LowerBound
+    from taciturn.analyse.limits import bound_below as bound_below
+    from taciturn.analyse.limits import solve_optimum as solve_optimum
+    from taciturn.analyse.renewal import bound_rate as bound_rate
+    from taciturn.analyse.renewal import bound_sends as bound_sends
     from taciturn.analyse.renewal import solve_renewal as solve_renewal
     from taciturn.errors import InformationError as InformationError
     from taciturn.errors import ProblemError as ProblemError
@@ -26,11 +31,13 @@ if TYPE_CHECKING:
     from taciturn.model.policy import Policy as Policy
     from taciturn.model.reference import Reference as Reference
     from taciturn.model.schedule import Schedule as Schedule
+    from taciturn.model.trigger import Bell as Bell
     from taciturn.model.trigger import Form as Form
     from taciturn.model.trigger import Scheduled as Scheduled
     from taciturn.model.trigger import Trigger as Trigger
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
+    from taciturn.renewal.optimal import Optimum as Optimum
     from taciturn.simulation.average import average as average
     from taciturn.simulation.average import difference as difference
     from taciturn.simulation.bank import Bank as Bank
@@ -40,11 +47,15 @@ if TYPE_CHECKING:
     from taciturn.simulation.statistics import regenerative as regenerative
     from taciturn.simulation.trajectory import Trajectory as Trajectory
     from taciturn.simulation.trajectory import simulate as simulate
+    from taciturn.study.certify import Certificates as Certificates
+    from taciturn.study.certify import certify as certify
     from taciturn.study.compare import Comparison as Comparison
     from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.losses import find_losses as find_losses
+    from taciturn.study.periods import TunedPeriod as TunedPeriod
+    from taciturn.study.periods import tune_period as tune_period
     from taciturn.study.reproduce import reproduce as reproduce
     from taciturn.study.tradeoff import Tradeoff as Tradeoff
     from taciturn.study.tradeoff import tradeoff as tradeoff
@@ -54,7 +65,9 @@ if TYPE_CHECKING:
 # Where each public name lives; it is imported when it is first asked for, so that `taciturn --help` is quick.
 _HOME = {
     "Bank": "simulation.bank",
+    "Bell": "model.trigger",
     "Burst": "model.network",
+    "Certificates": "study.certify",
     "Comparison": "study.compare",
     "ContinuousPlant": "model.plant",
     "Cost": "model.cost",
@@ -75,13 +88,20 @@ _HOME = {
     "Schedule": "model.schedule",
     "Scheduled": "model.trigger",
     "TaciturnError": "errors",
+    "TunedPeriod": "study.periods",
     "Tradeoff": "study.tradeoff",
     "Trajectory": "simulation.trajectory",
     "Trigger": "model.trigger",
     "Tuned": "study.tune",
     "UnstableError": "errors",
+    "LowerBound": "analyse.limits",
+    "Optimum": "renewal.optimal",
     "average": "simulation.average",
+    "bound_below": "analyse.limits",
+    "bound_rate": "analyse.renewal",
+    "bound_sends": "analyse.renewal",
     "batch_means": "simulation.statistics",
+    "certify": "study.certify",
     "close": "loop",
     "compare": "study.compare",
     "course": "simulation.course",
@@ -93,9 +113,11 @@ _HOME = {
     "regenerative": "simulation.statistics",
     "reproduce": "study.reproduce",
     "simulate": "simulation.trajectory",
+    "solve_optimum": "analyse.limits",
     "solve_renewal": "analyse.renewal",
     "tradeoff": "study.tradeoff",
     "tune": "study.tune",
+    "tune_period": "study.periods",
 }
 __version__ = "0.1.0"
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".png", ".pdf")
-Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars"]
+Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +105,10 @@ def _plot(axis: Any, series: Series) -> None:
         axis.vlines(series.x, 0, series.y, label=series.label, color=color or "0.4", linewidth=0.8)
     elif series.style == "stars":
         axis.plot(series.x, series.y, "*", markersize=9, label=series.label, color=color)
+    elif series.style == "below":
+        low = axis.get_ylim()[0]
+        axis.fill_between(series.x, series.y, low, label=series.label, color=color or "0.85", zorder=0)
+        axis.set_ylim(bottom=low)
     elif series.style == "bars":
         axis.errorbar(series.x, series.y, xerr=series.error, fmt="o", markersize=4, label=series.label, color=color)
     elif series.error is not None:

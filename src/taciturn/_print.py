@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import typer
@@ -11,8 +12,10 @@ from taciturn.model.estimate import Estimate
 if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.study.bench import Bench
+    from taciturn.study.certify import Certificates
     from taciturn.study.compare import Comparison
     from taciturn.study.evaluate import Evaluation
+    from taciturn.study.periods import TunedPeriod
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
     from taciturn.study.tune import Tuned
@@ -29,15 +32,45 @@ def evaluation(found: Evaluation) -> None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
     if found.cost_bound_at_rate is not None:
         lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
+    if found.lower_bound is not None:
+        text = f"{_rounded(found.lower_bound.cost, 6, -1)} at this rate ({100 * found.lower_bound.confidence:g} %)"
+        lines.append(("no less than", text))
+    if found.rate_bounds is not None:
+        low, high = found.rate_bounds
+        lines.append(("certified rate", f"{low:.4g} to {high:.4g} per {found.rate_unit}"))
     if found.mean_interval is not None:
         lines.append(("mean interval", f"{found.mean_interval} s"))
     if found.cost_periodic_same_rate is not None:
         lines.append(("periodic", f"{found.cost_periodic_same_rate:.6g} at this rate"))
+    if found.consistency is not None:
+        lines.append(("consistent", found.consistency))
     if found.schedule is not None:
         lines.append(("sensor queries", _queries(found.schedule)))
+    lines += [("verdict", text) for text in _verdict(found)]
     lines += [("note", note) for note in found.notes]
     for name, text in lines:
         typer.echo(f"{name:14s} {text}")
+
+
+def _verdict(found: Evaluation) -> list[str]:
+    """Say how often a policy sends, what that costs, and how far it is from what is proved on both sides."""
+    base, bound, lower = found.cost_all_time, found.cost_bound_at_rate, found.lower_bound
+    if lower is None or not base or found.base_rate is None:
+        return []
+    shares = [f"{100 * rate.value / found.base_rate:.3g} %" for rate in found.rates.values()]
+    text = f"sends {shares[0]} of the time, costs {100 * (found.cost.value / base - 1):.2g} % above all-time control"
+    if bound is not None:
+        text += f", at most {_rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
+    above = _rounded(100 * (lower.cost / base - 1), 2, -1)
+    return [f"{text}; no scheduling of this controller at this rate can cost less than {above} % above"]
+
+
+def _rounded(value: float, digits: int, up: int) -> str:
+    """Return a bound with so many digits, rounded so that it still holds: up (1) or down (−1)."""
+    nearest = float(f"{value:.{digits}g}")
+    if up * (nearest - value) < 0:
+        nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
+    return f"{nearest:.{digits}g}"
 
 
 def _queries(schedule: Schedule) -> str:
@@ -97,6 +130,22 @@ def tuned(found: Tuned) -> None:
         typer.echo(f"{'beyond':14s} the budget lies in a jump, on whose other side is {parameter.name} = {text}")
 
 
+def periods(found: TunedPeriod) -> None:
+    """Print what was tried at one rate, period by period."""
+    names = ["period", found.best.parameter.name, "cost", "consistent"]
+    rows = [
+        [
+            f"{one.problem.parameters['period']:g}",
+            f"{one.parameter.value:.6g}",
+            str(one.evaluation.cost),
+            one.evaluation.consistency or "",
+        ]
+        for one in found.tried
+    ]
+    _print_table(names, rows)
+    typer.echo(f"{'period':14s} {found.best.problem.parameters['period']:g}")
+
+
 def comparison(found: Comparison) -> None:
     """Print a ranking."""
     header = [
@@ -130,6 +179,29 @@ def comparison(found: Comparison) -> None:
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
             typer.echo(f"{one.name}: {(shared + notes).removesuffix('; ')}")
+
+
+def certificates(found: Certificates) -> None:
+    """Print what is proved of a loop, beside sending always."""
+    typer.echo(f"{'policy':14s} {found.policy}, {found.states} states, actions {', '.join(found.actions)}")
+    ends = "to nothing" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
+    beside = f", and {_shown(found.gain_residual)} per tick" if found.gain_residual else ""
+    lines = [
+        ("decay", found.decay, found.decay_all_time, f"per tick without noise, {ends}"),
+        ("gain", found.gain, found.gain_all_time, f"from noise to the root of the cost of a tick{beside}"),
+        ("cost, at most", found.cost_bound, found.cost_all_time, f"per {found.unit}"),
+        ("E|x|², at most", found.mean_square_bound, found.mean_square_all_time, "at ticks"),
+    ]
+    rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in lines]
+    texts = ["", *(text if value is not None else "" for _, value, _, text in lines)]
+    for row, text in zip([["", "proved", "sending always"], *rows], texts, strict=True):
+        typer.echo(f"{row[0]:14s} {row[1]:>11s}  {row[2]:>14s}  {text}".rstrip())
+    for note in found.notes:
+        typer.echo(f"{'note':14s} {note}")
+
+
+def _shown(value: float | None) -> str:
+    return "none" if value is None else f"{value:.6g}"
 
 
 def _above(found: Evaluation) -> str:

@@ -35,6 +35,9 @@ Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and 
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
 Link = Annotated[str | None, typer.Option(help="sensor or actuator: whose rate, where a policy decides on both.")]
 Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")]
+Confidence = Annotated[
+    float | None, typer.Option(help="Of the lower bound. Default: 0.999 where there is one; 0: seek none.")
+]
 StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
 
 
@@ -60,9 +63,11 @@ def evaluate(
     steps: Annotated[int | None, typer.Option(help="Run this many steps of all paths together instead.")] = None,
     method: Annotated[str, typer.Option(help="auto, simulation or exact.")] = "auto",
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
+    confidence: Confidence = None,
 ) -> None:
     """Cost, rate and guarantee of one policy."""
     import taciturn
+    from taciturn.study.evaluate import choose_confidence
 
     _check_effort(standard_error, steps)
     problem = taciturn.load(file)
@@ -74,6 +79,7 @@ def evaluate(
             steps=steps,
             method=cast("Any", method),
             precision=cast("Any", precision),
+            confidence=choose_confidence(problem, confidence),
             progress=progress,
         )
     if as_json:
@@ -105,18 +111,28 @@ def tradeoff(
     plot: Plot = None,
     seed: Seed = 0,
     standard_error: StandardError = None,
+    confidence: Confidence = None,
 ) -> None:
     """Cost against rate over a parameter, beside optimal periodic control and the guarantee."""
     import taciturn
     from taciturn._figure import check_format, save
+    from taciturn._grid import parse_grid
+    from taciturn.study.evaluate import choose_confidence
 
     _check_effort(standard_error)
-    values = _parse_grid(over)
+    values = parse_grid(over)
     if plot is not None:
         check_format(plot)
     problem = taciturn.load(file)
     with _progress("computing") as progress:
-        found = taciturn.tradeoff(problem, values, seed=seed, standard_error=standard_error, progress=progress)
+        found = taciturn.tradeoff(
+            problem,
+            values,
+            seed=seed,
+            standard_error=standard_error,
+            confidence=choose_confidence(problem, confidence),
+            progress=progress,
+        )
     if as_json:
         _print_json(found.document())
     else:
@@ -140,30 +156,44 @@ def tune(
     rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
     cost: Annotated[float | None, typer.Option(help="Cost that is to be met.")] = None,
     link: Link = None,
+    least_period: Annotated[
+        float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
+    ] = None,
     as_json: Json = False,
     seed: Seed = 0,
     standard_error: StandardError = None,
 ) -> None:
     """The parameter of a policy that meets a rate or a cost."""
     import taciturn
+    from taciturn.study.periods import TunedPeriod
 
     _check_effort(standard_error)
-    problem = taciturn.load(file)
+    problem, on = taciturn.load(file), cast("Any", link)
     with _progress("searching") as progress:
-        found = taciturn.tune(
-            problem,
-            rate=rate,
-            cost=cost,
-            link=cast("Any", link),
-            seed=seed,
-            standard_error=standard_error,
-            progress=progress,
-        )
+        if least_period is None:
+            found = taciturn.tune(
+                problem, rate=rate, cost=cost, link=on, seed=seed, standard_error=standard_error, progress=progress
+            )
+        else:
+            if rate is None or cost is not None:
+                raise taciturn.ProblemError("--least-period is given; expected --rate alone beside it, the budget")
+            found = taciturn.tune_period(
+                problem,
+                rate=rate,
+                least=least_period,
+                link=on,
+                seed=seed,
+                standard_error=standard_error,
+                progress=progress,
+            )
+    best = found.best if isinstance(found, TunedPeriod) else found
     if as_json:
         _print_json(found.document())
     else:
-        _print.tuned(found)
-    if not found.evaluation.reached:
+        if isinstance(found, TunedPeriod):
+            _print.periods(found)
+        _print.tuned(best)
+    if not best.evaluation.reached:
         _refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
 
 
@@ -202,6 +232,19 @@ def compare(
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
         _refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
+
+
+@app.command()
+def certify(file: File, as_json: Json = False) -> None:
+    """Decay, gain and cost that are proved by matrix inequalities, beside sending always."""
+    import taciturn
+
+    with _progress("certifying"):
+        found = taciturn.certify(taciturn.load(file))
+    if as_json:
+        _print_json(found.document())
+    else:
+        _print.certificates(found)
 
 
 @app.command()
@@ -348,47 +391,6 @@ def _progress(what: str) -> Generator[Progress]:
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)  # it moves to and fro until a fraction is known
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
-
-
-def _parse_grid(items: list[str]) -> dict[str, list[object]]:
-    from taciturn.errors import ProblemError
-
-    grid: dict[str, list[object]] = {}
-    for item in items:
-        name, _, listed = item.partition("=")
-        name, parts = name.strip(), [part.strip() for part in _split(listed)]
-        if not all(name.split(".")) or not all(parts):
-            raise ProblemError(f"--over {item!r} is not understood; expected NAME=v1,v2,…, as theta=0.1,1")
-        if name.removeprefix("policy.") in {known.removeprefix("policy.") for known in grid}:
-            raise ProblemError(f"--over {name} is given twice; expected all its values in one list: {name}=v1,v2,…")
-        grid[name] = [_parse_value(part) for part in parts]
-    return grid
-
-
-def _split(text: str) -> list[str]:
-    """Split at the commas outside brackets."""
-    parts, depth = [""], 0
-    for letter in text:
-        depth += (letter == "[") - (letter == "]")
-        if letter == "," and depth == 0:
-            parts.append("")
-        else:
-            parts[-1] += letter
-    return parts
-
-
-def _parse_value(text: str) -> object:
-    if text.startswith("["):
-        try:
-            return json.loads(text)
-        except ValueError:
-            return text
-    for convert in (int, float):
-        try:
-            return convert(text)
-        except ValueError:
-            continue
-    return text
 
 
 if __name__ == "__main__":

@@ -55,6 +55,8 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "x"], "Invalid value for '--rate'"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
+        (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period here"),
+        (["--cost", "1", "--least-period", "0.1"], "--least-period is given; expected --rate alone beside it"),
     ],
 )
 def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str], words: str) -> None:
@@ -100,3 +102,23 @@ def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str],
     assert answer.code == 2
     assert answer.out == ""
     assert words in answer.sentence
+
+
+def test_tune_seeks_the_period_of_the_looks(run: Run, tmp_path: Path) -> None:
+    """A table of what was tried, then the best; the document has all of it."""
+    path = tmp_path / "walk.toml"
+    path.write_text(
+        "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n[cost]\nQ = [[1.0]]\nR = [[1.0]]\n"
+        '[policy]\nkind = "consistent"\nperiod = 0.5\n',
+        encoding="utf-8",
+    )
+    answer = run("tune", str(path), "--rate", "1", "--least-period", "0.1", "--json")
+    assert answer.code == 0
+    document = json.loads(answer.out)
+    assert document["period"] == min(row["period"] for row in document["periods"])
+    assert document["rates"]["sensor"]["value"] == pytest.approx(1, rel=1e-8)
+    assert document["consistency"] == "verified"
+    told = run("tune", str(path), "--rate", "1", "--least-period", "0.1")
+    lines = told.out.splitlines()
+    assert lines[0].split() == ["period", "delta", "cost", "consistent"]
+    assert f"period         {document['period']:g}" in lines

@@ -7,21 +7,25 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from taciturn.analyse.renewal import expect_affordable, solve_renewal
+from taciturn._arrays import number
+from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
+from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
-from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
 from taciturn.program.ops import Precision
-from taciturn.renewal.chain import NoQuadratureError
-from taciturn.renewal.policy import EventPolicy
-from taciturn.simulation.average import average, check_effort
+from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
+from taciturn.simulation.sampling import Progress
+from taciturn.study.measure import measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
+
+Consistency = Literal["guaranteed", "verified", "not verified"]
+SURE = 4.0  # standard errors
 
 
 @dataclass(frozen=True)
@@ -47,6 +51,11 @@ class Evaluation:
         cost_periodic_same_rate: of optimal periodic control at the rate found, exact; None where it is not asked for
             (policies that send on the error of a prediction have it), or where none is stable.
         mean_interval: seconds from one send to the next; where the above is asked for and anything is sent.
+        lower_bound: of any scheduling of this controller at the rate found, where it was asked for.
+        rate_bounds: certified bounds of the rate, where a lower bound was asked for and the error that a send resets
+            decides alone; or None.
+        consistency: whether the policy costs no more than the above: ``"guaranteed"`` by its theorem, ``"verified"`` by
+            these numbers and their errors (4 standard errors), or ``"not verified"``; None where it is not asked for.
         notes: what the reader must know.
     """
 
@@ -66,6 +75,9 @@ class Evaluation:
     schedule: Schedule | None
     cost_periodic_same_rate: float | None
     mean_interval: Estimate | None
+    lower_bound: LowerBound | None
+    rate_bounds: tuple[float, float] | None
+    consistency: Consistency | None
     notes: tuple[str, ...]
 
     @property
@@ -91,6 +103,13 @@ class Evaluation:
             "steps": self.steps,
             "reached": self.reached,
         }
+        if self.lower_bound is not None:
+            result["cost_lower_bound"] = self.lower_bound.cost
+            result["cost_lower_bound_confidence"] = self.lower_bound.confidence
+        if self.rate_bounds is not None:
+            result["rate_bounds"] = list(self.rate_bounds)
+        if self.consistency is not None:
+            result["consistency"] = self.consistency
         if self.mean_interval is not None:
             result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
             result["mean_interval"] = _estimate(self.mean_interval)
@@ -107,6 +126,7 @@ def evaluate(
     steps: int | None = None,
     method: Literal["auto", "simulation", "exact"] = "auto",
     precision: Precision = "float64",
+    confidence: float | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Return cost, rates and bound of a problem's policy.
@@ -122,13 +142,16 @@ def evaluate(
         steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
         method: ``"simulation"`` uses neither closed form nor quadrature, ``"exact"`` never simulates.
         precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
+        confidence: with which a lower bound is to hold of the cost of any scheduling at this rate (``bound_below``);
+            omitted: neither that nor ``rate_bounds`` is sought, as they take seconds.
         progress: called with the fraction done.
 
     Returns:
         The evaluation; ``reached`` is False where the budget ended before the asked standard error.
 
     Raises:
-        ProblemError: data that do not fit, or no exact method.
+        ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, or a lower bound is asked for
+            and there is none.
         UnstableError: the loop diverges.
 
     Example:
@@ -139,31 +162,39 @@ def evaluate(
     check_effort(seed, standard_error, steps)
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")
+    if confidence is not None:
+        number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
+        if confidence is not None:
+            raise ProblemError(
+                f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
+            )
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
         found = _events(problem, policy, seed, standard_error, steps, method, progress)
         return replace(found, seconds=time.perf_counter() - began)
-    loop = replace(problem.close(policy), precision=precision)
-    found, notes = None, policy.notes
-    if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
+    if isinstance(policy, OptimalPolicy):
+        loop = problem.close(policy.looked_at)
+        found, notes, certified = measure_optimum(loop, policy.price, method, steps), (), None
+    else:
+        loop = replace(problem.close(policy), precision=precision)
+        found, notes = measure(loop, seed, standard_error, steps, method, progress)
+        certified = None if confidence is None else bound_rate(loop)
+    policy, lower = loop.policy, None
+    if confidence is not None:
+        resets(loop)
         try:
-            found = _solved(loop, method == "exact")
-        except NoQuadratureError as error:
-            if method == "exact":
-                raise ProblemError(f"method is 'exact', and {error}") from None
-            notes += () if policy.reset is None else (f"simulated: {error}",)
-    if found is not None:
-        wanted = RELATIVE_ERROR * abs(found.cost.value) if standard_error is None else standard_error
-        found = replace(found, reached=found.cost.error <= wanted)
-    if found is None or (method == "auto" and not found.reached):
-        found = _clocked(loop, average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress))
+            lower = bound_below(loop, found.rates[policy.scheduled[0]].value, confidence, seed)
+        except ProblemError as error:
+            notes += (f"no lower bound: {error}",)
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     mission = loop.horizon is not None
     pace = 1.0 if mission else 1 / policy.tick
+    compared = loop.nominal and per_tick > 0 and _predicts(policy)
+    periodic = periodic_cost_at(problem, per_tick / policy.tick, actuation_of(problem)) if compared else None
     return Evaluation(
         policy=policy.kind,
         unit="mission" if mission else unit_of(problem),
@@ -179,10 +210,27 @@ def evaluate(
         steps=found.steps,
         reached=found.reached,
         schedule=policy.schedule,
-        cost_periodic_same_rate=_periodic(problem, policy, per_tick) if loop.nominal else None,
+        cost_periodic_same_rate=periodic,
         mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
+        lower_bound=lower,
+        rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
+        consistency=_consistency(found.cost, periodic, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
+
+
+def choose_confidence(problem: Problem, asked: float | None) -> float | None:
+    """Return the confidence of a lower bound: that asked for, none for 0; by default the usual one where one is had."""
+    if asked is not None:
+        return asked or None
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy):
+        return None
+    try:
+        resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
+    except ProblemError:
+        return None
+    return USUAL
 
 
 def unit_of(problem: Problem) -> Literal["step", "second"]:
@@ -211,6 +259,7 @@ def _events(
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None
+    same = periodic_cost_at(problem, rate.value, actuation_of(problem))
     return Evaluation(
         policy=policy.kind,
         unit="second",
@@ -226,39 +275,13 @@ def _events(
         steps=found.steps,
         reached=found.reached,
         schedule=None,
-        cost_periodic_same_rate=periodic_cost_at(problem, rate.value, actuation_of(problem)),
+        cost_periodic_same_rate=same,
         mean_interval=interval,
+        lower_bound=None,
+        rate_bounds=None,
+        consistency=_consistency(found.cost, same, policy.statement is not None),
         notes=policy.notes,
     )
-
-
-def _solved(loop: Loop, whatever_it_takes: bool) -> Averages:
-    """Return exact cost and rates, or those of a quadrature, if it is affordable.
-
-    Raises:
-        NoQuadratureError: the loop has neither.
-    """
-    policy = loop.policy
-    if loop.nominal and policy.closed_form is not None:
-        form = policy.closed_form
-        rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
-        return Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
-    if not whatever_it_takes:
-        expect_affordable(loop)
-    renewal = solve_renewal(loop)
-    assert policy.identity is not None
-    cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, policy.identity.constant)
-    rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
-    return Averages(cost, {policy.scheduled[0]: rate}, 0, 0, True)
-
-
-def _clocked(loop: Loop, found: Averages) -> Averages:
-    """Return simulated averages with the rates that need no estimate."""
-    policy = loop.policy
-    known: dict[str, float] = {**policy.fixed_rates}
-    if loop.nominal and policy.closed_form is not None:
-        known |= policy.closed_form.rates
-    return replace(found, rates={**found.rates, **{link: Estimate(rate, 0.0, "exact") for link, rate in known.items()}})
 
 
 def _predicts(policy: Policy) -> bool:
@@ -266,9 +289,12 @@ def _predicts(policy: Policy) -> bool:
     return policy.prediction is not None and policy.closed_form is None
 
 
-def _periodic(problem: Problem, policy: Policy, rate: float) -> float | None:
-    """Return the cost of periodic control at a rate of sends per tick, for a policy that is compared with it."""
-    return periodic_cost_at(problem, rate / policy.tick, actuation_of(problem)) if _predicts(policy) else None
+def _consistency(cost: Estimate, periodic: float | None, proved: bool) -> Consistency:
+    """Return whether a cost is at most that of periodic control at its rate; an unstable one's is infinite."""
+    if proved:
+        return "guaranteed"
+    margin = SURE * cost.standard_error + cost.error
+    return "verified" if periodic is None or cost.value + margin <= periodic else "not verified"
 
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:

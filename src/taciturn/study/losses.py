@@ -10,7 +10,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, number, semidefinite
 from taciturn._figure import Panel, Series, draw
-from taciturn.design.consistent import refuse_what_is_not_predicted
+from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost

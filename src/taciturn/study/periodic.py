@@ -15,7 +15,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 
 CURVE_POINTS = 40  # at most where the plant is discrete
-PREDICTING = ("consistent", "integral")  # kinds whose actuator always does
+PREDICTING = ("consistent", "integral", "near-optimal", "optimal")  # kinds whose actuator always does
 
 
 @dataclass(frozen=True)

@@ -7,16 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from taciturn._figure import Panel, Series, draw
 from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import Evaluation, choose_confidence, evaluate
 from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+LINE = 200  # points of the line above what no scheduling reaches
 
 
 @dataclass(frozen=True)
@@ -98,9 +102,22 @@ class Tradeoff:
             shown, color = [p for p in curve if p.cost <= top], 7 if actuation == "hold" else 5
             x, y = [p.rate for p in shown], [p.cost for p in shown]
             series.append(Series(x, y, f"periodic, {actuation}", style, color=color))
+        series += self._impossible()
         title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
         rate_unit = self.points[0].evaluation.rate_unit
         return Panel(series, f"sends {named}per {rate_unit}", f"cost per {self.unit}", title)
+
+    def _impossible(self) -> list[Series]:
+        """Return what no scheduling reaches: below every line that a lower bound draws through its point."""
+        found = [point.evaluation for point in self.points]
+        bounds = [one.lower_bound for one in found if one.lower_bound is not None]
+        paces, bases = {one.base_rate for one in found}, {one.cost_all_time for one in found}
+        pace, base = found[0].base_rate, found[0].cost_all_time
+        if len(bounds) < len(found) or len(paces | bases) > 2 or pace is None or base is None:
+            return []  # of one controller that looks at one pace
+        rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
+        lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
+        return [Series([pace * rate for rate in rates], lowest, "no scheduling", "below")]
 
 
 def tradeoff(
@@ -109,6 +126,7 @@ def tradeoff(
     *,
     seed: int = 0,
     standard_error: float | None = None,
+    confidence: float | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
     """Return cost against rate of a problem's policy over a grid of its parameters.
@@ -118,6 +136,8 @@ def tradeoff(
         over: the values of each key (of ``[policy]``, or dotted); several keys make a grid.
         seed: of the draws, the same at every point.
         standard_error: absolute, of each cost; omitted: 1e-4 of it.
+        confidence: with which lower bounds are to hold of the cost of any scheduling at the rates found; omitted: none
+            is sought. Points that have none go without, unless that is all of them.
         progress: called with the fraction done.
 
     Returns:
@@ -133,6 +153,7 @@ def tradeoff(
     units = {(changed.cost.horizon is None and changed.cost.discount == 1) for changed in problems}
     if len(units) > 1:
         raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
+    bounded = [confidence is not None and choose_confidence(changed, None) is not None for changed in problems]
     points: list[Point] = []
     for index, (cell, changed) in enumerate(zip(grid, problems, strict=True)):
 
@@ -140,7 +161,8 @@ def tradeoff(
             if progress is not None:
                 progress((index + fraction) / len(grid))
 
-        evaluation = evaluate(changed, seed=seed, standard_error=standard_error, progress=report)
+        sought = confidence if bounded[index] or not any(bounded) else None
+        evaluation = evaluate(changed, seed=seed, standard_error=standard_error, confidence=sought, progress=report)
         actuation = actuation_of(changed)
         rate = next(iter(evaluation.rates.values())).value
         same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)

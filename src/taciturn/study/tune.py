@@ -13,11 +13,12 @@ from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import LinkName, Policy
+from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import Evaluation
+from taciturn.study.looks import look_at
 
 EFFORT = 2_000_000  # steps of a look; all looks see the same draws
 LONGER = 8  # times as many where a loop has not settled, and for the last look
@@ -25,8 +26,7 @@ FIRST, GROWTH, FARTHEST = 1.4, 1.5, 45.0  # of the walk in log(value), from wher
 HALVINGS = 12  # towards the end of what can be designed
 CLOSE = 0.25  # standard errors of a look that a root may be off
 JUMP = 1e-11  # width in log(value) over which what is sought jumps
-SPAN = 0.02  # of log(value), for slopes
-STRIDE = 0.1  # of log(value), that a correction goes at most
+SPAN, STRIDE = 0.02, 0.1  # of log(value): for slopes, and that a correction goes at most
 ROUNDS = 3  # of corrections at full precision
 PASSED = 20  # whole numbers on either side that are passed over where nothing can be designed
 SURE = 3.0  # standard errors by which the answer may miss the budget
@@ -140,6 +140,7 @@ def _knob(problem: Problem, link: LinkName | None) -> Knob:
         if knob.continuous in (None, continuous)
         and (knob.link is None or (knob.name in given and link in (None, knob.link)))
     ]
+    knobs = [knob for knob in knobs if knob.name in given] or knobs[:1]
     if len(knobs) > 1:
         raise ProblemError(f"{problem.kind} decides on two links; expected link, one of {[k.link for k in knobs]}")
     if not knobs:
@@ -212,17 +213,13 @@ class _Search:
         if not found.evaluation.reached:
             found = self._look(value, LONGER * EFFORT)
         if not found.evaluation.reached:
-            raise UnstableError(
-                f"{self.problem.kind} with {self.knob.name} = {value:g} does not settle within {LONGER * EFFORT} steps"
-            )
+            given = f"{self.problem.kind} with {self.knob.name} = {value:g}"
+            raise UnstableError(f"{given} does not settle within {LONGER * EFFORT} steps")
         return found
 
     def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> _Look:
         changed = self.problem.changed({self.knob.name: value})
-        policy = changed.designed()
-        if isinstance(policy, Policy) and policy.reset is not None:  # quadrature is quicker than a look
-            steps = None
-        evaluation = evaluate(changed, seed=self.seed, steps=steps, standard_error=standard_error)
+        evaluation = look_at(changed, self.seed, steps, standard_error)
         found = self.goal.of(evaluation)
         return _Look(value, evaluation, found.value - self.goal.budget, found.standard_error + found.error)
 
