@@ -9,6 +9,7 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import Array
 from taciturn._modes import root
+from taciturn._scipy import discrete_lyapunov
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal.fitted import Bits, Fitted, squares
@@ -22,7 +23,7 @@ NOISES = 64  # over which a conditional mean is taken, and as many mirrored
 FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
 SAFETY = 1.5
-HIGHEST = 1.25  # times what the fit says: no bound is sought above
+HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
 
@@ -83,7 +84,7 @@ def bound_schedules(
     """
     game = _Game(F, root(noise), Gamma, fitted)
     draws = np.random.default_rng(seed)
-    highest = HIGHEST * fitted.gain
+    highest = _highest(F, noise, Gamma, fitted.gain)
     saved = _most_saved(game, highest, fitted.interval, draws)
     pilot = _Duel(game, fitted.gain, saved, draws).run(ABREAST)
     above = price - fitted.gain + pilot.values
@@ -194,6 +195,13 @@ class _Duel:
                 total, least, when = (np.take_along_axis(a, first, 1) for a in (total, least, when))
                 error = np.take_along_axis(error, first[:, :, None], 1)
         raise AssertionError
+
+
+def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
+    """Return the highest bound to seek about a fitted gain; β grows without limit as it nears what silence costs."""
+    if np.abs(np.linalg.eigvals(F)).max() >= 1:
+        return HIGHEST * gain
+    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * discrete_lyapunov(F, noise)))) / 2)
 
 
 def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Generator) -> float:
