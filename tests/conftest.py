@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 
-import matplotlib as mpl
 import pytest
 from hypothesis import settings
 
-mpl.use("Agg")
-os.environ.setdefault("MPLBACKEND", "Agg")  # for the examples, which run as processes
+os.environ.setdefault("MPLBACKEND", "Agg")  # also for the examples, which run as processes
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads on matrices of six rows cost a third of the whole time
 settings.register_profile("repeatable", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("repeatable")
 
