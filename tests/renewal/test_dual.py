@@ -46,7 +46,9 @@ def bound(fitted: Fitted, confidence: float = 0.9999, seed: int = 0) -> DualBoun
     return bound_schedules(*PLANE, PRICE, fitted, confidence, seed)
 
 
-@pytest.mark.parametrize(("F", "price"), [(0.5, 2.0), (0.5, 4.5), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)])
+@pytest.mark.parametrize(
+    ("F", "price"), [(0.5, 2.0), (0.5, 4.5), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)]
+)
 def test_on_a_scalar_the_bound_is_within_half_a_percent_of_the_optimum(F: float, price: float) -> None:
     """Below it, stable and unstable."""
     A = np.array([[F]])
