@@ -37,7 +37,8 @@ def evaluation(found: Evaluation) -> None:
         lines.append(("no less than", text))
     if found.rate_bounds is not None:
         low, high = found.rate_bounds
-        lines.append(("certified rate", f"{low:.4g} to {high:.4g} per {found.rate_unit}"))
+        text = f"{_rounded(low, 4, -1)} to {_rounded(high, 4, 1)} per {found.rate_unit}"
+        lines.append(("certified rate", text))
     if found.mean_interval is not None:
         lines.append(("mean interval", f"{found.mean_interval} s"))
     if found.cost_periodic_same_rate is not None:
@@ -58,11 +59,18 @@ def _verdict(found: Evaluation) -> list[str]:
     if lower is None or not base or found.base_rate is None:
         return []
     shares = [f"{100 * rate.value / found.base_rate:.3g} %" for rate in found.rates.values()]
-    text = f"sends {shares[0]} of the time, costs {100 * (found.cost.value / base - 1):.2g} % above all-time control"
+    above, least = 100 * (found.cost.value / base - 1), 100 * (lower.cost / base - 1)
+    decimals = max(_decimals(above - least, 1), _decimals(above, 2))  # that tell them from each other
+    text = f"sends {shares[0]} of the time, costs {above:.{decimals}f} % above all-time control"
     if bound is not None:
         text += f", at most {_rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
-    above = _rounded(100 * (lower.cost / base - 1), 2, -1)
-    return [f"{text}; no scheduling of this controller at this rate can cost less than {above} % above"]
+    least = math.floor(least * 10**decimals) / 10**decimals
+    return [f"{text}; no scheduling of this controller at this rate can cost less than {least:.{decimals}f} % above"]
+
+
+def _decimals(value: float, digits: int) -> int:
+    """Return the decimals that show so many digits of a positive number, at most four."""
+    return min(max(digits - 1 - math.floor(math.log10(value)), 0), 4) if value > 0 else 0
 
 
 def _rounded(value: float, digits: int, up: int) -> str:
@@ -70,7 +78,7 @@ def _rounded(value: float, digits: int, up: int) -> str:
     nearest = float(f"{value:.{digits}g}")
     if up * (nearest - value) < 0:
         nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
-    return f"{nearest:.{digits}g}"
+    return f"{nearest:.{digits}g}" if abs(nearest) < 1e4 else f"{nearest:,.0f}"
 
 
 def _queries(schedule: Schedule) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from taciturn._arrays import Array, instance, number
+from taciturn._arrays import Array, count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.theory import Reset
@@ -60,7 +60,8 @@ def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 
         seed: of the draws.
 
     Raises:
-        ProblemError: no send resets an error of the loop, the noise comes in jumps, or the rate is too low.
+        ProblemError: no send resets an error of the loop, the noise comes in jumps, or the rate is too low for a bound
+            that says more than J_all.
 
     Source: cogill2007, rogers2002
 
@@ -74,6 +75,7 @@ def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 
     """
     reset = resets(loop)
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
+    count("seed", seed, 0)
     if rate > 1 + 1e-9:
         raise ProblemError(f"rate is {rate:g}; expected a number at most 1")
     base = loop.policy.cost_all_time
@@ -86,7 +88,9 @@ def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 
     price = _price_of(F, reset, rate)
     fitted = fit_schedule(F, reset.covariance, reset.square, price, seed)
     found = bound_schedules(F, reset.covariance, reset.square, price, fitted, confidence, seed)
-    return LowerBound(float(max(base + found.gain - price * rate, base)), confidence, rate, price)
+    if found.gain <= price * rate:
+        raise ProblemError(f"at {rate:g} sends per tick no bound above sending always is found; expected a higher rate")
+    return LowerBound(base + found.gain - price * rate, confidence, rate, price)
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None) -> Optimum:
@@ -117,9 +121,8 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None) -> Op
     """
     from taciturn.renewal.optimal import solve_optimal
 
-    if loop.problem.jumps is not None:
-        raise ProblemError("the noise comes in jumps, and the best schedule is solved for Gaussian noise; expected W")
     reset = resets(loop)
+    number("price", price, 0.0)
     return solve_optimal(
         loop.problem.plant.A, reset.covariance, reset.square, price / loop.policy.tick, accuracy=accuracy
     )
@@ -140,7 +143,7 @@ def resets(loop: Loop) -> Reset:
             "with actuation = 'model', or one of consistent, near-optimal"
         )
     if loop.problem.jumps is not None:
-        raise ProblemError("the noise comes in jumps; expected Gaussian noise for a lower bound")
+        raise ProblemError("the noise comes in jumps; expected Gaussian noise for the best schedule and what bounds it")
     return loop.policy.reset
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from taciturn._arrays import Array, instance
+from taciturn._arrays import Array, count, instance
+from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.policy import Policy
 from taciturn.model.trigger import Form, Scheduled
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from taciturn.renewal.paths import PathAnswer
     from taciturn.renewal.rates import WindowBound
 
+LONGEST_WINDOW = 100_000  # ticks, whose sends take seconds to bound
 ROUGH = 1e-2  # relative standard error, at first
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
 
@@ -93,6 +95,7 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
     Source: royen2014
     """
+    instance("loop", loop, Loop)
     if loop.problem.jumps is not None:
         return None
     try:
@@ -107,7 +110,13 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
     """Return how many sends any window of so many ticks sees at most, in the mean and with a confidence.
 
+    Args:
+        loop: in which the error that a send resets decides alone.
+        ticks: at most 100,000; of a longer window, the bounds of its parts add up.
+        confidence: in (0, 1).
+
     Raises:
+        ProblemError: ticks or confidence out of range.
         NoQuadratureError: more than one error decides, or the noise comes in jumps.
 
     Source: royen2014
@@ -122,6 +131,9 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
     """
     from taciturn.renewal.rates import sends_in_window
 
+    count("ticks", ticks)
+    if ticks > LONGEST_WINDOW:
+        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: the bounds of shorter windows add up")
     return sends_in_window(chain_of(loop), ticks, confidence)
 
 

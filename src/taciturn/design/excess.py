@@ -51,8 +51,8 @@ def excess(
         1.1
     """
     if (delta is None) == (theta is None):
-        got = "neither" if delta is None else "both"
-        raise ProblemError(f"of delta and theta {got} is given; expected one of them, the price of silence")
+        got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
+        raise ProblemError(f"{got} given; expected one of them, the price of silence")
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty, delta, theta)

@@ -13,6 +13,7 @@ from taciturn.renewal._whiten import White
 
 STEEP = 4.0  # a map this much steeper than one has finer nodes at once
 SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
+LARGEST = 3000  # nodes of one rule, which take seconds: their time grows with the third power
 FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
 
 
@@ -205,7 +206,7 @@ def _angular(span: _Span, density: float, more: int, most: float) -> tuple[Array
 
 
 def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[Array, Array]:
-    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, most / 2)
+    half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, min(most, LARGEST) / 2)
     nodes, weights = np.polynomial.legendre.leggauss(2 * half)
     return np.asarray(nodes, dtype=np.float64), np.asarray(weights, dtype=np.float64)
 

@@ -109,7 +109,13 @@ def usual_accuracy(white: White) -> float:
     return USUAL if len(white.m) < 3 else LARGE
 
 
-def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str) -> Answer:
+def afforded(step: int, dimensions: int) -> int:
+    """Return how many nodes a rung may take: the first leaves room for the next, without which it says nothing."""
+    # a chord's ends take nodes at any density
+    return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
+
+
+def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str) -> Answer:
     """Return the answer of ever finer nodes on ever wider windows that settles first.
 
     What it last moved by is the error claimed, twice, which is that of the coarser answer.
@@ -118,6 +124,7 @@ def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float
         attempt: solves with a density of the nodes and a factor of the window, on a rung; None where that fails.
         accuracy: relative.
         less: what would make it easier, for the reader of a refusal.
+        instead: what else there is.
 
     Returns:
         The best answer.
@@ -148,12 +155,12 @@ def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float
     if best is None:
         raise NoQuadratureError(
             f"kept errors spread over too many standard deviations of the noise for {MOST_NODES} nodes, or are hardly "
-            f"ever sent; expected {less} or more noise for a quadrature; simulate instead"
+            f"ever sent; expected {less} or more noise for a quadrature; {instead}"
         )
     if best.off > USELESS:
         raise NoQuadratureError(
             f"within {MOST_NODES} nodes and the digits of floating point, rate and excess settle to {best.off:.1g} of "
-            f"themselves; expected {USELESS:g}; take {less}, or simulate instead"
+            f"themselves; expected {USELESS:g}; take {less}, or {instead}"
         )
     return best
 

@@ -65,7 +65,7 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
         points: how many those are.
 
     Raises:
-        ProblemError: at this price hardly anything is ever sent.
+        ProblemError: at this price hardly anything is ever sent, or at none.
 
     Source: cogill2007
 
@@ -75,6 +75,11 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
         True
     """
     half = root(noise)
+    if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
+        raise ProblemError(
+            "nothing is ever sent: the noise reaches no direction of the error that silence costs; expected some; give "
+            "the plant noise, or weigh the states that it reaches"
+        )
     # the same errors for all prices of half an octave, so that what is found changes smoothly with the price
     scale = float(np.sum(Gamma * noise)) or price
     about = scale * 2.0 ** (round(2 * math.log2(price / scale)) / 2)

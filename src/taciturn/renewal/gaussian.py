@@ -10,8 +10,8 @@ from taciturn.renewal._system import (
     DENSE,
     DENSEST,
     LOOSEST,
-    MOST_NODES,
     Solved,
+    afforded,
     climb,
     find_window,
     solve,
@@ -59,9 +59,10 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
     dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
     def attempt(density: float, factor: float, step: int) -> Solved | None:
-        return solve(white, place(white, region, window.scaled(factor), density, step, MOST_NODES), dense)
+        most = afforded(step, len(white.m))
+        return solve(white, place(white, region, window.scaled(factor), density, step, most), dense)
 
-    best = climb(attempt, accuracy, "a smaller δ")
+    best = climb(attempt, accuracy, "a smaller δ", "simulate instead")
     found = best.found
     distribution = intervals(found.system.start, found.system.check, found.checks, 1 / found.rate)
     return Renewal(found.rate, found.excess, best.rate_error, best.excess_error, distribution, len(found.system.start))

@@ -134,7 +134,7 @@ def solve_optimal(
     white = replace(white, Gamma=np.diag(white.m))
     accuracy = number("accuracy", usual_accuracy(white) if accuracy is None else accuracy, 0.0, 1.0)
     iteration = _Iteration(white, accuracy)
-    best = climb(iteration.attempt, accuracy / BOUNDARY, "a lower price")
+    best = climb(iteration.attempt, accuracy / BOUNDARY, "a lower price", "near-optimal instead")
     found, costs = best.found, [solved.excess + solved.rate for solved in (best.found, best.previous)]
     gaps = _gaps(found, accuracy)
     return Optimum(

@@ -9,6 +9,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from taciturn._arrays import instance
 from taciturn._cvxpy import expect_solver
 from taciturn._modes import accumulate, radius
 from taciturn.analyse.certificates import (
@@ -120,6 +121,7 @@ def certify(problem: Problem) -> Certificates:
         (0.97, 0.8)
     """
     began = time.perf_counter()
+    instance("problem", problem, Problem)
     policy = problem.design()
     loop = problem.close(policy)
     matrices = switched(loop)

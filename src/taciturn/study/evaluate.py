@@ -5,12 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import Any, Literal
 
 from taciturn._arrays import number
 from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
+from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
@@ -186,9 +188,10 @@ def evaluate(
     if confidence is not None:
         resets(loop)
         try:
-            lower = bound_below(loop, found.rates[policy.scheduled[0]].value, confidence, seed)
+            lower = _bounded(loop, found.rates[policy.scheduled[0]], confidence, seed)
         except ProblemError as error:
             notes += (f"no lower bound: {error}",)
+        notes += _contradicted(found.rates[policy.scheduled[0]], certified)
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     mission = loop.horizon is not None
@@ -236,6 +239,31 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
 def unit_of(problem: Problem) -> Literal["step", "second"]:
     """Return what averages of a problem count per."""
     return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
+
+
+def _bounded(loop: Loop, rate: Estimate, confidence: float, seed: int) -> LowerBound:
+    """Return the lower bound at a rate that was measured: at what it is at most, with the same confidence.
+
+    Raises:
+        ProblemError: nothing is sent, or there is no bound.
+    """
+    if rate.value == 0:
+        raise ProblemError("nothing is sent")
+    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed)
+    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
+    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
+
+
+def _contradicted(rate: Estimate, certified: tuple[float, float] | None) -> tuple[str, ...]:
+    """Tell of a simulated rate that is not within its certified bounds."""
+    if certified is None or rate.method != "simulation" or certified[0] <= rate.value <= certified[1]:
+        return ()
+    nearest = min(certified, key=lambda end: abs(end - rate.value))
+    off = abs(nearest - rate.value) / max(rate.standard_error, 1e-300)
+    return (
+        f"the simulated rate is {off:.2g} standard errors outside its certified bounds, which are right: intervals so "
+        "regular are not forgotten within the run",
+    )
 
 
 def _events(
