@@ -79,8 +79,8 @@ def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Writ
         (OPTIMAL, ["--steps", "100000"], "optimal is solved and never simulated"),
         ('[policy]\nkind = "optimal"\nprice = 0.0\n', [], "price is 0"),
         ('[policy]\nkind = "near-optimal"\nprice = 1e6\n', [], "an error is sent less than once in 5000 checks"),
-        ('[policy]\nkind = "excess"\n', [], "of delta and theta neither is given"),
-        ('[policy]\nkind = "excess"\ndelta = 1.0\ntheta = 1.0\n', [], "of delta and theta both is given"),
+        ('[policy]\nkind = "excess"\n', [], "neither delta nor theta is given"),
+        ('[policy]\nkind = "excess"\ndelta = 1.0\ntheta = 1.0\n', [], "delta (1) and theta (1) are both given"),
     ],
 )
 def test_what_has_no_bound_or_no_answer_is_one_sentence(
