@@ -54,7 +54,7 @@ def test_noise_in_jumps_has_no_bound() -> None:
     """The error is the same, its law is not."""
     plant = ContinuousPlant([[0.0]], [[1.0]], jumps=Jumps(5.0, [[0.2]]))
     policy = design.consistent(plant, Cost([[1.0]], [[1.0]]), period=0.2)
-    with pytest.raises(ProblemError, match="the noise comes in jumps; expected Gaussian noise for a lower bound"):
+    with pytest.raises(ProblemError, match="the noise comes in jumps; expected Gaussian noise for the best schedule"):
         bound_below(close(plant, policy), 0.3)
 
 

@@ -303,7 +303,7 @@ def test_a_region_with_a_gap_is_refused():
         ((np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0), "fills 1 of the 2 .* 'near-optimal'"),
         ((UNIT, UNIT, 0 * UNIT, 1.0), "nothing is ever sent"),
         ((UNIT, 0 * UNIT, UNIT, 1.0), "nothing is ever sent"),
-        (([[0.0]], [[1.0]], [[1.0]], 100.0), "a lower price, or simulate"),
+        (([[0.0]], [[1.0]], [[1.0]], 100.0), "a lower price, or near-optimal"),
     ],
 )
 def test_what_is_no_problem_or_no_quadrature_serves_is_refused_with_a_sentence(arguments, sentence):
