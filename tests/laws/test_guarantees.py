@@ -160,5 +160,6 @@ def test_a_vanishing_theta_is_all_time_control(trigger: str, actuation: str) -> 
 @pytest.mark.parametrize("actuation", ["hold", "model"])
 @pytest.mark.parametrize("trigger", ["joint", "separate"])
 def test_a_vanishing_theta_is_all_time_control_over_300_systems(trigger: str, actuation: str) -> None:
-    """θ = 0 and θ → 0, 300 systems each."""
-    MANY(given(system=systems())(lambda system: vanishes_into_all_time_control(system, trigger, actuation)))()
+    """θ = 0 and θ → 0, 300 systems, a quarter of them for each variant."""
+    quarter = settings(MANY, max_examples=75)
+    quarter(given(system=systems())(lambda system: vanishes_into_all_time_control(system, trigger, actuation)))()

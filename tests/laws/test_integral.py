@@ -20,7 +20,7 @@ from taciturn.simulation.average import plain_average
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-MANY = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+MANY = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 @pytest.fixture(autouse=True)
@@ -62,7 +62,7 @@ def test_the_dynamic_trigger_beats_periodic_control_at_its_own_interval(law: str
 @pytest.mark.evidence
 @pytest.mark.parametrize("law", ["normal", "uniform", "two-point"])
 def test_the_dynamic_trigger_beats_periodic_control_over_many_plants(law: str) -> None:
-    """Thirty random plants for each law of the jumps."""
+    """Twenty random plants for each law of the jumps."""
     MANY(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, law)))()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -114,10 +116,16 @@ def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Pre
             assert total.of(together.sums[name][i : i + 1], 40) == alone.sums[name]
 
 
+@cache
+def two_masses() -> taciturn.Problem:
+    """Return the problem, read once."""
+    return taciturn.load("two-mass")
+
+
 def masses(theta: float) -> Loop:
     """Return a loop of the two masses."""
-    problem = taciturn.load("two-mass")
-    return problem.close(problem.changed({"theta": theta}).design())
+    problem = two_masses()
+    return problem.close(design.lqg(problem.plant, problem.cost, theta=theta))
 
 
 def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -87,7 +87,8 @@ class Program:
         """Return the program with only these sums, outputs and states, and what they depend on."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
-        return merge_states(replace(self, sums=kept_sums, outputs=kept_outputs), states)
+        smaller = replace(self, sums=kept_sums, outputs=kept_outputs)  # of its states no two agree
+        return _pruned(smaller, range(len(self.states)), states)
 
 
 class Builder:
@@ -106,20 +107,21 @@ class Builder:
         self.matrices: list[Rows] = []
         self.states: list[State] = []
         self.inputs: list[str] = []
-        self._known: dict[Op, int] = {}
-        self._constant_index: dict[str, int] = {}
+        self._known: dict[tuple[str, tuple[int, ...]], int] = {}
+        self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
         """Return the index of the operation, new or shared."""
-        key = Op(name, arguments)
-        if key not in self._known:
-            self._known[key] = len(self.ops)
-            self.ops.append(key)
-        return self._known[key]
+        key = (name, arguments)
+        found = self._known.get(key)
+        if found is None:
+            found = self._known[key] = len(self.ops)
+            self.ops.append(Op(name, arguments))
+        return found
 
     def constant(self, value: float) -> int:
         """Return a number known now."""
-        key = float(value).hex()
+        key = float(value) or str(value)  # 0 and −0 are two
         if key not in self._constant_index:
             self._constant_index[key] = len(self.constants)
             self.constants.append(float(value))
@@ -277,14 +279,13 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     Unused operations, constants and tables disappear on the way.
     """
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
-    live = needed(program, roots)
+    live = sorted(needed(program, roots))
     builder = Builder(program.precision)
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
     new: dict[int, int] = {}
-    for index, op in enumerate(program.ops):
-        if index not in live:
-            continue
+    for index in live:
+        op = program.ops[index]
         replaced = substitute(builder, op)
         if replaced is None:
             replaced = _copy(program, builder, op, new)
@@ -303,8 +304,8 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     )
 
 
-def merge_states(program: Program, wanted: Set[str] = frozenset()) -> Program:
-    """Merge states that provably agree at every tick, and drop states that nothing depends on and no name wants.
+def merge_states(program: Program) -> Program:
+    """Merge states that provably agree at every tick, and drop states that nothing depends on.
 
     States are first taken to agree where they start equal; classes whose next values differ are split until
     none does (the coarsest partition, as in the minimisation of automata).
@@ -321,6 +322,11 @@ def merge_states(program: Program, wanted: Set[str] = frozenset()) -> Program:
         if split == leader:
             break
         leader = split
+    return _pruned(program, leader)
+
+
+def _pruned(program: Program, leader: Sequence[int], wanted: Set[str] = frozenset()) -> Program:
+    """Return a program whose states are read from their leaders, without those that nothing depends on or wants."""
     alive = _alive(program, leader, {leader[i] for i, state in enumerate(program.states) if state.name in wanted})
     return rebuild(program, _led(leader, alive), alive)
 
@@ -354,6 +360,8 @@ def needed(program: Program, roots: Sequence[int]) -> set[int]:
 
 def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) -> int:
     first = op.arguments[0]
+    if op.name not in LITERAL_ARGUMENTS:
+        return builder.emit(op.name, *map(new.__getitem__, op.arguments))
     if op.name == "const":
         return builder.constant(program.constants[first])
     if op.name == "lookup":
@@ -366,8 +374,6 @@ def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) ->
         return builder.state(program.states[first])
     if op.name == "input":
         return builder.input(program.inputs[first])
-    if op.name not in LITERAL_ARGUMENTS:
-        return builder.emit(op.name, *[new[argument] for argument in op.arguments])
     literal = LITERAL_ARGUMENTS[op.name]
     return builder.emit(op.name, *(a if i in literal else new[a] for i, a in enumerate(op.arguments)))
 

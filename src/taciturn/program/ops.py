@@ -68,9 +68,9 @@ class Op(NamedTuple):
     @property
     def reads(self) -> tuple[int, ...]:
         """The operations that this one reads."""
-        if self.name not in LITERAL_ARGUMENTS:
+        literal = LITERAL_ARGUMENTS.get(self.name)
+        if literal is None:
             return self.arguments
-        literal = LITERAL_ARGUMENTS[self.name]
         return tuple(argument for position, argument in enumerate(self.arguments) if position not in literal)
 
 
