@@ -15,10 +15,10 @@ import ctypes
 import hashlib
 import importlib
 import os
-import tempfile
 import warnings
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextvars import ContextVar
 from functools import cache
 from itertools import pairwise
 from pathlib import Path
@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.program._llvm_body import Build, constants_of
 from taciturn.program.ir import Program
@@ -35,6 +36,7 @@ from taciturn.program.numpy import Run
 
 VECTORS = "TACITURN_VECTORS"
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
+_ALONE = ContextVar("alone", default=False)
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
 
@@ -129,8 +131,20 @@ def available() -> bool:
     return True
 
 
+@contextlib.contextmanager
+def one_thread() -> Generator[None]:
+    """Run programs on the calling thread alone, where others have work for the other processors."""
+    before = _ALONE.set(True)
+    try:
+        yield
+    finally:
+        _ALONE.reset(before)
+
+
 def available_processors() -> int:
-    """Return the number of processors this process may use."""
+    """Return the number of processors that programs may run on."""
+    if _ALONE.get():
+        return 1
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -252,14 +266,7 @@ def _read_object(path: Path) -> bytes | None:
 def _write_object(path: Path, code: bytes) -> None:
     """Keep the code if the disk lets us; a name is only ever given to a whole file."""
     with contextlib.suppress(OSError):  # a read-only home costs time, nothing else
-        path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, part = tempfile.mkstemp(dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(hashlib.sha256(code).digest() + code)
-            os.replace(part, path)
-        except OSError:
-            os.unlink(part)
+        write_whole(path, hashlib.sha256(code).digest() + code)
         kept = sorted(path.parent.glob("*.o"), key=lambda file: file.stat().st_mtime)
         for oldest in kept[:-MOST_KEPT]:
             oldest.unlink()

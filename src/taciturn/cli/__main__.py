@@ -1,0 +1,6 @@
+"""``python -m taciturn.cli``."""
+
+from taciturn.cli.frame import main
+
+if __name__ == "__main__":
+    main()

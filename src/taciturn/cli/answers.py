@@ -1,0 +1,146 @@
+"""Commands that answer for one problem."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, cast
+
+import typer
+
+from taciturn import _print
+from taciturn.cli.frame import (
+    Confidence,
+    File,
+    Json,
+    Link,
+    Seed,
+    StandardError,
+    Steps,
+    app,
+    check_effort,
+    print_json,
+    progress_bar,
+    refuse,
+)
+
+
+@app.command()
+def evaluate(
+    file: File,
+    as_json: Json = False,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+    steps: Steps = None,
+    method: Annotated[str, typer.Option(help="auto, simulation or exact.")] = "auto",
+    precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
+    confidence: Confidence = None,
+) -> None:
+    """Cost, rate and guarantee of one policy."""
+    import taciturn
+    from taciturn.study.evaluate import choose_confidence
+
+    check_effort(standard_error, steps)
+    problem = taciturn.load(file)
+    with progress_bar("computing") as progress:
+        found = taciturn.evaluate(
+            problem,
+            seed=seed,
+            standard_error=standard_error,
+            steps=steps,
+            method=cast("Any", method),
+            precision=cast("Any", precision),
+            confidence=choose_confidence(problem, confidence),
+            progress=progress,
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.evaluation(found)
+    if not found.reached and steps is not None:
+        refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
+    if not found.reached and standard_error is not None and found.cost.standard_error <= standard_error:
+        refuse(
+            f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "
+            "are too many ticks; take a longer period"
+        )
+    if not found.reached:
+        wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"
+        refuse(
+            f"the standard error {wanted} was not reached within {found.steps} steps; "
+            f"reached {found.cost.standard_error:.3g}: ask for a larger --standard-error"
+        )
+
+
+@app.command()
+def tune(
+    file: File,
+    rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
+    cost: Annotated[float | None, typer.Option(help="Cost that is to be met.")] = None,
+    link: Link = None,
+    least_period: Annotated[
+        float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
+    ] = None,
+    as_json: Json = False,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+) -> None:
+    """The parameter of a policy that meets a rate or a cost."""
+    import taciturn
+    from taciturn.study.periods import TunedPeriod
+
+    check_effort(standard_error)
+    problem, on = taciturn.load(file), cast("Any", link)
+    with progress_bar("searching") as progress:
+        if least_period is None:
+            found = taciturn.tune(
+                problem, rate=rate, cost=cost, link=on, seed=seed, standard_error=standard_error, progress=progress
+            )
+        else:
+            if rate is None or cost is not None:
+                raise taciturn.ProblemError("--least-period is given; expected --rate alone beside it, the budget")
+            found = taciturn.tune_period(
+                problem,
+                rate=rate,
+                least=least_period,
+                link=on,
+                seed=seed,
+                standard_error=standard_error,
+                progress=progress,
+            )
+    best = found.best if isinstance(found, TunedPeriod) else found
+    if as_json:
+        print_json(found.document())
+    else:
+        if isinstance(found, TunedPeriod):
+            _print.periods(found)
+        _print.tuned(best)
+    if not best.evaluation.reached:
+        refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
+
+
+@app.command()
+def certify(file: File, as_json: Json = False) -> None:
+    """Decay, gain and cost that are proved by matrix inequalities, beside sending always."""
+    import taciturn
+
+    with progress_bar("certifying"):
+        found = taciturn.certify(taciturn.load(file))
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.certificates(found)
+
+
+@app.command()
+def bench(
+    as_json: Json = False,
+    rounds: Annotated[int, typer.Option(help="Of which medians are taken.")] = 5,
+) -> None:
+    """How fast this machine simulates, beside NumPy."""
+    from taciturn.study.bench import bench as measure
+
+    with progress_bar("measuring") as progress:
+        found = measure(rounds, progress)
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.bench(found)

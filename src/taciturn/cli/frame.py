@@ -1,0 +1,136 @@
+"""What all commands share: the application, its options, and how it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import warnings
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from taciturn.simulation.sampling import Progress
+
+app = typer.Typer(
+    name="taciturn",
+    help="Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.",
+    add_completion=False,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+File = Annotated[
+    str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem, as two-mass.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Link = Annotated[str | None, typer.Option(help="sensor or actuator: whose rate, where a policy decides on both.")]
+Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")]
+Confidence = Annotated[
+    float | None, typer.Option(help="Of the lower bound. Default: 0.999 where there is one; 0: seek none.")
+]
+Steps = Annotated[int | None, typer.Option(help="Run this many steps of all paths together instead.")]
+StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate."""
+    if version:
+        from taciturn import __version__
+
+        typer.echo(__version__)
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+def main() -> None:
+    """Run the command line: exit code 0, or 2 with one sentence on standard error."""
+    from taciturn.errors import TaciturnError
+
+    reconfigure = getattr(sys.stdout, "reconfigure", None)
+    if reconfigure is not None:  # a terminal that has no ≤ gets \u2264, not an error
+        reconfigure(errors="backslashreplace")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
+            warnings.formatwarning = _as_sentence
+            code: object = app(standalone_mode=False)
+        print(end="", flush=True)
+    except TaciturnError as error:
+        refuse(str(error))
+    except typer.TyperException as error:
+        refuse(error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        sys.exit(130)
+    except BrokenPipeError:
+        drop_output()
+        sys.exit(1)
+    except OSError as error:
+        drop_output()
+        refuse(f"reading or writing failed ({error}); expected files that can be opened and a disk with room")
+    except (ArithmeticError, MemoryError) as error:
+        refuse(
+            f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
+            "expected sizes nearer to 1: scale the problem"
+        )
+    else:
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _as_sentence(
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
+) -> str:
+    """Return a warning without the place in the source that it came from."""
+    return f"taciturn: {message}\n"
+
+
+def refuse(sentence: str) -> None:
+    """End with a sentence on standard error and exit code 2."""
+    print(end="", flush=True)  # what was found stands before what is wrong with it
+    shown = "".join(letter if letter.isprintable() else " " for letter in sentence)
+    print(f"taciturn: {' '.join(shown.split())}", file=sys.stderr)
+    sys.exit(2)
+
+
+def drop_output() -> None:
+    """Let what is still buffered go nowhere, so that Python does not complain of it when it ends."""
+    with suppress(OSError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def print_json(document: object) -> None:
+    """Print one JSON document."""
+    typer.echo(json.dumps(document, indent=1, allow_nan=False))
+
+
+def check_effort(standard_error: float | None, steps: int | None = None) -> None:
+    """Refuse what no simulation can do, whether or not this problem is simulated."""
+    from taciturn._arrays import count, number
+
+    if standard_error is not None:
+        number("--standard-error", standard_error, 0.0)
+    if steps is not None:
+        count("--steps", steps)
+        number("--steps", steps, high=1e13)  # hours
+
+
+@contextmanager
+def progress_bar(what: str) -> Generator[Progress]:
+    """A bar on standard error with the time left, on a terminal only, once a run takes long enough to be seen."""
+    if not sys.stderr.isatty():
+        yield lambda fraction: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress as Bar
+
+    with Bar(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(what, total=None)  # it moves to and fro until a fraction is known
+        yield lambda fraction: bar.update(task, total=1.0, completed=fraction)

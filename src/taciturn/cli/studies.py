@@ -1,0 +1,246 @@
+"""Commands that answer for many problems: grids, comparisons, the thesis."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, cast
+
+import typer
+
+from taciturn import _print
+from taciturn.cli.frame import (
+    Confidence,
+    File,
+    Json,
+    Link,
+    Plot,
+    Seed,
+    StandardError,
+    Steps,
+    app,
+    check_effort,
+    print_json,
+    progress_bar,
+    refuse,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+Over = Annotated[
+    list[str], typer.Option(metavar="NAME=v1,v2,…", help="A key of [policy], or dotted; repeat for a grid.")
+]
+Workers = Annotated[int, typer.Option(min=1, help="Processes; 1: the threads of this one.")]
+
+
+@app.command()
+def tradeoff(
+    file: File,
+    over: Over,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+    confidence: Confidence = None,
+    store: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Keeps every point, so that a second run goes on.")
+    ] = None,
+    workers: Workers = 1,
+) -> None:
+    """Cost against rate over a parameter, beside optimal periodic control and the guarantee."""
+    import taciturn
+    from taciturn._figure import check_format, save
+    from taciturn._grid import parse_grid
+    from taciturn.study.evaluate import choose_confidence
+    from taciturn.study.workers import processes
+
+    check_effort(standard_error)
+    values = parse_grid(over)
+    if plot is not None:
+        check_format(plot)
+    problem = taciturn.load(file)
+    with progress_bar("computing") as progress, processes(workers) as executor:
+        found = taciturn.tradeoff(
+            problem,
+            values,
+            seed=seed,
+            standard_error=standard_error,
+            confidence=choose_confidence(problem, confidence),
+            executor=executor,
+            store=store,
+            progress=progress,
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.tradeoff(found)
+    if plot is not None:  # after the numbers, which a picture that cannot be written must not take away
+        save(found.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+    missed = [point for point in found.points if not point.evaluation.reached]
+    if missed:
+        values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
+        refuse(
+            f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
+            f"first at {values_text}: ask for a larger --standard-error"
+        )
+
+
+@contextmanager
+def told_of(store: Path) -> Generator[None]:
+    """Tell whoever presses Ctrl-C that what is computed is kept."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"taciturn: interrupted; what is computed is kept in {store}: the same command goes on", file=sys.stderr)
+        raise
+
+
+@app.command()
+def sweep(
+    file: File,
+    over: Over,
+    store: Annotated[
+        Path, typer.Option(metavar="DIR", help="Keeps every cell, so that a second run goes on; ends in result.nc.")
+    ],
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes. Default: one for each processor.")] = None,
+    dask: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of a dask scheduler whose workers are used instead.")
+    ] = None,
+    table: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="The result as a table as well: .csv or .parquet.")
+    ] = None,
+    seed: Seed = 0,
+    standard_error: StandardError = None,
+    steps: Steps = None,
+    confidence: Annotated[float | None, typer.Option(help="Of lower bounds. Default: none is sought.")] = None,
+) -> None:
+    """A grid of evaluations on many processors, kept cell by cell."""
+    import taciturn
+    from taciturn._dask import dask_workers
+    from taciturn._grid import parse_grid
+    from taciturn._table import check_table, save_table
+    from taciturn.study.sweep import save_whole, table_of
+    from taciturn.study.workers import processes
+
+    check_effort(standard_error, steps)
+    if dask is not None and workers is not None:
+        raise taciturn.ProblemError("--workers and --dask are both given; expected one: a scheduler has its own")
+    if table is not None:
+        check_table(table)
+    values, problem = parse_grid(over), taciturn.load(file)
+    pool = processes(workers) if dask is None else dask_workers(dask)
+    with told_of(store), progress_bar("sweeping") as progress, pool as executor:
+        found = taciturn.sweep(
+            problem,
+            values,
+            executor=executor,
+            store=store,
+            seed=seed,
+            standard_error=standard_error,
+            steps=steps,
+            confidence=confidence,
+            progress=progress,
+        )
+    save_whole(found, store / "result.nc")
+    _print.sweep(found, store / "result.nc")
+    if table is not None:
+        save_table(table_of(found), table)
+        typer.echo(f"table: {table}")
+    missed = int((~found.reached & (found.refusal == "")).sum())
+    if missed:
+        refuse(
+            f"the standard error was not reached in {missed} of {found.reached.size} cells: "
+            "ask for a larger --standard-error"
+        )
+    if (found.refusal != "").any():
+        raise typer.Exit(2)  # which cells and why has been told
+
+
+@app.command()
+def compare(
+    files: Annotated[list[str], typer.Argument(metavar="FILE FILE…", help="Problems that differ in their policies.")],
+    rate: Annotated[float, typer.Option(help="Sends per step or per second, the same for all.")],
+    link: Link = None,
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: Seed = 0,
+    standard_error: Annotated[float | None, typer.Option(help="Of each cost. Default: 3e-4 of all-time's.")] = None,
+) -> None:
+    """Several policies at the same rate, ranked, with the standard errors of their differences."""
+    import taciturn
+    from taciturn._figure import check_format, save
+
+    check_effort(standard_error)
+    if plot is not None:
+        check_format(plot)
+    stems = [Path(file).stem for file in files]
+    names = [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]
+    problems = {name: taciturn.load(file) for name, file in zip(names, files, strict=True)}
+    with progress_bar("comparing") as progress:
+        found = taciturn.compare(
+            problems, rate, link=cast("Any", link), seed=seed, standard_error=standard_error, progress=progress
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.comparison(found)
+    if plot is not None:
+        save(found.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+    missed = [one.name for one in found.ranking if not one.reached]
+    if missed:
+        refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
+
+
+@app.command()
+def reproduce(
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME…]", help="chapter2 to chapter7, or all (the default)."),
+    ] = None,
+    as_json: Json = False,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """The thesis's tables and figures, printed beside computed."""
+    import taciturn
+    from taciturn._figure import save
+    from taciturn.errors import ProblemError
+    from taciturn.study.reproduce import CHAPTERS
+
+    chosen = list(CHAPTERS) if not names or "all" in names else names
+    unknown = [name for name in chosen if name not in CHAPTERS]
+    if unknown:
+        raise ProblemError(
+            f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(CHAPTERS)}, or all"
+        )
+    folder = out or Path()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ProblemError(
+            f"the folder {str(folder)!r} cannot be made ({error.strerror}); expected one that can be written to"
+        ) from None
+    documents: list[dict[str, Any]] = []
+    pictures: dict[Path, Figure] = {}
+    for name in chosen:
+        with progress_bar(name) as progress:
+            found = taciturn.reproduce(name, seed=seed, progress=progress)
+        documents.append(found.document())
+        pictures |= {folder / f"{file}.svg": picture for file, picture in found.pictures.items()}
+        if not as_json:
+            _print.reproduction(found)
+    if as_json:
+        print_json(documents)
+    for path, picture in pictures.items():  # after the numbers, which must not be lost with a picture
+        if out is not None or not as_json:
+            save(picture, path)
+            if not as_json:
+                typer.echo(f"picture: {path}")
