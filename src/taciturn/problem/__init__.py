@@ -6,6 +6,7 @@ import inspect
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_type_hints
 
@@ -36,6 +37,8 @@ from taciturn.problem.tables import (
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 BUILT_IN = Path(__file__).parent.parent / "problems"
+
+CHANGED = "the changed problem"  # its name in messages
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +104,7 @@ class Problem:
         Raises:
             ProblemError: no such key, or a value that does not fit.
         """
-        parameters, tables = dict(self.parameters), _copied(self.source or {})
+        parameters, tables, same = dict(self.parameters), _copied(self.source or {}), True
         for name, value in values.items():
             *path, key = name.split(".")
             if not path or path == ["policy"]:
@@ -113,7 +116,7 @@ class Problem:
                     f"{name} cannot be changed in a problem that was not read from a file; expected a key of [policy]"
                 )
             else:
-                table = tables
+                table, same = tables, False
                 for part in path:
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
@@ -122,10 +125,11 @@ class Problem:
                 table[key] = value
                 if value is None:
                     del table[key]
-        if self.source is None:
-            return replace(self, parameters=parameters)
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
-        return parse(tables, "the changed problem")
+        if not same:
+            return parse(tables, CHANGED)
+        kind, parameters = _policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
+        return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
 
 
 def load(path: str | Path) -> Problem:
@@ -181,14 +185,8 @@ def parse(tables: Mapping[str, Any], name: str) -> Problem:
         file = File.model_validate(tables)
     except ValidationError as error:
         raise ProblemError(f"{name}: {first_mistake(error, File)}") from None
-    kind = file.policy.get("kind")
-    if not isinstance(kind, str) or kind not in CATALOGUE:
-        got = f"is {quoted(kind)}" if "kind" in file.policy else "is missing"
-        near = suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
-        raise ProblemError(f"{name}: policy.kind {got}; expected one of {', '.join(CATALOGUE)}{near}")
-    parameters = {key: value for key, value in file.policy.items() if key != "kind"}
+    kind, parameters = _policy(file.policy, name)
     try:
-        check_parameters(kind, parameters)
         if file.reference is not None:
             _expect(kind, "reference", "[reference]", "no reference")
         cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
@@ -200,6 +198,25 @@ def parse(tables: Mapping[str, Any], name: str) -> Problem:
         raise type(error)(f"{name}: {error}") from None
 
 
+def _policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any]]:
+    """Return kind and parameters of a ``[policy]`` table.
+
+    Raises:
+        ProblemError: no such kind, or no such parameters.
+    """
+    kind = table.get("kind")
+    if not isinstance(kind, str) or kind not in CATALOGUE:
+        got = f"is {quoted(kind)}" if "kind" in table else "is missing"
+        near = suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
+        raise ProblemError(f"{name}: policy.kind {got}; expected one of {', '.join(CATALOGUE)}{near}")
+    parameters = {key: value for key, value in table.items() if key != "kind"}
+    try:
+        check_parameters(kind, parameters)
+    except ProblemError as error:
+        raise ProblemError(f"{name}: {error}") from None
+    return kind, parameters
+
+
 def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters of a policy kind, checked against its design function.
 
@@ -209,31 +226,36 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     if kind not in CATALOGUE:
         near = suggest(str(kind), list(CATALOGUE))
         raise ProblemError(f"policy.kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
-    design = CATALOGUE[kind]
-    known = {
-        key: value
-        for key, value in inspect.signature(design).parameters.items()
-        if value.kind is value.KEYWORD_ONLY and key not in ("network", "reference")
-    }
-    hints = get_type_hints(design)
+    known = _accepted(kind)
     for key in parameters:
         if key not in known:
             expected = f"one of {', '.join(known)}" if known else "no parameters"
             raise ProblemError(
                 f"policy.{key} is not a parameter of {kind}; expected {expected}{suggest(key, list(known))}"
             )
-    for key, parameter in known.items():
-        if parameter.default is parameter.empty and key not in parameters:
+    for key, (_, needed) in known.items():
+        if needed and key not in parameters:
             raise ProblemError(f"policy.{key} is missing; {kind} expects it")
     checked: dict[str, Any] = {}
     for key, value in parameters.items():
         try:
-            hint = Rows if hints[key] == ArrayLike | None else hints[key]  # a matrix is written as rows
-            adapter = TypeAdapter[Any](hint)
+            adapter, _ = known[key]
             checked[key] = value if isinstance(value, np.ndarray) else adapter.validate_python(value, strict=True)
         except ValidationError as error:
             raise ProblemError(f"policy.{key} is {quoted(parameters[key])}; {ours(error.errors()[0]['msg'])}") from None
     return checked
+
+
+@cache
+def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
+    """Return what checks each parameter of a policy kind, and whether it is needed."""
+    design = CATALOGUE[kind]
+    hints = get_type_hints(design)
+    return {
+        key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
+        for key, value in inspect.signature(design).parameters.items()
+        if value.kind is value.KEYWORD_ONLY and key not in ("network", "reference")  # a matrix is written as rows
+    }
 
 
 def _used(kind: str, network: Network, reference: Reference | None) -> dict[str, Any]:
