@@ -57,6 +57,7 @@ if TYPE_CHECKING:
     from taciturn.study.periods import TunedPeriod as TunedPeriod
     from taciturn.study.periods import tune_period as tune_period
     from taciturn.study.reproduce import reproduce as reproduce
+    from taciturn.study.sweep import sweep as sweep
     from taciturn.study.tradeoff import Tradeoff as Tradeoff
     from taciturn.study.tradeoff import tradeoff as tradeoff
     from taciturn.study.tune import Tuned as Tuned
@@ -115,6 +116,7 @@ _HOME = {
     "simulate": "simulation.trajectory",
     "solve_optimum": "analyse.limits",
     "solve_renewal": "analyse.renewal",
+    "sweep": "study.sweep",
     "tradeoff": "study.tradeoff",
     "tune": "study.tune",
     "tune_period": "study.periods",

@@ -10,6 +10,10 @@ import typer
 from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    import xarray
+
     from taciturn.model.schedule import Schedule
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
@@ -19,6 +23,8 @@ if TYPE_CHECKING:
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
     from taciturn.study.tune import Tuned
+
+RATES = ("rate_actuator", "rate_sensor")
 
 
 def evaluation(found: Evaluation) -> None:
@@ -123,6 +129,20 @@ def tradeoff(found: Tradeoff) -> None:
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
         typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
+
+
+def sweep(found: xarray.Dataset, path: Path) -> None:
+    """Print what a sweep holds, where its costs are least and most, and where it is."""
+    grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
+    answered = int((found.refusal == "").sum())
+    typer.echo(f"{found.refusal.size} cells over {grid}, {answered} with an answer")
+    for what, cell in (("least", found.cost.argmin(...)), ("most", found.cost.argmax(...))):
+        at = found.isel(cell)
+        where = ", ".join(f"{name} = {at[name].item()}" for name in found.sizes)
+        cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
+        rates = [f"{at[name].item():.4g} {at[name].units} ({name[5:]})" for name in RATES if name in found]
+        typer.echo(f"{what} cost {cost} at {where}; {', '.join(rates)}")
+    typer.echo(f"result: {path}")
 
 
 def tuned(found: Tuned) -> None:

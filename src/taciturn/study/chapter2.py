@@ -9,7 +9,8 @@ from taciturn._figure import Panel, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import evaluate
+from taciturn.study.cells import Cell, Effort, evaluate_cells
+from taciturn.study.evaluate import Evaluation
 from taciturn.study.periodic import periodic_cost_at, periodic_curve
 from taciturn.study.reproduction import Reproduction, Row, Table
 
@@ -31,7 +32,7 @@ TABLE_2_2: Mapping[str, tuple[float, float, float, float]] = {
     "model": (0.7419, 0.7523, 50, 28),
 }
 FIGURE_2_2 = (0.0, 0.005, 0.02, 0.045, 0.1, 0.2, 0.5, 1.3)  # θ of the points of Figure 2.2
-EPSILON = 0.009  # of Table 2.1
+TRIGGERS = ({"trigger": "separate", "epsilon": 0.009}, {"trigger": "joint"})  # (2.12) with ε of Table 2.1, and (2.13)
 PRECISION = 5e-5  # standard error of a cost
 _OFFSET = (
     "every printed cost lies .006–.009 above the exact one: most likely all carry the noise of one shared Monte Carlo "
@@ -44,46 +45,32 @@ def chapter2(seed: int, progress: Progress) -> Reproduction:
 
     Source: khashooei2017
     """
-    problem = load("two-mass")
-    done, total = 0, 2 * len(TABLE_2_1) + 2 * len(TABLE_2_2) + len(FIGURE_2_2)
-
-    def both(values: Mapping[str, object]) -> tuple[dict[str, Estimate], float]:
-        """Cost and rate of the separate and the joint trigger, and the bound."""
-        nonlocal done
-        computed: dict[str, Estimate] = {}
-        bound = 0.0
-        for equation, trigger in (
-            ("2.12", {"trigger": "separate", "epsilon": EPSILON}),
-            ("2.13", {"trigger": "joint"}),
-        ):
-            found = evaluate(problem.changed({**values, **trigger}), seed=seed, standard_error=PRECISION)
-            computed[f"cost ({equation})"] = found.cost
-            computed[f"rate ({equation}) %"] = found.rates["actuator"].scaled(100.0)
-            bound = found.cost_bound or 0.0
-            done += 1
-            progress(done / total)
-        return computed, bound
-
-    columns = ("cost (2.12)", "cost (2.13)", "rate (2.12) %", "rate (2.13) %", "bound")
-    first: list[Row] = []
-    for theta, printed in TABLE_2_1.items():
-        computed, bound = both({"theta": theta})
-        computed["bound"] = Estimate(bound, 0.0, "bound")
-        first.append(Row({"θ": theta}, dict(zip(columns, printed, strict=True)), computed))
-    second = [
-        Row(
-            {"actuation": actuation},
-            dict(zip(columns, printed, strict=False)),
-            both({"theta": 0.1, "actuation": actuation})[0],
-        )
-        for actuation, printed in TABLE_2_2.items()
+    problem, continuous = load("two-mass"), load("two-mass-continuous")
+    compared = [{"theta": theta} for theta in TABLE_2_1] + [
+        {"theta": 0.1, "actuation": actuation} for actuation in TABLE_2_2
     ]
-    continuous = load("two-mass-continuous")
-    third: list[Row] = []
-    for theta in FIGURE_2_2:
-        third.append(_figure_point(continuous, theta, seed))
-        done += 1
-        progress(done / total)
+    cells = [Cell({**values, **trigger}, seed) for values in compared for trigger in TRIGGERS]
+    last = len(cells) / (len(cells) + len(FIGURE_2_2))  # the share of the tables in the work
+    found = evaluate_cells(problem, cells, Effort(PRECISION), progress=lambda share: progress(last * share))
+    pairs = list(zip(found[::2], found[1::2], strict=True))
+    columns = ("cost (2.12)", "cost (2.13)", "rate (2.12) %", "rate (2.13) %", "bound")
+    first = [
+        Row({"θ": theta}, dict(zip(columns, printed, strict=True)), _both(*pair) | {"bound": _bound(pair[1])})
+        for (theta, printed), pair in zip(TABLE_2_1.items(), pairs, strict=False)
+    ]
+    second = [
+        Row({"actuation": actuation}, dict(zip(columns, printed, strict=False)), _both(*pair))
+        for (actuation, printed), pair in zip(TABLE_2_2.items(), pairs[len(TABLE_2_1) :], strict=True)
+    ]
+    points = evaluate_cells(
+        continuous,
+        [Cell({"theta": theta}, seed) for theta in FIGURE_2_2],
+        Effort(PRECISION),
+        progress=lambda share: progress(last + (1 - last) * share),
+    )
+    third = [
+        Row({"θ": theta}, {}, _figure_point(continuous, one)) for theta, one in zip(FIGURE_2_2, points, strict=True)
+    ]
     tables = (
         Table(
             "Table 2.1",
@@ -100,16 +87,27 @@ def chapter2(seed: int, progress: Progress) -> Reproduction:
     return Reproduction("chapter2", tables, {"chapter2": _figure_2_2(continuous, third)})
 
 
-def _figure_point(problem: Problem, theta: float, seed: int) -> Row:
-    found = evaluate(problem.changed({"theta": theta}), seed=seed, standard_error=PRECISION)
+def _both(separate: Evaluation, joint: Evaluation) -> dict[str, Estimate]:
+    """Return cost and rate of the two triggers, by the numbers of their equations."""
+    computed: dict[str, Estimate] = {}
+    for equation, found in (("2.12", separate), ("2.13", joint)):
+        computed[f"cost ({equation})"] = found.cost
+        computed[f"rate ({equation}) %"] = found.rates["actuator"].scaled(100.0)
+    return computed
+
+
+def _bound(found: Evaluation) -> Estimate:
+    assert found.cost_bound is not None
+    return Estimate(found.cost_bound, 0.0, "bound")
+
+
+def _figure_point(problem: Problem, found: Evaluation) -> dict[str, Estimate]:
     rate = found.rates["actuator"]
     computed = {"mean interval": rate.inverse(), "event-triggered": found.cost}
     periodic = periodic_cost_at(problem, rate.value, "hold")
     if periodic is not None:
         computed["periodic at the same interval"] = Estimate(periodic, 0.0, "exact")
-    if found.cost_bound is not None:
-        computed["bound"] = Estimate(found.cost_bound, 0.0, "bound")
-    return Row({"θ": theta}, {}, computed)
+    return computed | {"bound": _bound(found)}
 
 
 def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:

@@ -18,7 +18,7 @@ from taciturn.model.reference import Reference
 from taciturn.problem import load
 from taciturn.simulation.average import Progress, average
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.evaluate import evaluate
+from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:
@@ -43,13 +43,20 @@ def chapter7(seed: int, progress: Progress) -> Reproduction:
     Source: khashooei2017
     """
     problem, total = load("lossy-double-integrator"), len(PROTOCOLS) * len(PRICES) + len(TRACKING_PRICES)
-    points: list[Row] = []
-    for protocol, values in PROTOCOLS.items():
-        for price in PRICES:
-            found = evaluate(problem.changed({**values, "price": price}), seed=seed, standard_error=PRECISION)
-            bounds = (found.cost_all_time, found.cost_bound, found.cost_bound_at_rate)
-            points.append(_point({"links": protocol, "λ": price}, found.rates["actuator"], found.cost, bounds))
-            progress(len(points) / total)
+    grid = [(protocol, price) for protocol in PROTOCOLS for price in PRICES]
+    cells = [Cell({**PROTOCOLS[protocol], "price": price}, seed) for protocol, price in grid]
+    answers = evaluate_cells(
+        problem, cells, Effort(PRECISION), progress=lambda share: progress(share * len(cells) / total)
+    )
+    points = [
+        _point(
+            {"links": protocol, "λ": price},
+            found.rates["actuator"],
+            found.cost,
+            (found.cost_all_time, found.cost_bound, found.cost_bound_at_rate),
+        )
+        for (protocol, price), found in zip(grid, answers, strict=True)
+    ]
     rounds: list[Row] = []
     for price in TRACKING_PRICES:
         loop = tracking_loop(price)

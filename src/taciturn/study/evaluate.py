@@ -170,9 +170,7 @@ def evaluate(
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         if confidence is not None:
-            raise ProblemError(
-                f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
-            )
+            expect_bound(problem)
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
         found = _events(problem, policy, seed, standard_error, steps, method, progress)
@@ -226,14 +224,25 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
     """Return the confidence of a lower bound: that asked for, none for 0; by default the usual one where one is had."""
     if asked is not None:
         return asked or None
-    policy = problem.designed()
-    if isinstance(policy, EventPolicy):
-        return None
     try:
-        resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
+        expect_bound(problem)
     except ProblemError:
         return None
     return USUAL
+
+
+def expect_bound(problem: Problem) -> None:
+    """Refuse a problem that has no lower bound of the cost of any scheduling.
+
+    Raises:
+        ProblemError: why it has none.
+    """
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy):
+        raise ProblemError(
+            f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
+        )
+    resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
 
 
 def unit_of(problem: Problem) -> Literal["step", "second"]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +15,11 @@ from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation, choose_confidence, evaluate
+from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
+from taciturn.study.evaluate import Evaluation
 from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve
+from taciturn.study.store import Store
+from taciturn.study.sweep import check_grid, grid_of, label_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -127,6 +131,8 @@ def tradeoff(
     seed: int = 0,
     standard_error: float | None = None,
     confidence: float | None = None,
+    executor: Executor | None = None,
+    store: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Tradeoff:
     """Return cost against rate of a problem's policy over a grid of its parameters.
@@ -138,6 +144,8 @@ def tradeoff(
         standard_error: absolute, of each cost; omitted: 1e-4 of it.
         confidence: with which lower bounds are to hold of the cost of any scheduling at the rates found; omitted: none
             is sought. Points that have none go without, unless that is all of them.
+        executor: runs the points, as in ``sweep``; omitted: here.
+        store: folder that keeps the points, as in ``sweep``; a second run computes only what is missing.
         progress: called with the fraction done.
 
     Returns:
@@ -146,23 +154,19 @@ def tradeoff(
     Raises:
         ProblemError: no values, an unknown key, or data that do not fit.
     """
-    grid = _grid(over)
+    grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
         changed.designed()  # a mistake in the last cell is told before the first one runs
     units = {(changed.cost.horizon is None and changed.cost.discount == 1) for changed in problems}
     if len(units) > 1:
         raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
-    bounded = [confidence is not None and choose_confidence(changed, None) is not None for changed in problems]
+    check_confidence(problems, confidence)
+    effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
+    kept = None if store is None else Store(store, label_of(problem, over))
+    found = evaluate_cells(problem, cells, effort, executor, kept, progress)
     points: list[Point] = []
-    for index, (cell, changed) in enumerate(zip(grid, problems, strict=True)):
-
-        def report(fraction: float, index: int = index) -> None:
-            if progress is not None:
-                progress((index + fraction) / len(grid))
-
-        sought = confidence if bounded[index] or not any(bounded) else None
-        evaluation = evaluate(changed, seed=seed, standard_error=standard_error, confidence=sought, progress=report)
+    for cell, changed, evaluation in zip(grid, problems, found, strict=True):
         actuation = actuation_of(changed)
         rate = next(iter(evaluation.rates.values())).value
         same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
@@ -170,18 +174,6 @@ def tradeoff(
     return Tradeoff(
         tuple(points), _curves(problems, points, over), points[0].evaluation.unit, points[0].evaluation.statement
     )
-
-
-def _grid(over: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return the cells: every combination, the last key fastest."""
-    listed: dict[str, list[object]] = {}
-    for name, values in over.items():
-        if isinstance(values, str) or not hasattr(values, "__iter__"):
-            raise ProblemError(f"the values of {name} are {values!r}; expected a list of values, as [0.1, 1.0]")
-        listed[name] = list(values)
-    if not listed or not all(listed.values()):
-        raise ProblemError("no values to trade off over; expected a name with at least one value, as theta=0.1,1")
-    return [dict(zip(listed, cell, strict=True)) for cell in itertools.product(*listed.values())]
 
 
 def _curves(

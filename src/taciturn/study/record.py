@@ -1,0 +1,98 @@
+"""Results as text that gives the same bits again, and digests of what they were computed from."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn.analyse.limits import LowerBound
+from taciturn.model.estimate import Estimate
+from taciturn.model.schedule import Schedule
+from taciturn.problem import Problem
+from taciturn.study.evaluate import Evaluation
+
+KIND = "kind of data"  # key of what a mapping stands for
+RECORDED = {known.__name__: known for known in (Evaluation, Estimate, LowerBound, Schedule)}
+
+
+def encode(value: object) -> str:
+    """Return JSON text of data classes, arrays, mappings, sequences, numbers and words; equal data give equal text."""
+    return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
+
+
+def decode(text: str) -> Any:
+    """Return what was encoded; sequences come back as tuples.
+
+    Raises:
+        ValueError: the text is not JSON, or names data that are unknown here.
+    """
+    return _restored(json.loads(text))
+
+
+def digest(text: str) -> str:
+    """Return the SHA-256 of a text."""
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def fingerprint(problem: Problem, without: Iterable[str] = ()) -> str:
+    """Return the digest of all that a problem states, but for some of its keys.
+
+    Args:
+        problem: read from a file, or made in Python.
+        without: keys of ``[policy]``, or dotted.
+    """
+    parameters = dict(problem.parameters)
+    tables: Any = json.loads(encode(problem if problem.source is None else problem.source))
+    for told_apart in ("policy", "parameters"):  # of a file; of a problem made in Python
+        tables.pop(told_apart, None)
+    for name in without:
+        *path, key = name.split(".")
+        if path in ([], ["policy"]):
+            parameters.pop(key, None)
+            continue
+        table: Any = tables
+        for part in path:
+            table = cast("dict[str, Any]", table).get(part) if isinstance(table, dict) else None
+        if isinstance(table, dict):
+            cast("dict[str, Any]", table).pop(key, None)
+    return digest(encode({"tables": tables, "kind": problem.kind, "parameters": parameters}))
+
+
+def _plain(value: object) -> object:
+    if is_dataclass(value) and not isinstance(value, type):
+        held = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+        return held | {KIND: type(value).__name__}
+    if isinstance(value, np.ndarray):
+        array = cast("np.ndarray[Any, Any]", value)
+        return {KIND: "array", "type": array.dtype.str, "shape": array.shape, "values": array.ravel().tolist()}
+    if isinstance(value, np.generic):
+        return cast("Any", value).item()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in cast("Mapping[object, object]", value).items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in cast("Iterable[object]", value)]
+    return value
+
+
+def _restored(value: object) -> Any:
+    if isinstance(value, list):
+        return tuple(_restored(one) for one in cast("list[object]", value))
+    if not isinstance(value, dict):
+        return value
+    held = cast("dict[str, Any]", value)
+    kind = held.pop(KIND, None)
+    if kind is None:
+        return {key: _restored(one) for key, one in held.items()}
+    if kind == "array":
+        return np.array(held["values"], dtype=held["type"]).reshape(held["shape"])
+    if kind not in RECORDED:
+        raise ValueError(f"{kind} is no data of a result")
+    try:
+        return RECORDED[kind](**{key: _restored(one) for key, one in held.items()})
+    except TypeError as error:
+        raise ValueError(str(error)) from None

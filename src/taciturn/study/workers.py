@@ -1,0 +1,42 @@
+"""Where the cells of a sweep run: processes of this machine, the workers of a dask cluster, or any other executor."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Generator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+from typing import Any
+
+from taciturn.program.machine import available_processors
+
+
+def workers_of(executor: Executor) -> int:
+    """Return how many tasks an executor runs at a time, as far as it tells."""
+    for name in ("num_workers", "_max_workers"):  # mpi4py's; the standard library's
+        known: Any = getattr(executor, name, None)
+        if isinstance(known, int) and known > 0:
+            return known
+    client: Any = getattr(executor, "_client", None)  # dask's
+    if client is not None:
+        return max(1, sum(client.nthreads().values()))
+    return available_processors()
+
+
+@contextmanager
+def processes(workers: int | None) -> Generator[Executor | None]:
+    """Give a pool of so many processes (None: one for each processor), or nothing for one: its threads serve then."""
+    if (workers := workers or available_processors()) == 1:
+        yield None
+        return
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
+    with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts) as pool:
+        yield pool
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the process that a terminal's user talks to."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

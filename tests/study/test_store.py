@@ -1,0 +1,213 @@
+"""Stores: nothing is lost, whatever dies; nothing is used that belongs to something else, or is damaged."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray
+
+from taciturn import Problem, ProblemError, evaluate, load, sweep
+from taciturn._files import PART
+from taciturn.study.record import decode, encode, fingerprint
+from taciturn.study.store import Store
+
+GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
+EFFORT = 3e-3
+
+
+def computed(monkeypatch: pytest.MonkeyPatch) -> list[object]:
+    """Return the list of what is evaluated from now on."""
+    from taciturn.study import cells
+
+    seen: list[object] = []
+    real = cells.evaluate
+
+    def watched(problem: Problem, **given: object) -> object:
+        seen.append(problem.parameters["theta"])
+        return real(problem, **given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(cells, "evaluate", watched)
+    return seen
+
+
+def swept(folder: Path, **given: object) -> xarray.Dataset:
+    """Return the small sweep with a store."""
+    return sweep(load("two-mass"), **{"over": GRID, "store": folder, "standard_error": EFFORT, **given})  # type: ignore[arg-type]
+
+
+def files(folder: Path) -> list[Path]:
+    """Return the files of cells that are whole."""
+    return sorted(path for path in (folder / "cells").glob("*/*") if path.suffix != PART)
+
+
+def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And a larger one what is new; another seed, precision or problem everything."""
+    first = swept(tmp_path)
+    seen = computed(monkeypatch)
+    assert swept(tmp_path).identical(first)
+    assert seen == []
+    swept(tmp_path, over={**GRID, "theta": [0.1, 2.0]})
+    assert seen == [2.0, 2.0]
+    for changed in ({"seed": 1}, {"standard_error": 2e-3}):
+        before = len(seen)
+        swept(tmp_path, **changed)
+        assert len(seen) == before + 6
+    problem = load("two-mass").changed({"cost.R": [[0.2]]})
+    before = len(seen)
+    with pytest.warns(UserWarning, match=r"was filled by another problem [0-9a-f]{12}, now [0-9a-f]{12}: what"):
+        sweep(problem, GRID, store=tmp_path, standard_error=EFFORT)
+    assert len(seen) == before + 6
+    with pytest.warns(UserWarning, match="was filled by another problem"):
+        assert swept(tmp_path).identical(first)
+    assert len(seen) == before + 6
+
+
+def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the old one kept stays."""
+    swept(tmp_path)
+    for module in ("taciturn.study.cells", "taciturn.study.sweep"):
+        monkeypatch.setattr(f"{module}.version", lambda name: "0.0.9")
+    seen = computed(monkeypatch)
+    with pytest.warns(UserWarning, match=r"was filled by another version .*, now 0\.0\.9"):
+        swept(tmp_path)
+    assert len(seen) == 6
+    assert len(files(tmp_path)) == 12
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "words"])
+def test_a_damaged_cell_is_found_and_mended(damage: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One byte is enough, wherever it is."""
+    first = swept(tmp_path)
+    for turn, path in enumerate(files(tmp_path)[:3]):
+        whole = path.read_bytes()
+        at = (turn * len(whole)) // 3 + 7
+        flipped = whole[:at] + bytes([whole[at] ^ 4]) + whole[at + 1 :]
+        path.write_bytes({"flip": flipped, "cut": whole[:at], "empty": b"", "words": b"no cell\n{}"}[damage])
+    seen = computed(monkeypatch)
+    with pytest.warns(UserWarning, match=r"is damaged; its cell is computed again"):
+        assert swept(tmp_path).identical(first)
+    assert len(seen) == 3
+    assert swept(tmp_path).identical(first)
+    assert len(seen) == 3
+
+
+def test_an_answer_is_the_same_after_it_was_kept() -> None:
+    """Every field, a schedule and a bound included; numbers that no decimal writes in short."""
+    line = load("two-mass").changed({"actuation": "model"})
+    for found in (
+        evaluate(load("rover"), steps=60 * 1000),
+        evaluate(line, standard_error=1e-2, confidence=0.9),
+    ):
+        again = decode(encode(found))
+        assert encode(again) == encode(found)
+        assert again.document() == found.document()
+        assert type(again.notes) is tuple
+    assert encode({"x": np.float64(0.1), "y": np.arange(2)}) == encode({"y": np.arange(2), "x": 0.1})
+    with pytest.raises(ValueError, match="no data of a result"):
+        decode(encode(load("two-mass").plant))
+
+
+def test_a_fingerprint_forgets_only_what_is_swept() -> None:
+    """Of a problem from a file and of one made in Python."""
+    problem = load("two-mass")
+    made = Problem(problem.plant, problem.cost, problem.network, problem.kind, problem.parameters)
+    for one in (problem, made):
+        other = one.changed({"theta": 7.0})
+        assert fingerprint(one) != fingerprint(other)
+        assert fingerprint(one, ["theta"]) == fingerprint(other, ["policy.theta"])
+        assert fingerprint(one, ["theta"]) != fingerprint(one.changed({"actuation": "model"}), ["theta"])
+    assert fingerprint(problem, ["plant.dt"]) == fingerprint(problem.changed({"plant.dt": 0.3}), ["plant.dt"])
+
+
+def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
+    """One with other files, and one that cannot be."""
+    (tmp_path / "thesis.txt").write_text("do not touch")
+    with pytest.raises(ProblemError, match=r"is no store and holds other files, as 'thesis.txt'; expected an empty"):
+        swept(tmp_path)
+    with pytest.raises(ProblemError, match=r"cannot be used \(.*\); expected a folder that can be written to"):
+        swept(tmp_path / "thesis.txt" / "store")
+    (tmp_path / "damaged").mkdir()
+    (tmp_path / "damaged" / "store.json").write_text("{")
+    with pytest.warns(UserWarning, match=r"store.json of the store .* is damaged; it is written again"):
+        Store(tmp_path / "damaged", {"problem": "1"})
+    Store(tmp_path / "damaged", {"problem": "1"})
+
+
+COMMAND = [sys.executable, "-m", "taciturn.cli", "sweep", "two-mass", "--over", "actuation=hold,model"]
+
+
+def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> None:
+    """A limit on the size of files stands for a disk without room; then there is room again."""
+    command = [*COMMAND, "--over", "theta=0.1,1,3", "--store", str(tmp_path / "s"), "--standard-error", "3e-3"]
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (256, 256))
+
+    ran = subprocess.run(
+        [*command, "--workers", "1"], preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ran.returncode == 2
+    assert ran.stderr.startswith("taciturn: the store")
+    assert "cannot be written to (File too large); what it holds is whole: make room" in ran.stderr
+    assert ran.stderr.count("\n") == 1
+    assert files(tmp_path / "s") == []
+    subprocess.run([*command, "--workers", "1"], check=True, capture_output=True, timeout=120)
+    assert len(files(tmp_path / "s")) == 6
+
+
+def test_an_interrupted_sweep_says_where_it_goes_on(tmp_path: Path) -> None:
+    """Ctrl-C reaches every process of a terminal's job; what is kept is whole, and the same command goes on."""
+    grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(200))
+    command = [*COMMAND, "--over", grid, "--store", str(tmp_path / "s"), "--standard-error", "2e-3", "--workers", "2"]
+    running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    while len(files(tmp_path / "s")) < 3 and running.poll() is None:
+        time.sleep(0.01)
+    os.killpg(running.pid, signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert errors == f"taciturn: interrupted; what is computed is kept in {tmp_path / 's'}: the same command goes on\n"
+    kept = len(files(tmp_path / "s"))
+    assert 3 <= kept < 400
+    store = Store(tmp_path / "s", decode((tmp_path / "s" / "store.json").read_text()))
+    assert all(store.read("".join(file.parts[-2:])) for file in files(tmp_path / "s"))
+
+
+def killed_ten_times(tmp_path: Path, values: int, precision: str) -> None:
+    """Kill a sweep and all its processes ten times, let it end, and compare it with one that was left alone."""
+    grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(values))
+    run = [*COMMAND, "--over", grid, "--standard-error", precision, "--workers", "2", "--store"]
+    draws, kept = np.random.default_rng(0), [0]
+    for _ in range(10):
+        process = subprocess.Popen([*run, str(tmp_path / "killed")], start_new_session=True, stderr=subprocess.DEVNULL)
+        started = time.monotonic()
+        while (
+            len(files(tmp_path / "killed")) == kept[-1] and process.poll() is None and time.monotonic() < started + 60
+        ):
+            time.sleep(0.01)
+        time.sleep(draws.uniform(0.0, 0.3))
+        assert process.poll() is None, "the sweep ended before it could be killed: take more cells"
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        kept.append(len(files(tmp_path / "killed")))
+        assert kept[-1] >= kept[-2], "a kill lost what was kept"
+    for name in ("killed", "whole"):
+        subprocess.run([*run, str(tmp_path / name)], check=True, capture_output=True, timeout=600)
+    found = [
+        xarray.open_dataset(tmp_path / name / "result.nc", engine="h5netcdf").load() for name in ("killed", "whole")
+    ]
+    xarray.testing.assert_identical(*found)
+
+
+@pytest.mark.evidence
+def test_ten_kills_leave_the_bits_of_an_uninterrupted_run(tmp_path: Path) -> None:
+    """600 cells on two processes."""
+    killed_ten_times(tmp_path, 300, "3e-3")

@@ -1,0 +1,336 @@
+"""Sweeps: the same bits wherever they run, cells that are evaluations, and what cannot be swept."""
+
+from __future__ import annotations
+
+import json
+import logging
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import xarray
+
+import taciturn
+from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
+from taciturn._dask import dask_workers
+from taciturn.model.network import Network
+from taciturn.study.sweep import save_whole, table_of
+
+GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
+EFFORT = 3e-3  # standard error
+
+
+@pytest.fixture(scope="module")
+def whole() -> xarray.Dataset:
+    """Return a small sweep, computed here."""
+    return sweep(load("two-mass"), GRID, standard_error=EFFORT, seed=3)
+
+
+def test_a_cell_is_the_evaluation_with_its_seed(whole: xarray.Dataset) -> None:
+    """Dimensions are the swept names; each cell is what ``evaluate`` says with the seed that stands there."""
+    assert dict(whole.sizes) == {"theta": 3, "actuation": 2}
+    assert len(np.unique(whole.seed)) == 6
+    for theta in GRID["theta"]:
+        for actuation in GRID["actuation"]:
+            cell = whole.sel(theta=theta, actuation=actuation)
+            changed = load("two-mass").changed({"theta": theta, "actuation": actuation})
+            found = taciturn.evaluate(changed, seed=cell.seed.item(), standard_error=EFFORT)
+            assert cell.cost.item() == found.cost.value
+            assert cell.cost_standard_error.item() == found.cost.standard_error
+            assert cell.rate_actuator.item() == found.rates["actuator"].value
+            assert cell.cost_bound.item() == found.cost_bound
+            assert cell.cost_method.item() == "simulation"
+            assert cell.reached.item() == found.reached
+            assert cell.steps.item() == found.steps
+    assert whole.cost.units == "cost per step"
+    assert whole.rate_actuator.units == "sends per step"
+    assert whole.attrs["version"] == taciturn.__version__
+    assert whole.attrs["seed"] == 3
+    assert (whole.refusal == "").all()
+
+
+def test_a_cell_is_the_same_in_every_grid(whole: xarray.Dataset) -> None:
+    """Reversed, and alone; another seed gives other draws."""
+    turned = {name: values[::-1] for name, values in GRID.items()}
+    back = sweep(load("two-mass"), turned, standard_error=EFFORT, seed=3)
+    assert back.sortby("theta").sortby("actuation").identical(whole)
+    alone = sweep(load("two-mass"), {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=3)
+    xarray.testing.assert_identical(alone, whole.sel(theta=[1.0], actuation=["model"]))
+    other = sweep(load("two-mass"), {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=4)
+    assert other.cost.item() != alone.cost.item()
+
+
+def test_threads_and_processes_give_the_same_bits(whole: xarray.Dataset) -> None:
+    """Whatever runs a cell."""
+    pools: list[Executor] = [ThreadPoolExecutor(3), ProcessPoolExecutor(2, get_context("spawn"))]
+    for pool in pools:
+        with pool:
+            xarray.testing.assert_identical(
+                sweep(load("two-mass"), GRID, executor=pool, standard_error=EFFORT, seed=3), whole
+            )
+
+
+def test_a_dask_cluster_gives_the_same_bits(whole: xarray.Dataset) -> None:
+    """Two worker processes."""
+    distributed: Any = pytest.importorskip("distributed")
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        dask_workers(cluster.scheduler_address) as executor,
+    ):
+        found = sweep(load("two-mass"), GRID, executor=executor, standard_error=EFFORT, seed=3)
+    xarray.testing.assert_identical(found, whole)
+
+
+SCRIPT = """
+import json
+import sys
+from pathlib import Path
+
+from mpi4py.futures import MPIPoolExecutor
+
+import taciturn
+from taciturn.study.sweep import save_whole
+
+if __name__ == "__main__":
+    name, grid, effort, out = sys.argv[1:]
+    with MPIPoolExecutor() as executor:
+        found = taciturn.sweep(taciturn.load(name), json.loads(grid), executor=executor, seed=3, **json.loads(effort))
+    save_whole(found, Path(out))
+"""
+
+
+def by_two_ranks(folder: Path, name: str, grid: dict[str, list[Any]], **effort: float) -> xarray.Dataset:
+    """Return a sweep by MPI: one rank hands out, one computes."""
+    pytest.importorskip("mpi4py")
+    script, out = folder / "swept.py", folder / "mpi.nc"
+    script.write_text(SCRIPT)
+    launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", "2", sys.executable, "-m", "mpi4py.futures"]
+    command = [*launch, str(script), name, json.dumps(grid), json.dumps(effort), str(out)]
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    assert ran.returncode == 0, ran.stderr
+    return xarray.load_dataset(out, engine="h5netcdf")
+
+
+def test_two_ranks_of_mpi_give_the_same_bits(whole: xarray.Dataset, tmp_path: Path) -> None:
+    """By the pip package of an MPI."""
+    xarray.testing.assert_identical(by_two_ranks(tmp_path, "two-mass", GRID, standard_error=EFFORT), whole)
+
+
+def test_what_cannot_be_answered_is_told_and_the_rest_is_there() -> None:
+    """A threshold below zero in the middle of a grid: a warning, its cells missing, its reason kept."""
+    with pytest.warns(
+        UserWarning, match=r"^2 of 6 cells have no answer, first at theta=-1, actuation=hold: theta is -1"
+    ):
+        found = sweep(load("two-mass"), {**GRID, "theta": [0.1, -1, 3.0]}, standard_error=EFFORT)
+    assert found.refusal.sel(theta=-1, actuation="model").item().startswith("theta is -1; expected")
+    missing = np.isnan(found.cost.values)
+    assert missing.tolist() == [[False] * 2, [True] * 2, [False] * 2]
+    assert not found.reached.values[missing].any()
+
+
+def test_a_result_is_read_again_from_every_file(whole: xarray.Dataset, tmp_path: Path) -> None:
+    """Bit for bit, with units and provenance; a table has a row for each cell, and parquet keeps its attributes."""
+    save_whole(whole, tmp_path / "whole.nc")
+    with xarray.open_dataset(tmp_path / "whole.nc", engine="h5netcdf") as found:
+        xarray.testing.assert_identical(found.load(), whole)
+    table = table_of(whole)
+    assert len(table) == 6
+    row = table[(table.theta == 1.0) & (table.actuation == "model")]
+    assert row.cost.item() == whole.cost.sel(theta=1.0, actuation="model").item()
+    pandas: Any = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    table.to_parquet(tmp_path / "whole.parquet")
+    again = pandas.read_parquet(tmp_path / "whole.parquet")
+    assert again.attrs == table.attrs == dict(whole.attrs)
+    assert again.equals(table)
+
+
+def test_links_bounds_and_matrices_have_their_columns() -> None:
+    """A rule over two links; a matrix as a label; what a model-actuated loop is bounded by; dotted names."""
+    both = sweep(load("remote-scalar"), {"zeta": [0.5, 1.5]}, standard_error=1e-2)
+    assert {"rate_actuator", "rate_sensor"} <= set(both)
+    weights = {"kind": ["absolute"], "threshold": [0.1], "theta": [None], "weight": [[[1.0]], [[2.0]]]}
+    found = sweep(load("two-mass"), weights, standard_error=1e-2)
+    assert found.weight.values.tolist() == ["[[1.0]]", "[[2.0]]"]
+    line = Problem(
+        Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "excess", {"actuation": "model"}
+    )
+    bounded = sweep(line, {"delta": [1.0, 2.0]}, confidence=0.99)
+    assert (bounded.cost_lower_bound <= bounded.cost).all()
+    assert (bounded.rate_lowest <= bounded.rate_actuator).all()
+    assert (bounded.rate_actuator <= bounded.rate_highest).all()
+    periods = sweep(load("double-integrator"), {"policy.period": [0.5], "cost.R": [[[0.1]], [[0.2]]]})
+    assert periods.cost.values[0, 0] < periods.cost.values[0, 1]
+
+
+def test_progress_only_grows_and_ends_at_one(tmp_path: Path) -> None:
+    """Here, on a pool, and where all is there already."""
+    for executor in (None, ThreadPoolExecutor(2), None):
+        seen: list[float] = []
+        sweep(load("two-mass"), GRID, executor=executor, store=tmp_path, standard_error=EFFORT, progress=seen.append)
+        assert seen == sorted(seen)
+        assert seen[-1] == 1.0
+
+
+class Dying(Executor):
+    """Gives one block back, and no other."""
+
+    def __init__(self) -> None:
+        """Start alive."""
+        self.alive = True
+
+    def submit(self, fn: Any, /, *args: Any, **_: Any) -> Future[Any]:
+        """Run the first, and fail the rest."""
+        future: Future[Any] = Future()
+        if self.alive:
+            future.set_result(fn(*args))
+        else:
+            future.set_exception(RuntimeError("the line is cut"))
+        self.alive = False
+        return future
+
+
+def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> None:
+    """One sentence; a second run goes on where it ended."""
+    with pytest.raises(ProblemError, match=r"failed after 1 of 6 cells \(RuntimeError: the line is cut\); expected"):
+        sweep(load("two-mass"), GRID, executor=Dying(), store=tmp_path, standard_error=EFFORT, seed=3)
+    assert len(list((tmp_path / "cells").glob("*/*"))) == 1
+
+
+@pytest.mark.parametrize(
+    ("over", "sentence"),
+    [
+        ({}, "there are no values; expected a name with at least one value"),
+        ({"theta": []}, "there are no values"),
+        ({"theta": "0.1"}, "the values of theta are '0.1'; expected a list"),
+        ({"theta": [0.1, 0.1]}, "theta has the value 0.1 twice; expected each once"),
+        ({"thta": [0.1]}, "policy.thta is not a parameter of lqg; .* Did you mean 'theta'"),
+        ({"method": [1]}, "method names a dimension that labels cannot select; expected policy.method"),
+        ({"theta": [-1.0, -2.0]}, "theta is -1; expected 0 ≤ theta"),
+        ({"theta": [1.0, -2.0]}, "theta is -2; expected 0 ≤ theta"),
+    ],
+)
+def test_what_cannot_be_swept_is_refused(over: dict[str, Any], sentence: str) -> None:
+    """Before anything runs."""
+    with pytest.raises(ProblemError, match=sentence):
+        sweep(load("two-mass"), over)
+
+
+def test_a_bound_that_no_cell_has_is_refused() -> None:
+    """A held input resets no error; a confidence is a probability."""
+    with pytest.raises(ProblemError, match="no send of lqg resets the error"):
+        sweep(load("two-mass"), {"theta": [0.1]}, confidence=0.99)
+    with pytest.raises(ProblemError, match="confidence is 2"):
+        sweep(load("two-mass"), {"theta": [0.1]}, confidence=2)
+
+
+def test_no_scheduler_answers() -> None:
+    """Where none is."""
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(ProblemError, match=r"no dask scheduler answers at 'tcp://127.0.0.1:9'"),
+        dask_workers("tcp://127.0.0.1:9"),
+    ):
+        pass
+
+
+def test_a_worker_killed_in_a_dask_sweep_costs_its_cells_only(whole: xarray.Dataset, tmp_path: Path) -> None:
+    """As soon as something came back, one of two worker processes is killed; the other and its successor go on."""
+    distributed: Any = pytest.importorskip("distributed")
+    killed: list[int] = []
+
+    def kill(done: float) -> None:
+        if 0 < done < 1 and not killed:
+            killed.append(next(iter(cluster.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    with (
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.CRITICAL
+        ) as cluster,
+        dask_workers(cluster.scheduler_address) as executor,
+    ):
+        found = sweep(
+            load("two-mass"), GRID, executor=executor, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill
+        )
+    assert killed
+    xarray.testing.assert_identical(found, whole)
+    assert len(list((tmp_path / "cells").glob("*/*"))) == 6
+
+
+def test_a_killed_process_of_a_pool_is_a_sentence_and_the_next_run_goes_on(
+    whole: xarray.Dataset, tmp_path: Path
+) -> None:
+    """The pool is broken; what came back before is kept."""
+
+    def kill(done: float) -> None:
+        if 0 < done < 1:
+            for process in multiprocessing.active_children():
+                process.kill()
+
+    with (
+        ProcessPoolExecutor(2, get_context("spawn")) as pool,
+        pytest.raises(ProblemError, match=r"the executor failed after [1-5] of 6 cells \(BrokenProcessPool.*run again"),
+    ):
+        sweep(load("two-mass"), GRID, executor=pool, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill)
+    assert len(list((tmp_path / "cells").glob("*/*"))) in range(1, 6)
+    xarray.testing.assert_identical(sweep(load("two-mass"), GRID, store=tmp_path, standard_error=EFFORT, seed=3), whole)
+
+
+def peak() -> float:
+    """Return the most memory that a child of this process held, in kilobytes."""
+    children = [Path(f"/proc/{child.pid}/status").read_text() for child in multiprocessing.active_children()]
+    return max(int(status.partition("VmHWM:")[2].split()[0]) for status in children)
+
+
+LINE = """
+[plant]
+A = [[1.2]]
+B = [[1.0]]
+W = [[0.01]]
+dt = 1.0
+
+[cost]
+Q = [[1.0]]
+R = [[0.5]]
+
+[policy]
+kind = "lqg"
+theta = 0.1
+"""
+
+
+@pytest.mark.evidence
+def test_ten_thousand_cells_have_the_same_bits_by_four_executors_and_workers_of_flat_memory(tmp_path: Path) -> None:
+    """Threads, processes, two worker processes of dask, two ranks of MPI; ten times the cells, the same memory."""
+    distributed: Any = pytest.importorskip("distributed")
+    (tmp_path / "line.toml").write_text(LINE)
+    problem = load(tmp_path / "line.toml")
+    variants: dict[str, list[object]] = {"trigger": ["joint", "separate"], "actuation": ["hold", "model"]}
+    large = {"theta": np.geomspace(0.01, 1.0, 2500).tolist(), **variants}
+    small = {"theta": large["theta"][::10], **variants}
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        sweep(problem, small, executor=pool, steps=2000, seed=3)
+        before = peak()
+        found = sweep(problem, large, executor=pool, steps=2000, seed=3)
+        after = peak()
+    assert found.cost.size == 10_000
+    assert np.isfinite(found.cost).all()
+    assert len(np.unique(found.seed)) > 9_990  # of 32 bits
+    assert after < 1.1 * before
+    with ThreadPoolExecutor(2) as pool:
+        assert sweep(problem, large, executor=pool, steps=2000, seed=3).identical(found)
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
+        dask_workers(cluster.scheduler_address) as executor,
+    ):
+        assert sweep(problem, large, executor=executor, steps=2000, seed=3).identical(found)
+    assert by_two_ranks(tmp_path, str(tmp_path / "line.toml"), large, steps=2000).identical(found)
