@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -162,6 +163,27 @@ def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> No
     assert files(tmp_path / "s") == []
     subprocess.run([*command, "--workers", "1"], check=True, capture_output=True, timeout=120)
     assert len(files(tmp_path / "s")) == 6
+
+
+def test_a_disk_that_is_full_at_the_end_is_a_sentence_too(tmp_path: Path) -> None:
+    """Room for the cells, none for the whole: nothing that looks like a result is left; then there is room again."""
+    command = [*COMMAND, "--over", "theta=0.1,1,3", "--store", str(tmp_path / "s"), "--standard-error", "3e-3"]
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+    ran = subprocess.run(
+        [*command, "--workers", "1"], preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ran.returncode == 2
+    assert re.fullmatch(
+        r"taciturn: '.*result.nc' cannot be written .*; what was computed is kept: make room.*\n", ran.stderr
+    )
+    assert len(files(tmp_path / "s")) == 6
+    assert not list((tmp_path / "s").glob("result*"))
+    ran = subprocess.run([*command, "--workers", "1"], capture_output=True, text=True, timeout=120, check=True)
+    assert (tmp_path / "s" / "result.nc").is_file()
 
 
 def test_an_interrupted_sweep_says_where_it_goes_on(tmp_path: Path) -> None:

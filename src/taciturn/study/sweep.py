@@ -287,9 +287,11 @@ def save_whole(result: xarray.Dataset, path: Path) -> None:
     try:
         whole.to_netcdf(part, engine="h5netcdf")
         part.replace(path)
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # HDF5 has both for a full disk
+        part.unlink(missing_ok=True)
+        why = getattr(error, "strerror", None) or error
         raise ProblemError(
-            f"{str(path)!r} cannot be written ({error.strerror or error}); the cells are kept: make room and run again"
+            f"{str(path)!r} cannot be written ({why}); what was computed is kept: make room, or mend it, and run again"
         ) from None
 
 

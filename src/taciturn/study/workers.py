@@ -33,10 +33,11 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         return
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
-    with ProcessPoolExecutor(workers, get_context("spawn"), _ignore_interrupts) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is this process's alone
+        try:
+            for _ in range(workers):
+                pool.submit(abs, 0)  # each starts a process
+        finally:
+            signal.signal(signal.SIGINT, before)
         yield pool
-
-
-def _ignore_interrupts() -> None:
-    """Leave Ctrl-C to the process that a terminal's user talks to."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
