@@ -1,11 +1,11 @@
-"""A radio carries 0.7 packets per tick, both ways together: which prices of a query and of a send suit it best?"""
+"""A radio carries three packets every two ticks, both ways together: which prices of query and send suit it best?"""
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import taciturn
 
-BUDGET = 0.7  # packets per tick
+BUDGET = 1.5  # packets per tick
 
 problem = taciturn.load("remote-scalar")
 grid = {"theta": np.geomspace(0.02, 2.0, 10), "zeta": np.linspace(0.2, 1.65, 8)}

@@ -12,11 +12,11 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._files import PART
+from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
@@ -283,15 +283,14 @@ def save_whole(result: xarray.Dataset, path: Path) -> None:
     Raises:
         ProblemError: the file cannot be written.
     """
-    part, whole = path.with_suffix(PART), cast("Any", result)  # whose types are open
+    whole: Any = result  # whose types are open
+    content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # HDF5 itself ends the process where a disk is full
     try:
-        whole.to_netcdf(part, engine="h5netcdf")
-        part.replace(path)
-    except (OSError, RuntimeError) as error:  # HDF5 has both for a full disk
-        part.unlink(missing_ok=True)
-        why = getattr(error, "strerror", None) or error
+        write_whole(path, content)
+    except OSError as error:
         raise ProblemError(
-            f"{str(path)!r} cannot be written ({why}); what was computed is kept: make room, or mend it, and run again"
+            f"{str(path)!r} cannot be written ({error.strerror}); what was computed is kept: make room, or mend "
+            "what is wrong, and run again"
         ) from None
 
 
