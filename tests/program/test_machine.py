@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -123,12 +124,14 @@ def test_a_read_only_cache_is_read(
     compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, loop: Loop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """What is in it is used; what is not is compiled."""
-    first = play()
+    first, opened = play(), Path.open
 
-    def refuse(**_: object) -> tuple[int, str]:
-        raise PermissionError("read-only")
+    def refuse(path: Path, mode: str = "r", *rest: Any, **more: Any) -> Any:
+        if "x" in mode:
+            raise PermissionError("read-only")
+        return opened(path, mode, *rest, **more)
 
-    monkeypatch.setattr(machine.tempfile, "mkstemp", refuse)
+    monkeypatch.setattr(Path, "open", refuse)
     assert play() == first
     Kernel(loop.reduced_program())
     assert len(compiled) == 2
@@ -143,7 +146,7 @@ def test_a_disk_that_fails_leaves_no_part_of_a_file(
     def fail(*_: object) -> None:
         raise OSError("no space left")
 
-    monkeypatch.setattr(machine.os, "replace", fail)
+    monkeypatch.setattr(Path, "replace", fail)
     play()
     assert list((tmp_path / "taciturn").iterdir()) == []
     assert len(compiled) == 1
