@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Generator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -30,7 +31,12 @@ def dask_workers(address: str) -> Generator[Executor]:
             "dask.distributed is not installed; expected it for --dask: pip install 'taciturn[dask]'"
         ) from None
     expected = "expected the address of a running one, as tcp://host:8786"
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told in one sentence
     try:
+        addressing: Any = import_module("distributed.comm.addressing")
+        scheme, place = addressing.parse_address(address)
+        import_module("distributed.comm.registry").get_backend(scheme)
+        addressing.parse_host_port(place)  # a client that was never made is closed with noise
         client: Any = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise ProblemError(f"no dask scheduler answers at {address!r} ({type(error).__name__}); {expected}") from None

@@ -39,6 +39,8 @@ def check_table(path: Path) -> None:
     """
     if path.suffix not in (".csv", ".parquet"):
         raise ProblemError(f"the table {str(path)!r} has an unknown format; expected .csv or .parquet")
+    if not path.absolute().parent.is_dir():
+        raise ProblemError(f"the folder of the table {str(path)!r} is not there; expected one that is")
     needed = "pandas" if path.suffix == ".csv" else "pyarrow"
     if find_spec("pandas") is None or find_spec(needed) is None:
         raise ProblemError(f"{needed} is not installed; expected it for {path.suffix}: pip install 'taciturn[pandas]'")
@@ -59,5 +61,5 @@ def save_table(frame: pandas.DataFrame, path: Path) -> None:
     except OSError as error:
         raise ProblemError(
             f"the table {str(path)!r} cannot be written ({error.strerror or error}); "
-            "expected a file in a folder that is there"
+            "expected a file that can be written to"
         ) from None

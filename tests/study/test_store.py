@@ -9,13 +9,14 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import xarray
 
-from taciturn import Problem, ProblemError, evaluate, load, sweep
+from taciturn import Cost, Problem, ProblemError, evaluate, load, sweep
 from taciturn._files import PART
 from taciturn.study.record import decode, encode, fingerprint
 from taciturn.study.store import Store
@@ -116,16 +117,15 @@ def test_an_answer_is_the_same_after_it_was_kept() -> None:
         decode(encode(load("two-mass").plant))
 
 
-def test_a_fingerprint_forgets_only_what_is_swept() -> None:
-    """Of a problem from a file and of one made in Python."""
+def test_a_fingerprint_is_of_what_is_evaluated() -> None:
+    """Of a problem from a file and of one made in Python, and not of the file where Python replaced a part."""
     problem = load("two-mass")
     made = Problem(problem.plant, problem.cost, problem.network, problem.kind, problem.parameters)
-    for one in (problem, made):
-        other = one.changed({"theta": 7.0})
-        assert fingerprint(one) != fingerprint(other)
-        assert fingerprint(one, ["theta"]) == fingerprint(other, ["policy.theta"])
-        assert fingerprint(one, ["theta"]) != fingerprint(one.changed({"actuation": "model"}), ["theta"])
-    assert fingerprint(problem, ["plant.dt"]) == fingerprint(problem.changed({"plant.dt": 0.3}), ["plant.dt"])
+    assert fingerprint(made) == fingerprint(problem)
+    dearer = replace(problem, cost=Cost(problem.cost.Q, 2 * problem.cost.R))
+    others = [problem.changed({"theta": 7.0}), problem.changed({"plant.dt": 0.3}), dearer]
+    assert len({fingerprint(one) for one in (problem, *others)}) == 4
+    assert np.array_equal(dearer.changed({"plant.dt": 0.3}).cost.R, dearer.cost.R)
 
 
 def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
@@ -135,6 +135,11 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
         swept(tmp_path)
     with pytest.raises(ProblemError, match=r"cannot be used \(.*\); expected a folder that can be written to"):
         swept(tmp_path / "thesis.txt" / "store")
+    with pytest.raises(ProblemError, match=r"thesis.txt' is a file; expected a folder, or a name that is free"):
+        swept(tmp_path / "thesis.txt")
+    (tmp_path / "begun").mkdir()
+    (tmp_path / "begun" / "store.json.1.part").touch()  # killed while the label was written
+    Store(tmp_path / "begun", {"problem": "1"})
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "store.json").write_text("{")
     with pytest.warns(UserWarning, match=r"store.json of the store .* is damaged; it is written again"):
@@ -201,6 +206,28 @@ def test_an_interrupted_sweep_says_where_it_goes_on(tmp_path: Path) -> None:
     assert 3 <= kept < 400
     store = Store(tmp_path / "s", decode((tmp_path / "s" / "store.json").read_text()))
     assert all(store.read("".join(file.parts[-2:])) for file in files(tmp_path / "s"))
+
+
+def test_the_processes_of_a_killed_sweep_end(tmp_path: Path) -> None:
+    """They would wait for work for ever."""
+    grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(200))
+    command = [*COMMAND, "--over", grid, "--store", str(tmp_path / "s"), "--standard-error", "2e-3", "--workers", "2"]
+    running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
+    while len(files(tmp_path / "s")) < 3 and running.poll() is None:
+        time.sleep(0.01)
+    assert session(running.pid) >= 3
+    running.kill()
+    running.wait()
+    ended = time.monotonic()
+    while session(running.pid) and time.monotonic() < ended + 30:
+        time.sleep(0.1)
+    assert session(running.pid) == 0
+
+
+def session(leader: int) -> int:
+    """Return how many processes are left of a session."""
+    stats = [path.read_text().rpartition(")")[2].split() for path in Path("/proc").glob("[0-9]*/stat")]
+    return sum(stat[3] == str(leader) and stat[0] != "Z" for stat in stats)
 
 
 def killed_ten_times(tmp_path: Path, values: int, precision: str) -> None:

@@ -53,8 +53,26 @@ def test_a_cell_is_the_evaluation_with_its_seed(whole: xarray.Dataset) -> None:
     assert whole.cost.units == "cost per step"
     assert whole.rate_actuator.units == "sends per step"
     assert whole.attrs["version"] == taciturn.__version__
-    assert whole.attrs["seed"] == 3
+    assert whole.attrs["seed"] == "3"
     assert (whole.refusal == "").all()
+
+
+def test_numbers_are_the_same_however_they_are_written() -> None:
+    """1 and 1.0, theta and policy.theta, lists and arrays; what is large fits a file."""
+    problem = load("two-mass")
+    one = sweep(problem, {"theta": [1], "cost.R": [[[1]]]}, steps=2000)
+    other = sweep(problem, {"policy.theta": np.array([1.0]), "cost.R": np.ones((1, 1, 1))}, steps=2000, seed=0)
+    assert one.cost.item() == other.cost.item()
+    assert one.seed.item() == other.seed.item()
+    again = sweep(problem, {"theta": one.theta}, steps=2000, seed=2**70)
+    assert again.attrs["seed"] == str(2**70)
+    assert len(again.to_netcdf(None, engine="h5netcdf")) > 0
+
+
+def test_costs_that_count_differently_are_not_in_one_grid() -> None:
+    """A mission beside an average."""
+    with pytest.raises(ProblemError, match="the grid mixes cost per mission and cost per step; expected one"):
+        sweep(load("lossy-double-integrator"), {"cost.horizon": [100, None]}, steps=2000)
 
 
 def test_a_cell_is_the_same_in_every_grid(whole: xarray.Dataset) -> None:
@@ -125,7 +143,12 @@ def test_two_ranks_of_mpi_give_the_same_bits(whole: xarray.Dataset, tmp_path: Pa
 
 
 def test_what_cannot_be_answered_is_told_and_the_rest_is_there() -> None:
-    """A threshold below zero in the middle of a grid: a warning, its cells missing, its reason kept."""
+    """A threshold below zero, at the end of an axis or within: a warning, its cells missing, its reason kept."""
+    with pytest.warns(UserWarning, match=r"^1 of 2 cells have no answer, first at theta=-2: theta is -2; expected"):
+        assert np.isnan(sweep(load("two-mass"), {"theta": [0.1, -2]}, standard_error=EFFORT).cost.values).tolist() == [
+            False,
+            True,
+        ]
     with pytest.warns(
         UserWarning, match=r"^2 of 6 cells have no answer, first at theta=-1, actuation=hold: theta is -1"
     ):
@@ -215,13 +238,26 @@ def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> N
         ({"thta": [0.1]}, "policy.thta is not a parameter of lqg; .* Did you mean 'theta'"),
         ({"method": [1]}, "method names a dimension that labels cannot select; expected policy.method"),
         ({"theta": [-1.0, -2.0]}, "theta is -1; expected 0 ≤ theta"),
-        ({"theta": [1.0, -2.0]}, "theta is -2; expected 0 ≤ theta"),
+        ({"theta": [0.1], "policy.theta": [0.2]}, "theta and policy.theta are the same, or one in the other"),
+        ({"plant.initial.mean": [[0.0]], "plant.initial": [{}]}, "plant.initial.mean and plant.initial are the same"),
+        ({"policy.a.b": [1, 2]}, "policy.a.b is no key; expected a key of "),
+        ({"theta": [1j]}, "a value of theta is 1j; expected numbers, words, lists or arrays"),
+        ({"theta": np.array(0.1)}, "the values of theta are .*; expected a list"),
+        ([("theta", [0.1])], r"over is .*; expected a Mapping"),
+        ({3: [0.1]}, "a name in over is 3; expected a str"),
     ],
 )
 def test_what_cannot_be_swept_is_refused(over: dict[str, Any], sentence: str) -> None:
     """Before anything runs."""
     with pytest.raises(ProblemError, match=sentence):
         sweep(load("two-mass"), over)
+
+
+def test_an_executor_is_one() -> None:
+    """Not its class, and no word."""
+    for wrong in ("processes", ThreadPoolExecutor):
+        with pytest.raises(ProblemError, match=r"executor is .*; expected an? Executor"):
+            sweep(load("two-mass"), {"theta": [0.1]}, executor=wrong, steps=2000)  # type: ignore[arg-type]
 
 
 def test_a_bound_that_no_cell_has_is_refused() -> None:
@@ -232,12 +268,13 @@ def test_a_bound_that_no_cell_has_is_refused() -> None:
         sweep(load("two-mass"), {"theta": [0.1]}, confidence=2)
 
 
-def test_no_scheduler_answers() -> None:
-    """Where none is."""
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "", "foo://x:1"])
+def test_no_scheduler_answers(address: str) -> None:
+    """Where none is, and where none can be."""
     pytest.importorskip("distributed")
     with (
-        pytest.raises(ProblemError, match=r"no dask scheduler answers at 'tcp://127.0.0.1:9'"),
-        dask_workers("tcp://127.0.0.1:9"),
+        pytest.raises(ProblemError, match=rf"no dask scheduler answers at '{address}'"),
+        dask_workers(address),
     ):
         pass
 

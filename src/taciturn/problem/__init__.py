@@ -38,6 +38,8 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 BUILT_IN = Path(__file__).parent.parent / "problems"
 
+# what a problem reads from each table of its file; what no key has touched stays, as a part that Python replaced
+PARTS = {"plant": ("plant", "actual"), "cost": ("cost",), "network": ("network",), "reference": ("reference",)}
 CHANGED = "the changed problem"  # its name in messages
 
 
@@ -104,19 +106,23 @@ class Problem:
         Raises:
             ProblemError: no such key, or a value that does not fit.
         """
-        parameters, tables, same = dict(self.parameters), _copied(self.source or {}), True
+        parameters, tables = dict(self.parameters), _copied(self.source or {})
+        touched: set[str] = set()
         for name, value in values.items():
             *path, key = name.split(".")
             if not path or path == ["policy"]:
                 parameters[key] = value
                 if value is None:
                     del parameters[key]
+            elif path[0] == "policy":
+                raise ProblemError(f"{name} is no key; expected a key of [policy], as policy.{path[1]}")
             elif self.source is None:
                 raise ProblemError(
                     f"{name} cannot be changed in a problem that was not read from a file; expected a key of [policy]"
                 )
             else:
-                table, same = tables, False
+                table = tables
+                touched.add(path[0])
                 for part in path:
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
@@ -126,8 +132,10 @@ class Problem:
                 if value is None:
                     del table[key]
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
-        if not same:
-            return parse(tables, CHANGED)
+        if touched:
+            parsed = parse(tables, CHANGED)
+            kept = [name for table, names in PARTS.items() if table not in touched for name in names]
+            return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = _policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
         return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
 

@@ -11,7 +11,7 @@ from functools import cached_property
 from importlib.metadata import version
 from typing import Protocol, TypeAlias
 
-from taciturn._arrays import number
+from taciturn._arrays import instance, number
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
@@ -105,6 +105,8 @@ def run_cells(
         if progress is not None:
             progress((done + within) / len(cells))
 
+    if executor is not None:
+        instance("executor", executor, Executor)
     kept = _Kept(store, problem, cells, effort)
     found = _one_by_one(kept, advance) if executor is None else _spread(kept, executor)
     for index, answer in found:
@@ -140,7 +142,7 @@ class _Kept:
 
     @cached_property
     def _common(self) -> str:
-        return encode([fingerprint(self.problem, self.cells[0].values), self.effort, version("taciturn")])
+        return encode([fingerprint(self.problem), self.effort, version("taciturn")])
 
 
 def evaluate_cells(
@@ -221,8 +223,9 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
     except TaciturnError:
         raise
     except Exception as error:
+        why = ": ".join(filter(None, (type(error).__name__, str(error))))
         raise ProblemError(
-            f"the executor failed after {came} of {total} cells ({type(error).__name__}: {error}); "
+            f"the executor failed after {came} of {total} cells ({why}); "
             "expected workers that live and can import taciturn: with a store, run again to go on"
         ) from error
     finally:

@@ -39,28 +39,10 @@ def digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def fingerprint(problem: Problem, without: Iterable[str] = ()) -> str:
-    """Return the digest of all that a problem states, but for some of its keys.
-
-    Args:
-        problem: read from a file, or made in Python.
-        without: keys of ``[policy]``, or dotted.
-    """
-    parameters = dict(problem.parameters)
-    tables: Any = json.loads(encode(problem if problem.source is None else problem.source))
-    for told_apart in ("policy", "parameters"):  # of a file; of a problem made in Python
-        tables.pop(told_apart, None)
-    for name in without:
-        *path, key = name.split(".")
-        if path in ([], ["policy"]):
-            parameters.pop(key, None)
-            continue
-        table: Any = tables
-        for part in path:
-            table = cast("dict[str, Any]", table).get(part) if isinstance(table, dict) else None
-        if isinstance(table, dict):
-            cast("dict[str, Any]", table).pop(key, None)
-    return digest(encode({"tables": tables, "kind": problem.kind, "parameters": parameters}))
+def fingerprint(problem: Problem) -> str:
+    """Return the digest of all that a problem states."""
+    stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
+    return digest(encode([stated, problem.kind, problem.parameters]))
 
 
 def _plain(value: object) -> object:

@@ -76,9 +76,11 @@ class Store:
         return self.folder / "cells" / key[:2] / key[2:]
 
     def _open(self, label: dict[str, str]) -> None:
+        if self.folder.is_file():
+            raise ProblemError(f"the store {str(self.folder)!r} is a file; expected a folder, or a name that is free")
         sign, cells = self.folder / LABEL, self.folder / "cells"
         self.folder.mkdir(parents=True, exist_ok=True)
-        others = sorted(found.name for found in self.folder.iterdir())
+        others = sorted(found.name for found in self.folder.iterdir() if found.suffix != PART)
         if others and LABEL not in others and "cells" not in others:
             raise ProblemError(
                 f"the folder {str(self.folder)!r} is no store and holds other files, as {others[0]!r}; expected an "
@@ -88,8 +90,9 @@ class Store:
         before = sign.read_text(encoding="utf-8", errors="replace") if LABEL in others else text
         if before != text:
             self._tell(before, label)
-        write_whole(sign, text.encode())
-        for part in cells.glob(f"*/*{PART}"):
+        if before != text or LABEL not in others:  # a store that is complete may be read only
+            write_whole(sign, text.encode())
+        for part in (*self.folder.glob(f"*{PART}"), *cells.glob(f"*/*{PART}")):
             with suppress(OSError):
                 if time.time() - part.stat().st_mtime > FORGOTTEN:
                     part.unlink()

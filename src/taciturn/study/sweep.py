@@ -12,12 +12,13 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from taciturn._arrays import instance, quoted
 from taciturn._files import write_whole
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     import pandas
     import xarray
 
+LARGEST = 2**63  # of whole numbers that a file holds
 TAKEN = ("drop", "method", "tolerance")  # what the selection of labelled arrays calls its own arguments
 
 
@@ -87,18 +89,19 @@ def sweep(
     axes = {name: _labels(name, values) for name, values in listed.items()}
     _check_axes(problem, listed, confidence)
     cells = _Grid(listed, seed)
-    label = label_of(problem, listed)
+    label = label_of(problem)
     table = _Table(cells.shape)
     kept = None if store is None else Store(store, label)
     for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, progress):
         table.put(index, cells[index].seed, answer)
     table.tell(cells)
-    return table.dataset(axes, label | {"seed": seed, "machine": f"{platform.machine()}, {platform.system()}"})
+    label |= {"seed": str(seed), "machine": f"{platform.machine()}, {platform.system()}"}
+    return table.dataset(axes, label)
 
 
-def label_of(problem: Problem, over: Iterable[str]) -> dict[str, str]:
-    """Return what tells a sweep's results from others': problem, but for what is swept, and version."""
-    return {"problem": fingerprint(problem, over), "version": version("taciturn")}
+def label_of(problem: Problem) -> dict[str, str]:
+    """Return what tells a sweep's results from others': problem and version."""
+    return {"problem": fingerprint(problem), "version": version("taciturn")}
 
 
 def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
@@ -107,14 +110,47 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
     Raises:
         ProblemError: no names, no values, or no list.
     """
+    instance("over", over, Mapping)
     listed: dict[str, list[object]] = {}
     for name, values in over.items():
-        if isinstance(values, str) or not hasattr(values, "__iter__"):
-            raise ProblemError(f"the values of {name} are {values!r}; expected a list of values, as [0.1, 1.0]")
-        listed[name] = [one.item() if isinstance(one, np.generic) else one for one in values]
+        instance("a name in over", name, str)
+        plain = _plain(name, values)
+        if not isinstance(plain, list):
+            raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list of values, as [0.1, 1.0]")
+        listed[name] = cast("list[object]", plain)
+        path = _path(name)
+        for other in itertools.islice(listed, len(listed) - 1):
+            if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
+                raise ProblemError(f"{other} and {name} are the same, or one in the other; expected one of them")
     if not listed or not all(listed.values()):
         raise ProblemError("there are no values; expected a name with at least one value, as theta=0.1,1")
     return listed
+
+
+def _path(name: str) -> list[str]:
+    """Return the tables and the key that a name stands for."""
+    path = name.split(".")
+    return path if len(path) > 1 else ["policy", *path]
+
+
+def _plain(name: str, value: object) -> object:
+    """Return a value as a file would state it: arrays as rows.
+
+    Raises:
+        ProblemError: no file can state it.
+    """
+    if hasattr(value, "tolist"):  # arrays and numbers of NumPy
+        value = cast("Any", value).tolist()
+    elif hasattr(value, "values") and not isinstance(value, Mapping):  # labelled arrays
+        value = cast("Any", value).values.tolist()
+    if isinstance(value, Mapping):
+        table = cast("Mapping[object, object]", value)
+        return {str(key): _plain(name, one) for key, one in table.items()}
+    if isinstance(value, list | tuple | range):
+        return [_plain(name, one) for one in cast("Iterable[object]", value)]
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ProblemError(f"a value of {name} is {quoted(value)}; expected numbers, words, lists or arrays of them")
 
 
 def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
@@ -124,7 +160,8 @@ def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
 
 def _labels(name: str, values: Sequence[object]) -> list[Any]:
     """Return the coordinates of a dimension: numbers or words as they are, anything else as JSON."""
-    plain = all(isinstance(one, str) for one in values) or all(isinstance(one, int | float) for one in values)
+    numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
+    plain = numbers or all(isinstance(one, str) for one in values)
     labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
     twice = next((one for one in labels if labels.count(one) > 1), None) if len(set(labels)) < len(labels) else None
     if twice is not None:
@@ -133,16 +170,24 @@ def _labels(name: str, values: Sequence[object]) -> list[Any]:
 
 
 def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confidence: float | None) -> None:
-    """Design the policy at the first value of every name, and at the ends of each; tell mistakes before cells run.
+    """Design the policy at the first value of every name, and at the end of each; tell mistakes before cells run.
 
     Raises:
-        ProblemError: what is wrong with the first of them, or that none has the lower bound that is asked for.
+        TaciturnError: what is wrong with the first of them, where no other is right, or that none has the lower bound
+            that is asked for.
     """
     first = {name: values[0] for name, values in listed.items()}
     checked = [first] + [first | {name: values[-1]} for name, values in listed.items() if len(values) > 1]
-    problems = [problem.changed(values) for values in checked]
-    for changed in problems:
-        changed.designed()
+    problems: list[Problem] = []
+    wrong: list[TaciturnError] = []
+    for values in checked:
+        try:
+            problems.append(problem.changed(values))
+            problems[-1].designed()
+        except TaciturnError as error:
+            wrong.append(error)
+    if len(wrong) == len(checked):
+        raise wrong[0]
     check_confidence(problems, confidence)
 
 
@@ -175,8 +220,18 @@ class _Grid:
 
 def _seed_of(seed: int, values: Mapping[str, object]) -> int:
     """Return a cell's own seed, one that ``taciturn evaluate --seed`` takes."""
-    words = np.frombuffer(bytes.fromhex(digest(encode(values))), dtype=np.uint32)
+    stated = {".".join(_path(name)): _as_float(value) for name, value in values.items()}
+    words = np.frombuffer(bytes.fromhex(digest(encode(stated))), dtype=np.uint32)
     return int(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words[:4])).generate_state(1)[0])
+
+
+def _as_float(value: object) -> object:
+    """Return a value in which 1 is 1.0, and −0 is 0."""
+    if isinstance(value, list):
+        return [_as_float(one) for one in cast("list[object]", value)]
+    if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= LARGEST:
+        return value
+    return float(value) + 0.0
 
 
 @dataclass(frozen=True)
@@ -249,6 +304,10 @@ class _Table:
                 kind = object if isinstance(value, str) else np.asarray(column.missing).dtype
                 self.columns[name] = np.full(len(self.seeds), column.missing, dtype=kind)
                 self.units[name] = column.unit(answer)
+            elif self.units[name] != column.unit(answer):
+                raise ProblemError(
+                    f"the grid mixes {self.units[name]} and {column.unit(answer)}; expected one: sweep them apart"
+                )
             self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:

@@ -163,7 +163,7 @@ def tradeoff(
         raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
     check_confidence(problems, confidence)
     effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
-    kept = None if store is None else Store(store, label_of(problem, over))
+    kept = None if store is None else Store(store, label_of(problem))
     found = evaluate_cells(problem, cells, effort, executor, kept, progress)
     points: list[Point] = []
     for cell, changed, evaluation in zip(grid, problems, found, strict=True):

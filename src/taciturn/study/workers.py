@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 from collections.abc import Generator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import get_context, parent_process
+from multiprocessing.process import BaseProcess
 from typing import Any
 
 from taciturn.program.machine import available_processors
@@ -33,7 +35,7 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         return
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
-    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as pool:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is this process's alone
         try:
             for _ in range(workers):
@@ -41,3 +43,15 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         finally:
             signal.signal(signal.SIGINT, before)
         yield pool
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it is gone, killed perhaps, which a queue does not tell."""
+
+    def watch(parent: BaseProcess) -> None:
+        parent.join()
+        os._exit(1)
+
+    parent = parent_process()
+    assert parent is not None
+    threading.Thread(target=watch, args=(parent,), daemon=True).start()
