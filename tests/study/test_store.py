@@ -191,11 +191,18 @@ def test_a_disk_that_is_full_at_the_end_is_a_sentence_too(tmp_path: Path) -> Non
     assert (tmp_path / "s" / "result.nc").is_file()
 
 
+def in_a_terminal() -> None:
+    """Let Ctrl-C be heard, which whoever runs the tests in the background may have had ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def test_an_interrupted_sweep_says_where_it_goes_on(tmp_path: Path) -> None:
     """Ctrl-C reaches every process of a terminal's job; what is kept is whole, and the same command goes on."""
     grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(200))
     command = [*COMMAND, "--over", grid, "--store", str(tmp_path / "s"), "--standard-error", "2e-3", "--workers", "2"]
-    running = subprocess.Popen(command, start_new_session=True, stderr=subprocess.PIPE, text=True)
+    running = subprocess.Popen(
+        command, preexec_fn=in_a_terminal, start_new_session=True, stderr=subprocess.PIPE, text=True
+    )
     while len(files(tmp_path / "s")) < 3 and running.poll() is None:
         time.sleep(0.01)
     os.killpg(running.pid, signal.SIGINT)
