@@ -1,6 +1,6 @@
 """Sweeps by every executor, side by side: scaling, what a cell costs beyond its own work, and memory.
 
-    python benchmarks/sweeps.py [--cells 10000] [--rounds 1] [--json docs/sweeps.json]
+    python benchmarks/sweeps.py [--cells 10000] [--steps 2000] [--rounds 1] [--json docs/sweeps.json]
 
 *Efficiency* is the time of one worker over that of two together (of the first row, where one worker is not measured).
 Each contestant has a process of its own, one after the other, in turn; times are medians of the rounds, without the
@@ -37,7 +37,6 @@ from taciturn.model.network import Network
 from taciturn.program.machine import one_thread
 
 CONTESTANTS = ("here", "threads", "processes", "dask", "mpi")
-STEPS = 2000  # of a cell, whose time is then that of its design and its program
 TASKS = 1000  # that do nothing, to tell what one costs
 WARM = 16  # cells before the clock starts, for each worker: imports, and the program's machine code
 
@@ -93,14 +92,14 @@ def spent() -> float:
     return time.process_time()
 
 
-def measure(name: str, workers: int, cells: int, stored: bool) -> dict[str, Any]:
+def measure(name: str, workers: int, cells: int, steps: int, stored: bool) -> dict[str, Any]:
     """Return seconds, memory and a digest of one sweep."""
     problem, over = line(), grid(cells)
     begin = time.perf_counter()
     with workers_by(name, workers) as executor, tempfile.TemporaryDirectory() as folder:
-        taciturn.sweep(problem, grid(WARM * workers), executor=executor, steps=STEPS)
+        taciturn.sweep(problem, grid(WARM * workers), executor=executor, steps=steps)
         started, worked = time.perf_counter(), spent()
-        found = taciturn.sweep(problem, over, executor=executor, steps=STEPS, store=folder if stored else None)
+        found = taciturn.sweep(problem, over, executor=executor, steps=steps, store=folder if stored else None)
         ended, hand = time.perf_counter(), spent() - worked
         worker = max((peak(child.pid) for child in multiprocessing.active_children()), default=None)
         worked = spent()
@@ -120,9 +119,20 @@ def measure(name: str, workers: int, cells: int, stored: bool) -> dict[str, Any]
     }
 
 
-def apart(name: str, workers: int, cells: int, stored: bool = False) -> dict[str, Any]:
+def apart(name: str, workers: int, cells: int, steps: int, stored: bool = False) -> dict[str, Any]:
     """Return the same, measured in a process of its own; with MPI, one rank more hands out."""
-    asked = [__file__, "--one", name, "--workers", str(workers), "--cells", str(cells), *(["--stored"] * stored)]
+    asked = [
+        __file__,
+        "--one",
+        name,
+        "--workers",
+        str(workers),
+        "--cells",
+        str(cells),
+        "--steps",
+        str(steps),
+        *(["--stored"] * stored),
+    ]
     launch = [str(Path(sys.executable).parent / "mpiexec"), "-n", str(workers + 1)] if name == "mpi" else []
     module = ["-m", "mpi4py.futures"] if name == "mpi" else []
     ran = subprocess.run([*launch, sys.executable, *module, *asked], capture_output=True, text=True, check=False)
@@ -146,6 +156,7 @@ def main() -> None:
     """Measure, print, and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=10_000)
+    parser.add_argument("--steps", type=int, default=2000, help="of a cell; with few, its time is that of its design")
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--json", type=Path)
     parser.add_argument("--one", choices=CONTESTANTS, help=argparse.SUPPRESS)
@@ -153,13 +164,13 @@ def main() -> None:
     parser.add_argument("--stored", action="store_true", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.one:
-        print(json.dumps(measure(asked.one, asked.workers, asked.cells, asked.stored)))
+        print(json.dumps(measure(asked.one, asked.workers, asked.cells, asked.steps, asked.stored)))
         return
-    runs = [("here", 1), ("threads", 2), *((name, workers) for name in CONTESTANTS[2:] for workers in (1, 2))]
+    runs = [("here", 1), *((name, workers) for name in CONTESTANTS[1:] for workers in (1, 2))]
     rounds: dict[tuple[str, int], list[dict[str, Any]]] = {run: [] for run in runs}
     for _ in range(asked.rounds):
         for run in runs:
-            rounds[run].append(apart(*run, asked.cells))
+            rounds[run].append(apart(*run, asked.cells, asked.steps))
             print(*run, f"{rounds[run][-1]['seconds']:.2f} s", file=sys.stderr)
     table = {run: medians(found) for run, found in rounds.items()}
     here = table["here", 1]
@@ -184,8 +195,11 @@ def main() -> None:
             f"{name:12}{workers:8}{row['seconds']:9.2f}{rows[-1]['efficiency']:12.3f}{1e3 * rows[-1]['overhead']:18.3f}"
             f"{row['start']:9.2f}{memory}"
         )
-    memory = {str(cells): apart("processes", 2, cells) for cells in (asked.cells // 10, asked.cells, 2 * asked.cells)}
-    kept = apart("here", 1, asked.cells, stored=True)
+    memory = {
+        str(cells): apart("processes", 2, cells, asked.steps)
+        for cells in (asked.cells // 10, asked.cells, 2 * asked.cells)
+    }
+    kept = apart("here", 1, asked.cells, asked.steps, stored=True)
     stored = (kept["seconds"] - here["seconds"]) / here["cells"]
     print("memory of a worker:", {cells: round(row["worker_megabytes"]) for cells, row in memory.items()}, "MB")
     print(f"a store: {1e3 * stored:.3f} ms more per cell")
