@@ -87,25 +87,20 @@ def peak(process: int | None = None) -> float:
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024
 
 
-def spent() -> float:
-    """Return the processor time that this process took."""
-    return time.process_time()
-
-
 def measure(name: str, workers: int, cells: int, steps: int, stored: bool) -> dict[str, Any]:
     """Return seconds, memory and a digest of one sweep."""
     problem, over = line(), grid(cells)
     begin = time.perf_counter()
     with workers_by(name, workers) as executor, tempfile.TemporaryDirectory() as folder:
         taciturn.sweep(problem, grid(WARM * workers), executor=executor, steps=steps)
-        started, worked = time.perf_counter(), spent()
+        started, worked = time.perf_counter(), time.process_time()
         found = taciturn.sweep(problem, over, executor=executor, steps=steps, store=folder if stored else None)
-        ended, hand = time.perf_counter(), spent() - worked
+        ended, hand = time.perf_counter(), time.process_time() - worked
         worker = max((peak(child.pid) for child in multiprocessing.active_children()), default=None)
-        worked = spent()
+        worked = time.process_time()
         for task in [] if executor is None else [executor.submit(abs, -1) for _ in range(TASKS)]:
             task.result()
-        task = (spent() - worked) / TASKS
+        task = (time.process_time() - worked) / TASKS
     columns = [np.ascontiguousarray(found[one].values) for one in sorted(found) if found[one].dtype != object]
     return {
         "start": started - begin,

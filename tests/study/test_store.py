@@ -150,44 +150,49 @@ def test_a_folder_that_is_no_store_is_refused(tmp_path: Path) -> None:
 COMMAND = [sys.executable, "-m", "taciturn.cli", "sweep", "two-mass", "--over", "actuation=hold,model"]
 
 
-def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> None:
-    """A limit on the size of files stands for a disk without room; then there is room again."""
-    command = [*COMMAND, "--over", "theta=0.1,1,3", "--store", str(tmp_path / "s"), "--standard-error", "3e-3"]
+def run_with_files_of(most: int, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run six cells where no file may have more bytes than so many."""
 
     def limited() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (256, 256))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most, resource.RLIM_INFINITY))
 
-    ran = subprocess.run(
-        [*command, "--workers", "1"], preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False
-    )
+    command = [
+        *COMMAND,
+        "--over",
+        "theta=0.1,1,3",
+        "--store",
+        str(folder),
+        "--standard-error",
+        "3e-3",
+        "--workers",
+        "1",
+    ]
+    return subprocess.run(command, preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> None:
+    """A limit on the size of files stands for a disk without room; then there is room again."""
+    ran = run_with_files_of(256, tmp_path / "s")
     assert ran.returncode == 2
     assert ran.stderr.startswith("taciturn: the store")
     assert "cannot be written to (File too large); what it holds is whole: make room" in ran.stderr
     assert ran.stderr.count("\n") == 1
     assert files(tmp_path / "s") == []
-    subprocess.run([*command, "--workers", "1"], check=True, capture_output=True, timeout=120)
+    assert run_with_files_of(resource.RLIM_INFINITY, tmp_path / "s").returncode == 0
     assert len(files(tmp_path / "s")) == 6
 
 
 def test_a_disk_that_is_full_at_the_end_is_a_sentence_too(tmp_path: Path) -> None:
     """Room for the cells, none for the whole: nothing that looks like a result is left; then there is room again."""
-    command = [*COMMAND, "--over", "theta=0.1,1,3", "--store", str(tmp_path / "s"), "--standard-error", "3e-3"]
-
-    def limited() -> None:
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
-
-    ran = subprocess.run(
-        [*command, "--workers", "1"], preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False
-    )
+    ran = run_with_files_of(4096, tmp_path / "s")
     assert ran.returncode == 2
     assert re.fullmatch(
         r"taciturn: '.*result.nc' cannot be written .*; what was computed is kept: make room.*\n", ran.stderr
     )
     assert len(files(tmp_path / "s")) == 6
     assert not list((tmp_path / "s").glob("result*"))
-    ran = subprocess.run([*command, "--workers", "1"], capture_output=True, text=True, timeout=120, check=True)
+    assert run_with_files_of(resource.RLIM_INFINITY, tmp_path / "s").returncode == 0
     assert (tmp_path / "s" / "result.nc").is_file()
 
 
