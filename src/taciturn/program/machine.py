@@ -236,8 +236,9 @@ def compile_object(text: str, target: Any) -> bytes:
     module = llvm.parse_assembly(f'target triple = "{target.triple}"\n{text}')
     module.data_layout = str(target.target_data)  # without it, vectors are spilled unaligned
     module.verify()
-    passes = llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options(speed_level=3))
-    passes.getModulePassManager().run(module, passes)
+    passes = llvm.create_new_module_pass_manager()
+    passes.add_instruction_combine_pass()  # programs are pruned and shared already: all of -O3 takes thrice as long
+    passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
     return target.emit_object(module)
 
 
