@@ -11,6 +11,7 @@ from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import TINY, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._kept import kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,34 +80,7 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
         >>> round(float(found.prior[0, 0]), 9), round(float(found.gain[0, 0]), 9)
         (3.0, 0.75)
     """
-    A, C, W, V = _checked(A, C, W, V)
-    unseen = uncontrollable_modes(A.T, C.T)
-    unseen = unseen[np.abs(unseen) >= 1 - 1e-12]
-    if unseen.size:
-        raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
-            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
-            "that state out of the problem"
-        )
-    n, p = A.shape[0], C.shape[0]
-    if not V.any() and np.linalg.matrix_rank(C) == n:
-        gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
-        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T)
-    if not V.any() and not W.any():
-        observer = _filter(A, C, np.eye(n), np.eye(p))
-        if observer is not None:
-            return _frozen(np.zeros((n, n)), np.zeros((n, n)), observer.gain, np.zeros((p, p)))
-    elif _dare.is_definite(V):
-        _refuse_unreached(A, W)
-    found = _filter(A, C, W, V)
-    if found is None:
-        _refuse_unreached(A, W)
-        raise UnstableError(
-            "no stable steady filter was found: with this V some combination of outputs is free of noise and "
-            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small "
-            "positive part, or scale the states"
-        )
-    return found
+    return _steady(*_checked(A, C, W, V))
 
 
 def predict_covariances(
@@ -187,6 +161,38 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
     gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
     return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
+
+
+@kept
+def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
+    """Return the steady filter of data that were checked."""
+    unseen = uncontrollable_modes(A.T, C.T)
+    unseen = unseen[np.abs(unseen) >= 1 - 1e-12]
+    if unseen.size:
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
+            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
+            "that state out of the problem"
+        )
+    n, p = A.shape[0], C.shape[0]
+    if not V.any() and np.linalg.matrix_rank(C) == n:
+        gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
+        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T)
+    if not V.any() and not W.any():
+        observer = _filter(A, C, np.eye(n), np.eye(p))
+        if observer is not None:
+            return _frozen(np.zeros((n, n)), np.zeros((n, n)), observer.gain, np.zeros((p, p)))
+    elif _dare.is_definite(V):
+        _refuse_unreached(A, W)
+    found = _filter(A, C, W, V)
+    if found is None:
+        _refuse_unreached(A, W)
+        raise UnstableError(
+            "no stable steady filter was found: with this V some combination of outputs is free of noise and "
+            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small "
+            "positive part, or scale the states"
+        )
+    return found
 
 
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:

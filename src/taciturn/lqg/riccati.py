@@ -12,6 +12,7 @@ from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._kept import kept
 
 __all__ = [
     "FiniteRegulator",
@@ -73,7 +74,7 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
         -1.568729
     """
     data = _checked(A, B, Q, R, N)
-    return _regulate(*data, unit=1.0)
+    return _regulate(*data, 1.0)
 
 
 def regulate_discounted(
@@ -109,7 +110,7 @@ def regulate_discounted(
     """
     A, B, Q, R, N = _checked(A, B, Q, R, N)
     root = np.sqrt(_arrays.number("discount", discount, 0.0, np.nextafter(1.0, 2.0)))
-    return _regulate(root * A, root * B, Q, R, N, unit=float(root))
+    return _regulate(root * A, root * B, Q, R, N, float(root))
 
 
 def regulate_finite(
@@ -226,6 +227,7 @@ _NOT_FOUND = (
 )
 
 
+@kept
 def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
     fixed = uncontrollable_modes(A, B)
