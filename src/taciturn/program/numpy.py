@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,21 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn.program.ir import Program
-from taciturn.program.ops import EIGHT, WINDOW, Op, Rows, tiles
+from taciturn.program.ops import EIGHT, WINDOW, Op, Tile, tiles
 
 Value = npt.NDArray[Any]  # numbers, truth values, words or halves, one per path
+
+
+def _lookup(table: Value, x: Value) -> Value:
+    return table[x.astype(np.int64)]
+
+
+def _pick(table: Value, word: Value) -> Value:
+    return table[word & np.uint64(EIGHT - 1)]
+
+
+def _entry(vector: Value, k: int) -> Value:
+    return vector[k]
 
 
 def _shift_left(x: Value, k: int) -> Value:
@@ -75,6 +88,9 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "word_and": np.bitwise_and,
     "word_or": np.bitwise_or,
     "word_xor": np.bitwise_xor,
+    "lookup": _lookup,
+    "pick": _pick,
+    "entry": _entry,
     "shift_left": _shift_left,
     "shift_right": _shift_right,
     "rotate_left": _rotate_left,
@@ -85,6 +101,8 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "count": _count,
     "any_bit": _any_bit,
 }
+
+_GIVEN = ("const", "word", "half", "state", "input")  # operations that compute nothing
 
 
 @dataclass(frozen=True)
@@ -114,10 +132,12 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
     Returns:
         The states after the last tick, the sums and the outputs.
     """
+    assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
     paths = states.shape[1]
     kind = np.dtype(program.precision)
-    tables = [np.array(table, dtype=kind) for table in program.tables]
     fixed = _fixed(program, paths)
+    read = [(index, op) for index, op in enumerate(program.ops) if op.name in ("state", "input")]
+    rules = [(i, _rule(op, program), op.reads) for i, op in enumerate(program.ops) if op.name not in _GIVEN]
     memory: list[Value] = [
         row.view(np.uint64) if state.word else row.astype(kind)
         for state, row in zip(program.states, states, strict=True)
@@ -127,11 +147,12 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
     window = {name: np.zeros(paths, dtype=kind) for name in totals}
     records = {name: np.empty((ticks, paths)) for name in program.outputs}
     for tick in range(ticks):
-        values: list[Value] = []
+        values = fixed.copy()
         supplied = None if inputs is None else inputs[tick].astype(kind)
-        for index, op in enumerate(program.ops):
-            here = fixed[index] if index in fixed else _apply(op, values, memory, supplied, tables, program.matrices)
-            values.append(here)
+        for index, (name, (place,)) in read:
+            values[index] = memory[place] if supplied is None or name == "state" else supplied[place]
+        for index, rule, reads in rules:
+            values[index] = rule(*[values[i] for i in reads])
         for name, total in totals.items():
             window[name] = window[name] + values[total.op]
             if (tick + 1) % WINDOW == 0 or tick + 1 == ticks:
@@ -146,49 +167,35 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
     return Run(final, {name: total.of(added[name], ticks) for name, total in totals.items()}, records)
 
 
-def _fixed(program: Program, paths: int) -> dict[int, Value]:
-    fixed: dict[int, Value] = {}
-    for index, op in enumerate(program.ops):
-        if op.name == "const":
-            fixed[index] = np.full(paths, program.constants[op.arguments[0]], dtype=program.precision)
-        elif op.name in ("word", "half"):
-            fixed[index] = np.full(paths, op.arguments[0], dtype=np.uint64 if op.name == "word" else np.uint32)
+def _fixed(program: Program, paths: int) -> list[Value]:
+    """Return the value of each operation, for those that have one at every tick."""
+    fixed: list[Value] = [np.empty(0)] * len(program.ops)
+    for index, (name, rest) in enumerate(program.ops):
+        if name == "const":
+            fixed[index] = np.full(paths, program.constants[rest[0]], dtype=program.precision)
+        elif name in ("word", "half"):
+            fixed[index] = np.full(paths, rest[0], dtype=np.uint64 if name == "word" else np.uint32)
     return fixed
 
 
-def _product(matrix: Rows, values: Sequence[Value]) -> Value:
+def _rule(op: Op, program: Program) -> Callable[..., Value]:
+    """Return what makes an operation's value of those that it reads."""
+    name, rest = op
+    if name == "product":
+        matrix = program.matrices[rest[0]]
+        return partial(_product, np.array(matrix, dtype=program.precision), tiles(matrix))
+    if name in ("lookup", "pick"):
+        return partial(_RULES[name], np.array(program.tables[rest[0]], dtype=program.precision))
+    if name in ("entry", "shift_left", "shift_right", "rotate_left"):
+        return partial(_RULES[name], k=rest[1])
+    return _RULES[name]
+
+
+def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
     """Return the matrix times the values, (rows, paths)."""
-    coefficients = np.array(matrix, dtype=values[0].dtype)
-    result = np.zeros((len(matrix), len(values[0])), dtype=values[0].dtype)
-    for tile in tiles(matrix):
+    result = np.zeros((len(matrix), len(values[0])), dtype=matrix.dtype)
+    for tile in parts:
         rows = slice(tile.first, tile.first + tile.rows)
         for j in range(tile.begin, tile.end):
-            result[rows] += coefficients[rows, j, None] * values[j]
+            result[rows] += matrix[rows, j, None] * values[j]
     return result
-
-
-def _apply(
-    op: Op,
-    values: list[Value],
-    memory: list[Value],
-    supplied: Array | None,
-    tables: list[Value],
-    matrices: Sequence[Rows],
-) -> Value:
-    name, rest = op
-    if name == "state":
-        return memory[rest[0]]
-    if name == "input":
-        assert supplied is not None, "the program has inputs, and none are supplied"
-        return supplied[rest[0]]
-    if name == "product":
-        return _product(matrices[rest[0]], [values[i] for i in rest[1:]])
-    if name == "lookup":
-        return tables[rest[0]][values[rest[1]].astype(np.int64)]
-    if name == "pick":
-        return tables[rest[0]][values[rest[1]] & np.uint64(EIGHT - 1)]
-    if name == "entry":
-        return values[rest[0]][rest[1]]
-    if name in ("shift_left", "shift_right", "rotate_left"):
-        return _RULES[name](values[rest[0]], rest[1])
-    return _RULES[name](*(values[argument] for argument in rest))
