@@ -107,16 +107,15 @@ class Builder:
         self.matrices: list[Rows] = []
         self.states: list[State] = []
         self.inputs: list[str] = []
-        self._known: dict[tuple[str, tuple[int, ...]], int] = {}
+        self._known: dict[Op, int] = {}
         self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
         """Return the index of the operation, new or shared."""
-        key = (name, arguments)
-        found = self._known.get(key)
-        if found is None:
-            found = self._known[key] = len(self.ops)
-            self.ops.append(Op(name, arguments))
+        op, new = Op(name, arguments), len(self.ops)
+        found = self._known.setdefault(op, new)
+        if found == new:
+            self.ops.append(op)
         return found
 
     def constant(self, value: float) -> int:
@@ -274,7 +273,7 @@ class Builder:
 
 
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
-    """Replay a program: ``substitute`` may replace an operation; only the given states are kept.
+    """Replay a program: ``substitute`` may replace a state or an input; only the given states are kept.
 
     Unused operations, constants and tables disappear on the way.
     """
@@ -286,10 +285,8 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     new: dict[int, int] = {}
     for index in live:
         op = program.ops[index]
-        replaced = substitute(builder, op)
-        if replaced is None:
-            replaced = _copy(program, builder, op, new)
-        new[index] = replaced
+        replaced = substitute(builder, op) if op.name in ("state", "input") else None
+        new[index] = _copy(program, builder, op, new) if replaced is None else replaced
     return Program(
         tuple(builder.ops),
         tuple(builder.states),
@@ -340,13 +337,19 @@ def _led(leader: Sequence[int], kept: Sequence[int]) -> Callable[[Builder, Op], 
 def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int]:
     """Return the states that sums, outputs and those already alive depend on, through any number of ticks."""
     roots = [*program.sums.values(), *program.outputs.values(), *(program.following[i] for i in alive)]
-    while True:
-        ops = (program.ops[i] for i in needed(program, roots))
-        read = {leader[op.arguments[0]] for op in ops if op.name == "state"}
-        if read <= alive:
-            return sorted(alive)
-        alive |= read
-        roots += [program.following[i] for i in read]
+    seen: set[int] = set()
+    while roots:
+        index = roots.pop()
+        if index in seen:
+            continue
+        seen.add(index)
+        op = program.ops[index]
+        if op.name != "state":
+            roots += op.reads
+        elif (state := leader[op.arguments[0]]) not in alive:
+            alive.add(state)
+            roots.append(program.following[state])
+    return sorted(alive)
 
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
@@ -359,9 +362,9 @@ def needed(program: Program, roots: Sequence[int]) -> set[int]:
 
 
 def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) -> int:
-    first = op.arguments[0]
     if op.name not in LITERAL_ARGUMENTS:
-        return builder.emit(op.name, *map(new.__getitem__, op.arguments))
+        return builder.emit(op.name, *[new[argument] for argument in op.arguments])
+    first = op.arguments[0]
     if op.name == "const":
         return builder.constant(program.constants[first])
     if op.name == "lookup":
