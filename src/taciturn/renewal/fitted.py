@@ -123,7 +123,7 @@ def _least_squares(rows: Array, values: Array) -> Array:
 
 def squares(x: Array, weight: Array) -> Array:
     """Return x'Mx of each row, (…, n) to (…,)."""
-    return ((x @ weight) * x).sum(axis=-1)
+    return np.einsum("...i,...i->...", x @ weight, x)
 
 
 def _terms(z: Array) -> Array:
