@@ -19,12 +19,34 @@ if TYPE_CHECKING:
     from taciturn.study.certify import Certificates
     from taciturn.study.compare import Comparison
     from taciturn.study.evaluate import Evaluation
+    from taciturn.study.network import NetworkRun
     from taciturn.study.periods import TunedPeriod
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
     from taciturn.study.tune import Tuned
 
 RATES = ("rate_actuator", "rate_sensor")
+
+
+def network(found: NetworkRun) -> None:
+    """Print what nodes over a network cost and sent."""
+    policy, per = found.loop.policy, "step" if found.unit == "mission" else found.unit
+    cost = "-" if found.cost is None else f"{found.cost} per {found.unit}"
+    lines = [("policy", policy.kind), ("ticks", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
+    lines += [(f"rate, {link}", f"{rate} per {per}") for link, rate in found.rates.items()]
+    if found.loop.nominal:
+        lines.append(("all-time cost", f"{policy.cost_all_time:.6g}"))
+    for link, counted in found.datagrams.items():
+        lines.append((f"link, {link}", ", ".join(f"{count} {name}" for name, count in counted.items())))
+    for name, report in found.reports.items():
+        if report.get("degraded"):
+            lines.append(("degraded", f"{name}: " + ", ".join(f"{n} {why}" for why, n in report["degraded"].items())))
+        if report.get("lateness_ms"):
+            shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
+            lines.append(("lateness, ms", f"{name}: {shown}"))
+    lines += [("note", note) for note in found.notes]
+    for name, text in lines:
+        typer.echo(f"{name:14s} {text}")
 
 
 def evaluation(found: Evaluation) -> None:

@@ -21,7 +21,7 @@ from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick
+from taciturn.program.lower import Tick, encode_payloads
 from taciturn.program.ops import Precision
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
@@ -101,22 +101,32 @@ class Loop:
         plant = self.problem.plant
         tick = self._tick({"x": plant.states})
         losses = self._losses(tick)
-        tick.signals["y"] = tick.combine({"x": plant.C}, plant.outputs)
-        if plant.V.any():
-            noise = _noise(tick, factor(plant.V), 0)
-            tick.signals["y"] = [tick.builder.emit("add", y, v) for y, v in zip(tick.signals["y"], noise, strict=True)]
+        tick.signals["y"] = self._measured(tick)
         for step in self.policy.steps:
             tick.take(step, losses)
         tick.signals["applied"] = self._clip(tick)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
-        moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
-        if plant.W.any():
-            jumps = self.problem.jumps
-            noise = _noise(tick, factor(plant.W), len(tick.builder.inputs)) if jumps is None else add_jumps(tick, jumps)
-            moved = [tick.builder.emit("add", v, w) for v, w in zip(moved, noise, strict=True)]
-        tick.signals["x"] = moved
+        tick.signals["x"] = self._moved(tick)
         return with_draws(with_controls(tick.finish(self._sums(tick, stage), outputs)))
+
+    def plant_program(self) -> Program:
+        """Return one tick of the plant alone, whose input is supplied.
+
+        Inputs: ``input i``. Outputs: ``cost`` of the tick, and ``y i``, what is measured at the next.
+        """
+        plant, tracking = self.problem.plant, self.policy.tracking
+        tick = self._tick({"x": plant.states})
+        followed = () if tracking is None else (tracking.state, tracking.input)
+        for step in self.policy.steps:
+            if isinstance(step, Assign) and step.signal in followed:
+                tick.take(step, {})
+        tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
+        tick.signals["applied"] = self._clip(tick)
+        outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
+        tick.signals["x"] = self._moved(tick)
+        outputs |= {f"y {i}": value for i, value in enumerate(self._measured(tick))}
+        return with_draws(tick.finish({}, outputs))
 
     def reduced_program(self) -> Program:
         """Return one tick of the loop as its filter sees it: driven by innovations, without the plant.
@@ -198,7 +208,21 @@ class Loop:
         policy, plant = self.policy, self.problem.plant
         sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1, **{_bad(link): 1 for link in ENDS}}
         initial = {**policy.initial, "x": "x", WEIGHT: np.ones(1), **{_bad(link): _bad(link) for link in ENDS}}
-        return Tick(Builder(self.precision), sizes, initial, policy.locations)
+        payloads = encode_payloads(policy, self.network)
+        told = {link: {name: how[name] for name in policy.told(link)} for link, how in payloads.items()}
+        return Tick(Builder(self.precision), sizes, initial, policy.locations, told)
+
+    def _measured(self, tick: Tick) -> list[int]:
+        plant = self.problem.plant
+        y = tick.combine({"x": plant.C}, plant.outputs)
+        return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
+
+    def _moved(self, tick: Tick) -> list[int]:
+        plant, jumps = self.problem.plant, self.problem.jumps
+        moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
+        if not plant.W.any():
+            return moved
+        return _add(tick, moved, _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps))
 
     def _losses(self, tick: Tick) -> dict[str, Coefficient]:
         """Return the loss probability of each link: constant, or read by the drawn location of its bursts."""
@@ -229,12 +253,7 @@ class Loop:
         values = tick.signals["input"]
         if limit is None:
             return values
-        clipped: list[int] = []
-        for value, bound in zip(values, limit, strict=True):
-            high, low = tick.builder.constant(bound), tick.builder.constant(-bound)
-            below = tick.choose(tick.builder.emit("greater", value, high), high, value)
-            clipped.append(tick.choose(tick.builder.emit("greater", low, below), low, below))
-        return clipped
+        return [tick.clip(value, bound) for value, bound in zip(values, limit, strict=True)]
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem
@@ -312,13 +331,15 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
     same_start = np.array_equal(plant.mean, model.mean) and np.array_equal(plant.covariance, model.covariance)
     filtered = not plant.full_state and policy.closed_form is None
     bursts = any(network.burst(link) is not None for link in ENDS)
+    exact, designed = network.without_rounding(), policy.network.without_rounding()
     found = {
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": mission and not same_start,
         "inputs are clipped (input_limit)": plant.input_limit is not None,
         "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
         "losses come in bursts, and the design knows their mean only": bursts,
-        "the network is not the one of the design": not bursts and network != policy.network.without_bursts(),
+        "the network is not the one of the design": not bursts and exact != designed.without_bursts(),
+        f"packets hold rounded numbers ({network.payload})": network.payload != "float64",
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
     return tuple(text for text, departs in found.items() if departs)
@@ -348,7 +369,11 @@ def _normals(tick: Tick, number: int, first: int) -> list[int]:
     return [tick.builder.input(f"{NORMAL} {first + i}") for i in range(number)]
 
 
-def _noise(tick: Tick, spread: Array, first: int) -> list[int]:
-    """Return G·normals, drawn under names that count from ``first``."""
-    drawn = _normals(tick, spread.shape[1], first)
+def _add(tick: Tick, values: list[int], noise: list[int]) -> list[int]:
+    return [tick.builder.emit("add", value, drawn) for value, drawn in zip(values, noise, strict=True)]
+
+
+def _noise(tick: Tick, spread: Array) -> list[int]:
+    """Return G·normals that are drawn for it."""
+    drawn = _normals(tick, spread.shape[1], len(tick.builder.inputs))
     return [tick.value(index) for index in tick.builder.transform(spread.tolist(), drawn)]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, cast
 
-from taciturn._arrays import count, instance, number
+from taciturn._arrays import choice, count, instance, number
 from taciturn.errors import ProblemError
+from taciturn.model.wire import CODES, Encoding, EncodingName
 
 ProtocolName = Literal["udp", "tcp", "ideal"]
 
@@ -60,9 +62,13 @@ class Network:
         delay: steps of computation delay, at least 0.
         actuator_burst: bursty losses instead of ``actuator_loss``.
         sensor_burst: bursty losses instead of ``sensor_loss``.
+        payload: how the numbers in a packet are written: ``"float64"``, ``"float32"`` or ``"int16"``, which round them.
+        actuator_range: with ``"int16"``, the largest number that a packet to the actuator holds: one, or one per entry.
+        sensor_range: that of a packet from the sensor.
 
     Raises:
-        ProblemError: a probability outside [0, 1], losses on an ideal network, loss and burst on one link.
+        ProblemError: a probability outside [0, 1], losses on an ideal network, loss and burst on one link, or a range
+            that is not positive or that ``payload`` has no use for.
     """
 
     protocol: ProtocolName = "ideal"
@@ -71,6 +77,9 @@ class Network:
     delay: int = 0
     actuator_burst: Burst | None = None
     sensor_burst: Burst | None = None
+    payload: EncodingName = "float64"
+    actuator_range: float | tuple[float, ...] | None = None
+    sensor_range: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -90,6 +99,36 @@ class Network:
                     f"network.{link}_{'loss' if burst is None else 'burst'} is given for an ideal network; "
                     "expected protocol = 'udp' or 'tcp' where packets are lost"
                 )
+        self._check_payload()
+
+    def _check_payload(self) -> None:
+        choice("network.payload", self.payload, CODES)
+        for link in ("actuator", "sensor"):
+            given = getattr(self, f"{link}_range")
+            if given is None:
+                continue
+            name = f"network.{link}_range"
+            if self.payload != "int16":
+                raise ProblemError(f"{name} is given with payload = {self.payload!r}; expected it with 'int16' only")
+            entries = cast("Sequence[object]", given if isinstance(given, list | tuple) else (given,))
+            checked = tuple(number(name, entry, 0.0) for entry in entries)
+            object.__setattr__(self, f"{link}_range", checked)
+
+    def encoding(self, link: str) -> Encoding:
+        """Return how the payloads of a link are written.
+
+        Raises:
+            ProblemError: whole numbers without the range that they stand for.
+        """
+        if self.payload != "int16":
+            return Encoding(self.payload)
+        scale = {"actuator": self.actuator_range, "sensor": self.sensor_range}[link]
+        if scale is None:
+            raise ProblemError(
+                f"network.{link}_range is missing, and network.payload is 'int16'; expected the largest number that "
+                f"a packet of the {link} link is to hold"
+            )
+        return Encoding("int16", cast("tuple[float, ...]", scale))
 
     def burst(self, link: str) -> Burst | None:
         """Return the bursts of a link, or None where its loss probability is constant."""
@@ -109,3 +148,7 @@ class Network:
             actuator_burst=None,
             sensor_burst=None,
         )
+
+    def without_rounding(self) -> Network:
+        """Return the network whose packets hold numbers as they are."""
+        return replace(self, payload="float64", actuator_range=None, sensor_range=None)

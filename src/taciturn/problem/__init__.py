@@ -272,7 +272,8 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
     Raises:
         ProblemError: a network or a reference that it does not use.
     """
-    unusual = [key for key in NetworkTable.model_fields if getattr(network, key) != getattr(Network(), key)]
+    exact = network.without_rounding()  # how packets are written concerns every policy
+    unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(Network(), key)]
     if unusual:
         _expect(kind, "network", f"network.{unusual[0]}", "ideal links")
     if reference is not None:
@@ -340,6 +341,9 @@ def _network(table: NetworkTable | None) -> Network:
         table.delay,
         _burst("actuator", table.actuator_burst),
         _burst("sensor", table.sensor_burst),
+        cast("Any", table.payload),
+        cast("Any", table.actuator_range),
+        cast("Any", table.sensor_range),
     )
 
 

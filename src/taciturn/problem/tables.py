@@ -84,6 +84,9 @@ class NetworkTable(Table):
     delay: int = 0
     actuator_burst: BurstTable | None = None
     sensor_burst: BurstTable | None = None
+    payload: str = "float64"
+    actuator_range: float | list[float] | None = None
+    sensor_range: float | list[float] | None = None
 
 
 class ReferenceTable(Table):

@@ -157,6 +157,15 @@ class Body:
         """Return numbers as doubles."""
         return numbers if self.number == "double" else self._new(f"fpext {self.numbers} {numbers} to {self.doubles}")
 
+    def _narrowed(self, numbers: str) -> str:
+        """Round to single precision."""
+        if self.number == "float":
+            return numbers
+        floats = f"<{self.lanes} x float>"
+        return self._new(
+            f"fpext {floats} {self._new(f'fptrunc {self.numbers} {numbers} to {floats}')} to {self.numbers}"
+        )
+
     def _row(self, base: str, first: str, index: int) -> str:
         """Return the address of row ``index`` behind row ``first`` of an array of vectors of doubles."""
         row = self._new(f"add i64 {first}, {index}")
@@ -188,6 +197,8 @@ class Body:
             return self._new(f"{_ARITHMETIC[name]} {self.flags}{V} {names[rest[0]]}, {names[rest[1]]}")
         if name == "sqrt":
             return self._new(f"call {self.flags}{V} @llvm.sqrt.v{self.lanes}f{self.bits}({V} {names[rest[0]]})")
+        if name == "narrow":
+            return self._narrowed(names[rest[0]])
         if name == "entry":
             return self.vectors[rest[0]][rest[1]]
         if name == "select":

@@ -6,10 +6,12 @@ The same walk serves the closed loop (all nodes, the plant between them) and a s
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.network import Network
 from taciturn.model.policy import (
     ONE,
     Assign,
@@ -18,17 +20,21 @@ from taciturn.model.policy import (
     Draw,
     Evaluate,
     Location,
+    Policy,
+    Received,
     Send,
     Step,
     Terms,
 )
 from taciturn.model.trigger import Bell, Form, Matrix, Scheduled
+from taciturn.model.wire import LARGEST, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.ops import State
 
 Vector = list[int]
+Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
 Truth = int | bool  # an operation, or known now
 
 
@@ -42,6 +48,7 @@ class Tick:
         sizes: entries of each signal.
         initial: first value of a memory; omitted: 0. A string names values that differ from path to path.
         locations: finite locations.
+        payloads: how each signal in the packets of a link is rounded, by link; omitted: what is read is exact.
     """
 
     def __init__(
@@ -50,8 +57,11 @@ class Tick:
         sizes: Mapping[str, int],
         initial: Mapping[str, Array | str],
         locations: Sequence[Location],
+        payloads: Payloads | None = None,
     ) -> None:
         """Start before the first step."""
+        self.payloads = payloads or {}
+        self.listening: Mapping[str, Encoding] = {}  # what the packet tells that the step being taken reads
         self.builder, self.sizes, self.initial = builder, sizes, initial
         self.signals: dict[str, Vector] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Vector] = {}
@@ -60,9 +70,38 @@ class Tick:
         self.sent: dict[str, Truth] = {}
         self.options: dict[str, dict[str, int]] = {}  # value of each option of each decision
         self.locations = {location.name: location for location in locations}
-        self._draws = 0
+        self.drawn = 0  # uniform numbers
 
     def read(self, name: str) -> Vector:
+        """Return the signal's value now, or of the tick before; as the packet tells it, where one is read."""
+        return self.hear(name) if name in self.listening else self.recall(name)
+
+    def hear(self, name: str) -> Vector:
+        """Return a signal as the packet tells it."""
+        return self.rounded(self.recall(name), self.listening[name])
+
+    def rounded(self, values: Vector, encoding: Encoding) -> Vector:
+        """Return numbers as a packet holds them."""
+        if encoding.name == "float64":
+            return values
+        if encoding.name == "float32":
+            return [self.builder.emit("narrow", value) for value in values]
+        return [self._whole(value, scale) for value, scale in zip(values, encoding.full_scale, strict=True)]
+
+    def _whole(self, value: int, scale: float) -> int:
+        """Round to a whole number of steps, ties to even."""
+        b, most = self.builder, float(LARGEST)
+        steps = self.clip(b.scale(most / scale, value), most)
+        rounder = b.constant(ROUNDERS[b.precision])
+        return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
+
+    def clip(self, value: int, limit: float) -> int:
+        """Return a number within ±limit."""
+        high, low = self.builder.constant(limit), self.builder.constant(-limit)
+        below = self.choose(self.builder.emit("greater", value, high), high, value)
+        return self.choose(self.builder.emit("greater", low, below), low, below)
+
+    def recall(self, name: str) -> Vector:
         """Return the signal's value now, or of the tick before."""
         if name not in self.signals:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
@@ -70,6 +109,8 @@ class Tick:
 
     def take(self, step: Step, losses: Mapping[str, Coefficient]) -> None:
         """Write down one step; ``losses`` gives the loss probability of each link."""
+        on = step.on if isinstance(step, Assign | Evaluate) else None
+        self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
             values = [self.combine(terms, step.size) for terms in step.branches]
             self.signals[step.signal] = [self.pick(step.on, options) for options in zip(*values, strict=True)]
@@ -81,6 +122,7 @@ class Tick:
             self._decide(step)
         else:
             self._send(step, losses[step.link])
+        self.listening = {}
 
     def combine(self, terms: Terms, rows: int) -> Vector:
         """Return Σ matrix·signal."""
@@ -131,7 +173,7 @@ class Tick:
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
         """Return the entries of a matrix, read at the location now where it is scheduled."""
         if isinstance(matrix, Scheduled):
-            at = self._location(matrix.by)
+            at = self.place(matrix.by)
             entries = np.moveaxis(matrix.values, 0, -1)
             return [[self.builder.lookup(list(entry), at) for entry in row] for row in entries]
         return [[float(value) for value in row] for row in matrix]
@@ -139,19 +181,19 @@ class Tick:
     def number(self, value: float | Scheduled) -> Coefficient:
         """Return a number, read at the location now where it is scheduled."""
         if isinstance(value, Scheduled):
-            return self.builder.lookup(list(value.values), self._location(value.by))
+            return self.builder.lookup(list(value.values), self.place(value.by))
         return value
 
     def uniform(self) -> int:
         """Return a fresh draw, uniform in (0, 1)."""
-        self._draws += 1
-        return self.builder.input(f"{UNIFORM} {self._draws - 1}")
+        self.drawn += 1
+        return self.builder.input(f"{UNIFORM} {self.drawn - 1}")
 
     def finish(self, sums: Mapping[str, int], outputs: Mapping[str, int] | None = None) -> Program:
         """Close the tick: move the locations, carry the memories over."""
         for location in self.locations.values():
             if location.name in self.memories:
-                self.signals[location.name] = [self._move(location)]
+                self.signals[location.name] = [self.move(location)]
         for link, truth in self.arrived.items():
             self.signals[_arrival(link)] = [self.as_number(truth)]
         following = {(name, i): index for name in self.memories for i, index in enumerate(self.signals[name])}
@@ -169,16 +211,18 @@ class Tick:
         """Return the operation, or zero where nothing is left of a sum."""
         return self.builder.constant(0.0) if index is None else index
 
-    def _location(self, name: str) -> int:
+    def place(self, name: str) -> int:
+        """Return where a location is in this tick."""
         if name not in self.memories:
             location = self.locations[name]
             start = State(name, 0, float(location.initial))
             self.signals[name] = self.memories[name] = [self.builder.state(start)]
         return self.memories[name][0]
 
-    def _move(self, location: Location) -> int:
+    def move(self, location: Location) -> int:
+        """Return where a location is in the next tick."""
         columns = location.table[:, None] if location.on is None else location.table
-        here = self.memories[location.name][0]
+        here = self.place(location.name)
         options = [self.builder.value(self.builder.lookup([float(v) for v in column], here)) for column in columns.T]
         return self.pick(location.on, options)
 
@@ -236,6 +280,21 @@ class Tick:
             return not truth
         op = self.builder.ops[truth]
         return op.arguments[0] if op.name == "not" else self.builder.emit("not", truth)
+
+
+def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
+    """Return how each signal that a packet tells its receiver is rounded, by link and signal.
+
+    Raises:
+        ProblemError: a range is missing, or has another number of entries than the packet.
+    """
+    payloads: dict[str, dict[str, Encoding]] = {}
+    for step in policy.steps:
+        if isinstance(step, Send):
+            sizes = [policy.sizes[name] for name in step.payload]
+            parts = network.encoding(step.link).parts(sizes)
+            payloads[step.link] = dict(zip(step.payload, parts, strict=True))
+    return payloads
 
 
 def _arrival(link: str) -> str:

@@ -68,6 +68,11 @@ def _any_bit(x: Value) -> Value:
     return x != 0
 
 
+def _narrow(x: Value) -> Value:
+    with np.errstate(over="ignore"):
+        return x.astype(np.float32).astype(x.dtype)
+
+
 def _divide(x: Value, y: Value) -> Value:
     with np.errstate(all="ignore"):  # lanes whose quotient is not used divide by what they like
         return np.divide(x, y)
@@ -79,6 +84,7 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "mul": np.multiply,
     "div": _divide,
     "sqrt": np.sqrt,
+    "narrow": _narrow,
     "select": np.where,
     "greater": np.greater,
     "less_equal": np.less_equal,

@@ -21,6 +21,7 @@ vectors and loops belong to the printers, not to the program.
 | `shift_left` `shift_right` `rotate_left` | word or half, literal | the same |
 | `upper` `lower` | word | its half |
 | `count` | half | number, the integer it holds (single precision) |
+| `narrow` | number | the nearest number of single precision |
 | `bits` / `number` | number / word (double), half (single precision) | the same bits as a word or half / as a number |
 | `any_bit` | word or half | truth value: not zero |
 """

@@ -1,0 +1,246 @@
+"""Commands that run a policy as nodes over a network."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import time
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Annotated, Any, cast
+
+import typer
+
+from taciturn import _print
+from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
+
+Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any free one.")]
+Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who gets the packets.")]
+Ticks = Annotated[int | None, typer.Option(min=1, help="Ticks to run. Default: until interrupted.")]
+RealTime = Annotated[bool, typer.Option("--real-time", help="Go by the clock instead of virtual time.")]
+TickLength = Annotated[
+    float | None, typer.Option("--tick", help="Real seconds per tick. Default: those of the problem.")
+]
+Key = Annotated[
+    Path | None,
+    typer.Option(metavar="PATH", help="Hexadecimal key of 16 to 32 bytes. Default: $TACITURN_KEY, or none."),
+]
+Log = Annotated[
+    str | None,
+    typer.Option(metavar="OUT", help="A JSON line per tick: to a file, - for standard output, or udp://HOST:PORT."),
+]
+Loops = Annotated[int, typer.Option(min=1, max=65535, help="How many such loops this process serves.")]
+
+
+@app.command()
+def network(
+    file: File,
+    ticks: Annotated[int | None, typer.Option(min=1, help="Default: the mission, or 5000.")] = None,
+    real_time: RealTime = False,
+    tick: TickLength = None,
+    seed: Seed = 0,
+    key: Key = None,
+    as_json: Json = False,
+) -> None:
+    """Run the nodes of a problem as processes on this machine, with a relay on each link."""
+    import taciturn
+    from taciturn.runtime.packet import read_key
+    from taciturn.study.network import run_network
+
+    length = _length(taciturn.load(file).design().tick, real_time, tick)
+    with progress_bar("running") as progress:
+        found = run_network(file, ticks=ticks, tick=length, seed=seed, key=read_key(key), progress=progress)
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.network(found)
+
+
+@app.command()
+def node(
+    role: Annotated[str, typer.Argument(metavar="sensor|controller|actuator")],
+    file: File,
+    bind: Bind = "127.0.0.1:0",
+    peer: Peer = None,
+    plant: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who measures and acts.")] = None,
+    ticks: Ticks = None,
+    real_time: RealTime = False,
+    tick: TickLength = None,
+    wait: Annotated[float, typer.Option(help="Share of a tick that its packet is waited for, in real time.")] = 0.5,
+    heartbeat: Annotated[int | None, typer.Option(min=1, help="Ticks between marks. Default: one second.")] = None,
+    watchdog: Annotated[int | None, typer.Option(min=1, help="Ticks of silence until the input is safe.")] = None,
+    safe: Annotated[str, typer.Option(help="The safe input: hold, zero, or numbers as 0.5,-1.")] = "hold",
+    state: Annotated[Path | None, typer.Option(metavar="PATH", help="Keeps the state after every tick.")] = None,
+    key: Key = None,
+    log: Log = None,
+    loops: Loops = 1,
+    seed: Seed = 0,
+) -> None:
+    """Run one node of a problem: it meets its peers over UDP until it is interrupted, and prints what it counted."""
+    import taciturn
+    from taciturn._arrays import number
+    from taciturn.runtime.node import Node
+    from taciturn.runtime.packet import Wire, read_key
+    from taciturn.runtime.serve import NodeServer
+    from taciturn.runtime.udp import Endpoint, parse_address
+
+    problem = taciturn.load(file)
+    policy = problem.design()
+    length = _length(policy.tick, real_time, tick)
+    if state is not None and loops > 1:
+        raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
+    number("--wait", wait, 0.0, 1.0, closed=True)
+    nodes = [
+        Node(
+            policy, cast("Any", role), network=problem.network, epoch=int(time.time()), seed=seed, loop=loop,
+            watchdog=watchdog, safe=_safe(safe),
+        )
+        for loop in range(loops)
+    ]  # fmt: skip
+    wire = Wire(policy, problem.network, read_key(key))
+    to = None if peer is None else parse_address("--peer", peer)
+    world = None if plant is None else parse_address("--plant", plant)
+    with _logged(log) as told, _stopping() as stopped:
+        server = NodeServer(
+            nodes, wire, Endpoint(parse_address("--bind", bind)), peer=to, plant=world, tick=length, wait=wait,
+            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
+        )  # fmt: skip
+        _listening(role, server.endpoint.address)
+        server.run(ticks, stopped)
+        typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
+
+
+@app.command()
+def plant(
+    file: File,
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="The node that measures.")],
+    bind: Bind = "127.0.0.1:0",
+    ticks: Annotated[int, typer.Option(min=1, help="Ticks to run.")] = 1000,
+    real_time: RealTime = False,
+    tick: TickLength = None,
+    key: Key = None,
+    log: Log = None,
+    loops: Loops = 1,
+    seed: Seed = 0,
+) -> None:
+    """Simulate the plant of a problem for nodes that run elsewhere."""
+    import taciturn
+    from taciturn.runtime.packet import Wire, read_key
+    from taciturn.runtime.plant import SimulatedPlant
+    from taciturn.runtime.serve import PlantServer
+    from taciturn.runtime.udp import Endpoint, parse_address
+
+    problem = taciturn.load(file)
+    loop = problem.close(problem.design())
+    length = _length(loop.policy.tick, real_time, tick)
+    plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
+    wire = Wire(loop.policy, problem.network, read_key(key))
+    with _logged(log) as told, _stopping() as stopped:
+        endpoint = Endpoint(parse_address("--bind", bind))
+        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told)
+        _listening("plant", endpoint.address)
+        typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
+
+
+@app.command()
+def relay(
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where the link ends.")],
+    bind: Bind = "127.0.0.1:0",
+    loss: Annotated[float, typer.Option(help="Probability that a packet is lost.")] = 0.0,
+    burst: Annotated[
+        str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Losses in bursts instead.")
+    ] = None,
+    delay: Annotated[float, typer.Option(help="Seconds that every packet takes.")] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Up to so many seconds more.")] = 0.0,
+    hold: Annotated[int, typer.Option(help="Ticks that every packet waits, in virtual time.")] = 0,
+    duplicate: Annotated[float, typer.Option(help="Probability that a packet comes twice.")] = 0.0,
+    reorder: Annotated[float, typer.Option(help="Probability that a packet comes after the next.")] = 0.0,
+    corrupt: Annotated[float, typer.Option(help="Probability that bits of a packet are turned.")] = 0.0,
+    seed: Seed = 0,
+) -> None:
+    """Carry packets over a link that loses, delays, doubles, reorders or corrupts them, alike for the same seed."""
+    from taciturn.runtime.relay import Channel, Fate
+    from taciturn.runtime.serve import relay as carry
+    from taciturn.runtime.udp import Endpoint, parse_address
+
+    fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt)
+    to = parse_address("--peer", peer)
+    with _stopping() as stopped:
+        endpoint = Endpoint(parse_address("--bind", bind))
+        _listening("relay", endpoint.address)
+        typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
+
+
+def _length(of_problem: float, real_time: bool, asked: float | None) -> float | None:
+    """Return the real seconds of a tick; None in virtual time."""
+    from taciturn._arrays import number
+    from taciturn.errors import ProblemError
+
+    if asked is not None and not real_time:
+        raise ProblemError("--tick is given without --real-time; expected both, or neither")
+    if not real_time:
+        return None
+    return of_problem if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)
+
+
+def _safe(text: str) -> Any:
+    from taciturn.errors import ProblemError
+
+    if text in ("hold", "zero"):
+        return text
+    try:
+        return tuple(float(part) for part in text.split(","))
+    except ValueError:
+        raise ProblemError(f"--safe is {text!r}; expected hold, zero, or numbers as 0.5,-1") from None
+
+
+def _burst(text: str | None) -> Any:
+    from taciturn.errors import ProblemError
+    from taciturn.model.network import Burst
+
+    if text is None:
+        return None
+    try:
+        to_bad, to_good, loss_good, loss_bad = map(float, text.split(","))
+    except ValueError:
+        raise ProblemError(f"--burst is {text!r}; expected four probabilities, as 0.05,0.3,0.01,0.7") from None
+    return Burst(to_bad, to_good, loss_good, loss_bad)
+
+
+def _listening(name: str, address: tuple[str, int]) -> None:
+    print(f"taciturn: the {name} listens on {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _stopping() -> Generator[Callable[[], bool]]:
+    """Tell whether to stop: after SIGTERM or Ctrl-C, at which the counters are still to be printed."""
+    asked: list[int] = []
+    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in (2, 15)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _logged(target: str | None) -> Generator[Callable[[Mapping[str, Any]], None] | None]:
+    """Give what writes a JSON line per tick."""
+    from taciturn.runtime.udp import Endpoint, parse_address
+
+    if target is None:
+        yield None
+    elif target.startswith("udp://"):
+        to, endpoint = parse_address("--log", target.removeprefix("udp://")), Endpoint(("0.0.0.0", 0))
+        yield lambda line: endpoint.send(json.dumps(line).encode(), to)
+    elif target == "-":
+        yield _lines(sys.stdout)
+    else:
+        with Path(target).open("a", encoding="utf-8") as file:
+            yield _lines(file)
+
+
+def _lines(file: IO[str]) -> Callable[[Mapping[str, Any]], None]:
+    return lambda line: print(json.dumps(line), file=file, flush=True)

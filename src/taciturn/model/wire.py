@@ -1,0 +1,126 @@
+"""The wire layout: what stands where in a datagram, as one table, and how numbers are rounded to be sent."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, choice
+from taciturn.errors import ProblemError
+
+EncodingName = Literal["float64", "float32", "int16"]
+PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input"]
+KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input")
+LINKS = ("sensor", "actuator", "plant")
+CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # struct's letters
+VERSION = 1
+AUTHENTICATED = 0x80  # bit of the encoding
+LARGEST = 32767  # integer that stands for the full scale
+# adding and subtracting it leaves the nearest integer, ties to even
+ROUNDERS = {"float64": 1.5 * 2.0**52, "float32": 1.5 * 2.0**23}
+CRC_SIZE, TAG_SIZE = 4, 16
+
+
+class FieldOfHeader(NamedTuple):
+    """One field of the header.
+
+    Args:
+        name: of the field.
+        code: letter of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes.
+        meaning: for whoever writes a peer.
+    """
+
+    name: str
+    code: str
+    meaning: str
+
+
+HEADER = (
+    FieldOfHeader("sequence", "I", "counts the packets of this kind on this link, from 0; 4294967295 ends an epoch"),
+    FieldOfHeader("version", "B", f"{VERSION}"),
+    FieldOfHeader("kind", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(KINDS))),
+    FieldOfHeader("link", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(LINKS))),
+    FieldOfHeader(
+        "encoding", "B", "0: float64, 1: float32, 2: int16 of the entries; plus 128: the datagram ends with a tag"
+    ),
+    FieldOfHeader("loop", "H", "which of many loops that one process serves"),
+    FieldOfHeader("entries", "B", "numbers in the payload"),
+    FieldOfHeader("reserved", "B", "0"),
+    FieldOfHeader("epoch", "I", "grows when a node starts without its state; sequences begin anew"),
+    FieldOfHeader("tick", "Q", "that the packet belongs to"),
+    FieldOfHeader("fingerprint", "Q", "of the policy; nodes of another policy are foreign"),
+)
+HEADER_FORMAT = "!" + "".join(entry.code for entry in HEADER)
+HEADER_SIZE = struct.calcsize(HEADER_FORMAT)
+_SEEN = ("sequence", "kind", "tick")  # by a link that looks at what it carries
+_PLACE = struct.Struct(
+    "!" + "".join(e.code if e.name in _SEEN else f"{struct.calcsize('!' + e.code)}x" for e in HEADER)
+)
+
+
+@dataclass(frozen=True)
+class Encoding:
+    """How the entries of a payload are rounded and written.
+
+    Args:
+        name: ``"float64"`` (exact), ``"float32"`` (24 bits) or ``"int16"`` (round(32767·value/range), clipped).
+        full_scale: range of each entry, with ``"int16"`` only.
+
+    Raises:
+        ProblemError: another name, a range missing, out of place or not positive.
+
+    Example:
+        >>> Encoding("int16", (2.0,)).rounded([1.0])
+        array([1.00003052])
+    """
+
+    name: EncodingName = "float64"
+    full_scale: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check."""
+        choice("the encoding", self.name, CODES)
+        if (self.name == "int16") != bool(self.full_scale):
+            got = "without" if self.name == "int16" else "with"
+            raise ProblemError(f"the encoding {self.name} comes {got} a range; expected one with int16, and only there")
+        scale = array("the range of an encoding", self.full_scale, (None,))
+        if not (scale > 0).all():
+            raise ProblemError(f"the range of an encoding is {scale.min():g}; expected positive numbers")
+        object.__setattr__(self, "full_scale", tuple(float(value) for value in scale))
+
+    def parts(self, sizes: Sequence[int]) -> list[Encoding]:
+        """Return the encodings of signals that stand one after the other; one range is that of all entries.
+
+        Raises:
+            ProblemError: another number of ranges than of entries.
+        """
+        entries = sum(sizes)
+        if self.name != "int16":
+            return [self] * len(sizes)
+        if len(self.full_scale) not in (1, entries):
+            raise ProblemError(
+                f"the range of a packet has {len(self.full_scale)} entries; expected one, or {entries}: as the packet"
+            )
+        each = self.full_scale * (entries // len(self.full_scale))
+        ends = list(accumulate(sizes, initial=0))
+        return [Encoding("int16", each[begin:end]) for begin, end in pairwise(ends)]
+
+    def rounded(self, values: ArrayLike) -> Array:
+        """Return what the receiver of these values reads."""
+        exact = np.asarray(values, dtype=np.float64)
+        if self.name == "float32":
+            return exact.astype(np.float32).astype(np.float64)
+        if self.name == "int16":
+            step = np.array(self.full_scale) / LARGEST
+            return np.clip(np.rint(exact * (LARGEST / np.array(self.full_scale))), -LARGEST, LARGEST) * step
+        return exact
+
+
+def read_place(datagram: bytes) -> tuple[int, int, int]:
+    """Return sequence, kind and tick of a datagram that is at least as long as a header; nothing is checked."""
+    return _PLACE.unpack_from(datagram)

@@ -1,0 +1,133 @@
+"""Prints a program as a Python function of numbers: one path, one tick at a time, without NumPy, for nodes.
+
+Every operation rounds once, in the order of the program: the bits are those of ``program.numpy``.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+from taciturn.program.ir import Program, needed
+from taciturn.program.ops import EIGHT, Op, tiles
+
+Tick: TypeAlias = Callable[[Sequence[Any], Sequence[float]], tuple[tuple[Any, ...], tuple[float, ...]]]
+"""States (words as whole numbers) and inputs → the states after the tick, and the outputs in the program's order."""
+
+_WORD = (1 << 64) - 1
+_INFIX: Mapping[str, str] = {
+    "add": "+", "sub": "-", "mul": "*", "greater": ">", "less_equal": "<=",
+    "word_and": "&", "word_or": "|", "word_xor": "^",
+}  # fmt: skip
+
+
+def print_python(program: Program) -> str:
+    """Return the source of a function ``tick(s, u)`` of states and inputs.
+
+    Args:
+        program: in double precision.
+    """
+    assert program.precision == "float64", "nodes compute in double precision"
+    roots = [*program.following, *program.outputs.values()]
+    live = needed(program, roots)
+    lines = [f"v{i} = {_expression(program, op)}" for i, op in enumerate(program.ops) if i in live]
+    states = "".join(f"v{i}, " for i in program.following)
+    outputs = "".join(f"v{i}, " for i in program.outputs.values())
+    return "\n    ".join(["def tick(s, u):", *lines, f"return ({states}), ({outputs})"]) + "\n"
+
+
+def compile_python(program: Program) -> Tick:
+    """Return a program as a function of states and inputs."""
+    names: dict[str, Any] = {
+        "_divide": _divide, "_sqrt": _sqrt, "_bits": _bits, "_number": _number, "_narrow": _narrow,
+        "_rotate": _rotate, "inf": math.inf, "nan": math.nan,
+    }  # fmt: skip
+    names |= {f"table{i}": table for i, table in enumerate(program.tables)}
+    exec(compile(print_python(program), "<a tick of a node>", "exec"), names)
+    return names["tick"]
+
+
+def _expression(program: Program, op: Op) -> str:
+    name, rest = op
+    if name in _INFIX:
+        return f"v{rest[0]} {_INFIX[name]} v{rest[1]}"
+    if name == "const":
+        return repr(program.constants[rest[0]])
+    if name in ("state", "input"):
+        return f"{name[0] if name == 'state' else 'u'}[{rest[0]}]"
+    if name == "select":
+        return f"v{rest[1]} if v{rest[0]} else v{rest[2]}"
+    if name == "and":
+        return f"v{rest[0]} and v{rest[1]}"
+    if name == "not":
+        return f"not v{rest[0]}"
+    if name == "any_bit":
+        return f"v{rest[0]} != 0"
+    if name == "lookup":
+        return f"table{rest[0]}[int(v{rest[1]})]"
+    if name == "pick":
+        return f"table{rest[0]}[v{rest[1]} & {EIGHT - 1}]"
+    if name == "entry":
+        return f"v{rest[0]}[{rest[1]}]"
+    if name == "product":
+        return _product(program, rest)
+    return _on_bits(name, rest)
+
+
+def _on_bits(name: str, rest: Sequence[int]) -> str:
+    x = f"v{rest[0]}"
+    if name == "word":
+        return str(rest[0])
+    if name == "word_add":
+        return f"({x} + v{rest[1]}) & {_WORD}"
+    if name == "shift_left":
+        return f"({x} << {rest[1]}) & {_WORD}"
+    if name == "shift_right":
+        return f"{x} >> {rest[1]}"
+    if name == "rotate_left":
+        return f"_rotate({x}, {rest[1]})"
+    if name == "div":
+        return f"_divide({x}, v{rest[1]})"
+    return f"_{name}({x})"  # sqrt, bits, number, narrow: halves are of single precision
+
+
+def _product(program: Program, rest: Sequence[int]) -> str:
+    """Return the entries of a matrix times numbers, added up as in ``program.numpy``: tile by tile, from 0."""
+    matrix, values = program.matrices[rest[0]], rest[1:]
+    entries = ["0.0"] * len(matrix)
+    for tile in tiles(matrix):
+        for row in range(tile.first, tile.first + tile.rows):
+            terms = [f"{matrix[row][j]!r} * v{values[j]}" for j in range(tile.begin, tile.end)]
+            entries[row] = " + ".join(["0.0", *terms])
+    return "(" + "".join(f"{entry}, " for entry in entries) + ")"
+
+
+def _divide(x: float, y: float) -> float:
+    if y != 0.0:
+        return x / y
+    return math.nan if x == 0.0 or x != x else math.copysign(math.inf, x) * math.copysign(1.0, y)
+
+
+def _sqrt(x: float) -> float:
+    return math.sqrt(x) if x >= 0.0 else math.nan
+
+
+def _bits(x: float) -> int:
+    return struct.unpack("<Q", struct.pack("<d", x))[0]
+
+
+def _number(word: int) -> float:
+    return struct.unpack("<d", struct.pack("<Q", word))[0]
+
+
+def _narrow(x: float) -> float:
+    try:
+        return struct.unpack("<f", struct.pack("<f", x))[0]
+    except OverflowError:
+        return math.copysign(math.inf, x)
+
+
+def _rotate(word: int, by: int) -> int:
+    return (word << by | word >> (64 - by)) & _WORD

@@ -1,0 +1,259 @@
+"""Packets as bytes: written, checked and read; the layout is the table of ``taciturn.model.wire``.
+
+A datagram that is not a packet of ours is refused with a word that says why, and nothing else happens.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import math
+import os
+import struct
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeAlias, cast
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.model.network import Network
+from taciturn.model.policy import Policy, Send
+from taciturn.model.wire import (
+    AUTHENTICATED,
+    CODES,
+    CRC_SIZE,
+    HEADER_FORMAT,
+    HEADER_SIZE,
+    KINDS,
+    LARGEST,
+    LINKS,
+    TAG_SIZE,
+    VERSION,
+    Encoding,
+    PacketKind,
+)
+
+Refusal: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
+REFUSALS: tuple[Refusal, ...] = ("malformed", "corrupted", "foreign", "forged")
+KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; bytes of a key of BLAKE2s
+PERSON = b"taciturn"
+DIGITS = 1e6  # of the largest entry of a matrix: what two machines that design the same policy agree in
+_HEADER = struct.Struct(HEADER_FORMAT)
+_CRC = struct.Struct("!I")
+_ENCODINGS = tuple(CODES)
+_KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
+_LINK_CODES = {link: code for code, link in enumerate(LINKS)}
+
+
+class Packet(NamedTuple):
+    """One packet.
+
+    Args:
+        kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the tick), or of the plant's own
+            wires ``"measurement"`` and ``"input"``.
+        link: ``"sensor"``, ``"actuator"`` or ``"plant"``.
+        tick: that it belongs to.
+        sequence: counts the packets of this kind on this link.
+        values: the payload, as the receiver reads it.
+        epoch: grows when a node starts without its state.
+        loop: which of many loops.
+    """
+
+    kind: PacketKind
+    link: str
+    tick: int
+    sequence: int
+    values: tuple[float, ...] = ()
+    epoch: int = 0
+    loop: int = 0
+
+
+class Wire:
+    """Writes and reads the packets of one policy.
+
+    Args:
+        policy: whose nodes talk.
+        network: how payloads are rounded; omitted: that of the design.
+        key: shared secret of 16 to 32 bytes; omitted: packets are not authenticated.
+
+    Raises:
+        ProblemError: a key that is too short or too long, or payloads without their range.
+
+    Example:
+        >>> from taciturn import load
+        >>> wire = Wire(load("two-mass").design())
+        >>> datagram = wire.encode(Packet("data", "actuator", tick=7, sequence=3, values=(0.25,)))
+        >>> len(datagram), wire.decode(datagram).values
+        (44, (0.25,))
+        >>> wire.decode(datagram[:-1])
+        'malformed'
+    """
+
+    def __init__(self, policy: Policy, network: Network | None = None, key: bytes | None = None) -> None:
+        """Note what a packet of each kind on each link holds."""
+        network = policy.network if network is None else network
+        if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
+            raise ProblemError(
+                f"the key has {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: as `openssl rand -hex 32` gives"
+            )
+        self.fingerprint = fingerprint(policy, network)
+        self._key = key
+        exact = Encoding()
+        shapes: dict[tuple[int, int], tuple[Encoding, int]] = {}
+        for step in policy.steps:
+            if isinstance(step, Send):
+                sizes = [policy.sizes[name] for name in step.payload]
+                (whole,) = network.encoding(step.link).parts([sum(sizes)])
+                shapes[_KIND_CODES["data"], _LINK_CODES[step.link]] = whole, sum(sizes)
+                shapes[_KIND_CODES["acknowledgement"], _LINK_CODES[step.link]] = exact, 0
+                shapes[_KIND_CODES["mark"], _LINK_CODES[step.link]] = exact, 0
+        plant = _LINK_CODES["plant"]
+        shapes[_KIND_CODES["measurement"], plant] = exact, policy.model.outputs
+        shapes[_KIND_CODES["input"], plant] = exact, policy.model.inputs
+        shapes[_KIND_CODES["mark"], plant] = exact, 0
+        self._shapes = {key: _Shape(*shape) for key, shape in shapes.items()}
+
+    def encode(self, packet: Packet) -> bytes:
+        """Return a packet as a datagram.
+
+        Raises:
+            ProblemError: the policy has no such packet, or it holds what is no finite number.
+        """
+        kind, link = _KIND_CODES[packet.kind], _LINK_CODES[packet.link]
+        shape = self._shapes.get((kind, link))
+        if shape is None or len(packet.values) != shape.entries or not all(map(math.isfinite, packet.values)):
+            raise ProblemError(
+                f"a packet of kind {packet.kind} on the {packet.link} link holds {packet.values}; "
+                f"expected {'no such packet' if shape is None else f'{shape.entries} finite numbers'}"
+            )
+        flag = 0 if self._key is None else AUTHENTICATED
+        datagram = _HEADER.pack(
+            packet.sequence, VERSION, kind, link, shape.code | flag, packet.loop, shape.entries, 0,
+            packet.epoch, packet.tick, self.fingerprint,
+        ) + shape.write(packet.values)  # fmt: skip
+        datagram += _CRC.pack(zlib.crc32(datagram))
+        return datagram if self._key is None else datagram + self._tag(datagram)
+
+    def decode(self, datagram: bytes) -> Packet | Refusal:
+        """Return the packet of a datagram, or why it is none.
+
+        ``"malformed"``: its length or a field is impossible; ``"corrupted"``: its CRC is wrong; ``"foreign"``: it is of
+        another version or policy, or not authenticated alike; ``"forged"``: its tag is wrong. In this order.
+        """
+        tag = 0 if self._key is None else TAG_SIZE
+        end = len(datagram) - CRC_SIZE - tag
+        if end < HEADER_SIZE:
+            return "malformed"
+        sequence, version, kind, link, coded, loop, entries, zero, epoch, tick, policy = _HEADER.unpack_from(datagram)
+        if version != VERSION or (coded & AUTHENTICATED != 0) != (self._key is not None):
+            return "foreign"
+        if zlib.crc32(datagram[:end]) != _CRC.unpack_from(datagram, end)[0]:
+            return "corrupted"
+        if policy != self.fingerprint:
+            return "foreign"
+        if self._key is not None and not hmac.compare_digest(datagram[-TAG_SIZE:], self._tag(datagram[:-TAG_SIZE])):
+            return "forged"
+        shape = self._shapes.get((kind, link))
+        if shape is None or (coded & ~AUTHENTICATED, entries, zero) != (shape.code, shape.entries, 0):
+            return "malformed"
+        if end - HEADER_SIZE != shape.size:
+            return "malformed"
+        values = shape.read(datagram, HEADER_SIZE)
+        if not all(map(math.isfinite, values)):
+            return "malformed"
+        return Packet(KINDS[kind], LINKS[link], tick, sequence, values, epoch, loop)
+
+    def _tag(self, content: bytes) -> bytes:
+        assert self._key is not None
+        return hashlib.blake2s(content, digest_size=TAG_SIZE, key=self._key, person=PERSON).digest()
+
+
+class _Shape:
+    """How the payload of a packet is written."""
+
+    def __init__(self, encoding: Encoding, entries: int) -> None:
+        self.entries, self.code = entries, _ENCODINGS.index(encoding.name)
+        self._layout = struct.Struct(f"!{entries}{CODES[encoding.name]}")
+        self.size = self._layout.size
+        self._steps = tuple(scale / LARGEST for scale in encoding.full_scale)
+        self._factors = tuple(LARGEST / scale for scale in encoding.full_scale)
+
+    def write(self, values: Sequence[float]) -> bytes:
+        if not self._steps:
+            return self._layout.pack(*values)
+        steps = (round(max(-LARGEST, min(LARGEST, v * f))) for v, f in zip(values, self._factors, strict=True))
+        return self._layout.pack(*steps)
+
+    def read(self, datagram: bytes, offset: int) -> tuple[float, ...]:
+        found = self._layout.unpack_from(datagram, offset)
+        return tuple(v * s for v, s in zip(found, self._steps, strict=True)) if self._steps else found
+
+
+def read_key(path: str | Path | None = None) -> bytes | None:
+    """Return the shared secret: of a file, or of the environment variable ``TACITURN_KEY``; None where there is none.
+
+    Args:
+        path: of a file that holds it as hexadecimal digits; omitted: the environment is asked.
+
+    Raises:
+        ProblemError: no such file, no hexadecimal digits, too few or too many.
+    """
+    if path is None:
+        text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
+        if not text:
+            return None
+    else:
+        source = f"the key file {path}"
+        try:
+            text = Path(path).read_text(encoding="ascii")
+        except (OSError, UnicodeDecodeError) as error:
+            raise ProblemError(f"{source} cannot be read ({error}); expected hexadecimal digits") from None
+    try:
+        key = bytes.fromhex(text.strip())
+    except ValueError:
+        raise ProblemError(
+            f"{source} holds no hexadecimal digits; expected {2 * LEAST_KEY} to {2 * MOST_KEY}"
+        ) from None
+    if not LEAST_KEY <= len(key) <= MOST_KEY:
+        raise ProblemError(
+            f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}, as `openssl rand -hex 32` gives"
+        )
+    return key
+
+
+def fingerprint(policy: Policy, network: Network) -> int:
+    """Return 64 bits that tell policies apart: steps, locations and first values, to six digits of each matrix.
+
+    Two machines whose linear algebra rounds differently find the same.
+    """
+    data = (policy.steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
+    rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
+    text = repr(_plain([data, rounding, policy.model.input_limit]))
+    return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
+
+
+def _plain(value: object) -> object:
+    """Return data as nested tuples of words and whole numbers."""
+    if is_dataclass(value) and not isinstance(value, type):
+        held = tuple(_plain(getattr(value, field.name)) for field in fields(value))
+        return (type(value).__name__, *held)
+    if isinstance(value, np.ndarray | float):
+        return _whole(np.asarray(value, dtype=np.float64))
+    if isinstance(value, Mapping):
+        return tuple((str(key), _plain(one)) for key, one in cast("Mapping[object, object]", value).items())
+    if isinstance(value, frozenset):
+        return tuple(sorted(cast("frozenset[str]", value)))
+    if isinstance(value, list | tuple):
+        return tuple(_plain(one) for one in cast("Iterable[object]", value))
+    return value
+
+
+def _whole(values: np.ndarray[Any, Any]) -> object:
+    """Return numbers as whole ones: size of the largest, and each as a share of it."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest == 0.0:
+        return (values.shape, 0)
+    return (values.shape, f"{largest:.5e}", *np.rint(values / largest * DIGITS).astype(np.int64).ravel().tolist())

@@ -1,0 +1,89 @@
+"""A simulated plant, one tick at a time: what the nodes measure and act on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import Array, count, instance
+from taciturn._modes import factor
+from taciturn.errors import ProblemError
+from taciturn.loop import COST, Loop
+from taciturn.program.python import compile_python
+
+
+class SimulatedPlant:
+    """The plant of a loop, with its noise and its cost.
+
+    Args:
+        loop: whose plant it is, clipped inputs and references included.
+        seed: of the initial state and the noise.
+
+    Example:
+        >>> import taciturn
+        >>> problem = taciturn.load("two-mass")
+        >>> plant = SimulatedPlant(problem.close(problem.design()), seed=1)
+        >>> cost = plant.move([0.0])
+        >>> plant.tick, cost >= 0.0
+        (1, True)
+    """
+
+    def __init__(self, loop: Loop, seed: int = 0) -> None:
+        """Start from the initial distribution."""
+        instance("loop", loop, Loop)
+        self.loop, self.tick = loop, 0
+        count("seed", seed, 0)
+        program = loop.plant_program()
+        self._turn = compile_python(program)
+        start = loop.start(program, 1, seed)[:, 0]
+        self._states: Sequence[Any] = [
+            int(value.view(np.uint64)) if state.word else float(value)
+            for value, state in zip(start, program.states, strict=True)
+        ]
+        outputs = list(program.outputs)
+        self._cost = outputs.index(COST)
+        self._y = [i for i, name in enumerate(outputs) if name.startswith("y ")]
+        self._x = [i for i, state in enumerate(program.states) if state.name == "x"]
+        plant = loop.problem.plant
+        spread: Array = factor(plant.V)
+        draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
+        noise: Array = spread @ draws.standard_normal((spread.shape[1],))
+        self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + noise).tolist())
+
+    @property
+    def state(self) -> Array:
+        """The state of the plant, (n,)."""
+        return np.array([self._states[i] for i in self._x])
+
+    def move(self, inputs: Sequence[float]) -> float:
+        """Apply an input for one tick, and return what the tick costs; ``measurement`` is then that of the next.
+
+        Args:
+            inputs: u, (m,).
+
+        Raises:
+            ProblemError: another number of inputs, or the plant has left the range of numbers.
+        """
+        if len(inputs) != self.loop.problem.plant.inputs:
+            raise ProblemError(
+                f"the input has {len(inputs)} entries; expected {self.loop.problem.plant.inputs}: those of the plant"
+            )
+        self._states, outputs = self._turn(self._states, [float(value) for value in inputs])
+        self.measurement = tuple(outputs[i] for i in self._y)
+        self.tick += 1
+        if not np.isfinite(outputs[self._cost]) or not np.isfinite(self.measurement).all():
+            raise ProblemError(
+                f"the plant has left the range of numbers at tick {self.tick}: the loop is unstable; "
+                "expected a policy that stabilises it over this network"
+            )
+        return outputs[self._cost]
+
+    def final_cost(self) -> float:
+        """Return what the state costs where a mission ends; 0 without a terminal weight."""
+        terminal, tracking = self.loop.problem.cost.terminal, self.loop.policy.tracking
+        if terminal is None:
+            return 0.0
+        off = self.state - (0.0 if tracking is None else tracking.final)
+        return float(off @ terminal @ off)

@@ -1,0 +1,229 @@
+"""Nodes and links as processes of this machine: started, killed, started again, and asked for their counters."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from taciturn.errors import ProblemError
+from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
+from taciturn.runtime.node import place_of, roles
+from taciturn.runtime.relay import Fate
+from taciturn.runtime.udp import free_addresses
+
+PATIENCE = 60.0  # seconds until a process that starts must listen
+READY = "listens on"
+
+
+class Process:
+    """One process of the command line.
+
+    Args:
+        arguments: of ``taciturn``.
+        environment: variables beside those of this process.
+        before: a command that runs it, as ``ip netns exec NAME``.
+    """
+
+    def __init__(
+        self, arguments: Sequence[str], environment: Mapping[str, str] | None = None, before: Sequence[str] = ()
+    ) -> None:
+        """Start it."""
+        command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
+        self._name = " ".join(arguments[:2])
+        self._errors: list[str] = []
+        self._listens = threading.Event()
+        self._process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, **(environment or {})},
+        )
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def id(self) -> int:
+        """Its number."""
+        return self._process.pid
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs."""
+        return self._process.poll() is None
+
+    def expect(self) -> None:
+        """Wait until it listens.
+
+        Raises:
+            ProblemError: it has ended, with its own sentence.
+        """
+        end = time.monotonic() + PATIENCE
+        while not self._listens.wait(0.05):
+            if not self.alive or time.monotonic() > end:
+                raise ProblemError(self.sentence())
+
+    def sentence(self) -> str:
+        """Return what it said when it ended."""
+        if not self.alive:
+            self._reader.join(1.0)
+        said = [line.removeprefix("taciturn: ") for line in self._errors if READY not in line]
+        return said[-1] if said else f"{self._name} has ended with code {self._process.poll()}; expected it to run"
+
+    def kill(self) -> None:
+        """End it without a chance to do anything (SIGKILL)."""
+        self._process.kill()
+        self._process.wait()
+
+    def pause(self, seconds: float) -> None:
+        """Stop it for a while, so that its clock jumps."""
+        self._process.send_signal(signal.SIGSTOP)
+        time.sleep(seconds)
+        self._process.send_signal(signal.SIGCONT)
+
+    def stop(self) -> dict[str, Any]:
+        """Ask it to end, and return its report.
+
+        Raises:
+            ProblemError: it gives none.
+        """
+        self._process.terminate()
+        try:
+            said, _ = self._process.communicate(timeout=PATIENCE)
+            return json.loads(said.splitlines()[-1])
+        except (subprocess.TimeoutExpired, ValueError, IndexError):
+            self.kill()
+            raise ProblemError(self.sentence()) from None
+
+    def _read(self) -> None:
+        assert self._process.stderr is not None
+        for line in self._process.stderr:
+            self._errors.append(line.rstrip("\n"))
+            if READY in line:
+                self._listens.set()
+
+
+class Processes:
+    """The nodes of a policy, and a relay on each of its links, on the loopback of this machine.
+
+    Args:
+        file: problem file, or the name of a built-in problem.
+        policy: its policy.
+        fates: what befalls the packets of each link.
+        tick: real seconds per tick; omitted: lockstep.
+        folder: where each node logs its ticks (``ROLE.jsonl``) and keeps its state (``ROLE.json``).
+        options: further options of every node.
+        environment: variables of every process.
+    """
+
+    def __init__(
+        self,
+        file: str,
+        policy: Policy,
+        fates: Mapping[LinkName, Fate],
+        *,
+        tick: float | None = None,
+        folder: Path | None = None,
+        keeps: bool = False,
+        options: Sequence[str] = (),
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
+        """Give everybody an address."""
+        self.file, self.policy, self._environment = file, policy, environment
+        self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+        self.roles = roles(policy)
+        names = [*self.roles, *(f"relay {link}" for link in self.links), "plant"]
+        found = (f"{host}:{port}" for host, port in free_addresses(len(names)))
+        self.addresses = dict(zip(names, found, strict=True))
+        pace = [] if tick is None else ["--real-time", "--tick", repr(tick)]
+        self.commands: dict[str, list[str]] = {}
+        for link in self.links:
+            self.commands[f"relay {link}"] = [
+                "relay", "--bind", self.addresses[f"relay {link}"], "--peer", self.addresses[self._end(link)],
+                *_options(fates[link]),
+            ]  # fmt: skip
+        for role in self.roles:
+            arguments = ["node", role, file, "--bind", self.addresses[role], *pace, *options]
+            peer = self._peer(role)
+            arguments += ["--peer", self.addresses[peer]] if peer else []
+            site = place_of(policy, role)
+            arguments += ["--plant", self.addresses["plant"]] if {"sensor", "actuator"} & site else []
+            if folder is not None:
+                arguments += ["--log", str(folder / f"{role}.jsonl")]
+                arguments += ["--state", str(folder / f"{role}.json")] if keeps else []
+            self.commands[role] = arguments
+        self.running: dict[str, Process] = {}
+
+    @property
+    def measuring(self) -> NodeName:
+        """The node that the plant tells its measurements."""
+        return next(role for role in self.roles if "sensor" in place_of(self.policy, role))
+
+    def start(self, *names: str) -> None:
+        """Start processes by name (omitted: all), and wait until they listen.
+
+        Raises:
+            ProblemError: one has ended.
+        """
+        chosen = names or tuple(self.commands)
+        for name in chosen:
+            self.running[name] = Process(self.commands[name], self._environment)
+        for name in chosen:
+            self.running[name].expect()
+
+    def ended(self) -> bool:
+        """Tell whether a process has ended by itself."""
+        return any(not process.alive for process in self.running.values())
+
+    def sentence(self) -> str:
+        """Return what a process said that has ended by itself."""
+        return next(process.sentence() for process in self.running.values() if not process.alive)
+
+    def stop(self) -> dict[str, dict[str, Any]]:
+        """End all, each after those that send to it, and return their reports by name."""
+        order = ["sensor", "relay sensor", "controller", "relay actuator", "actuator"]
+        reports = {name: self.running.pop(name).stop() for name in order if name in self.running}
+        return reports
+
+    def kill(self) -> None:
+        """End all at once."""
+        for process in self.running.values():
+            process.kill()
+        self.running.clear()
+
+    def sender(self, link: LinkName) -> NodeName:
+        """Return the node that sends on a link."""
+        at = next(step.at for step in self.policy.steps if isinstance(step, Send) and step.link == link)
+        return next(role for role in self.roles if at in place_of(self.policy, role))
+
+    def _end(self, link: LinkName) -> NodeName:
+        return next(role for role in self.roles if ENDS[link] in place_of(self.policy, role))
+
+    def _peer(self, role: NodeName) -> str | None:
+        """Return who gets the packets of a node: a relay; of one that only acknowledges, the sender."""
+        site = place_of(self.policy, role)
+        for step in self.policy.steps:
+            if isinstance(step, Send) and step.at in site:
+                return f"relay {step.link}"
+        heard = [step for step in self.policy.steps if isinstance(step, Send) and ENDS[step.link] in site]
+        return next(r for r in self.roles if heard[0].at in place_of(self.policy, r)) if heard else None
+
+
+def _options(fate: Fate) -> list[str]:
+    """Return a fate as options of ``taciturn relay``."""
+    burst = fate.burst
+    options = ["--seed", str(fate.seed)]
+    for name in ("loss", "delay", "jitter", "hold", "duplicate", "reorder", "corrupt"):
+        if getattr(fate, name):
+            options += [f"--{name}", repr(getattr(fate, name))]
+    if burst is not None:
+        options += ["--burst", f"{burst.to_bad!r},{burst.to_good!r},{burst.loss_good!r},{burst.loss_bad!r}"]
+    return options

@@ -1,0 +1,377 @@
+"""Drives nodes over UDP: in lockstep, where virtual time goes on when all has been heard, or in real time.
+
+In lockstep every node sends a mark when it has finished a tick, and begins a tick when the marks of those it listens to
+have come: packets cannot be too late, and the same seeds give the same run. In real time a node that measures begins a
+tick when the measurement comes, and another when its packet has come, or at an absolute deadline.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from taciturn._files import write_whole
+from taciturn.errors import ProblemError
+from taciturn.runtime.clock import Phase
+from taciturn.runtime.node import Node, Values
+from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.runtime.relay import Channel
+from taciturn.runtime.udp import Address, Endpoint
+
+Told: TypeAlias = Callable[[Mapping[str, Any]], None]
+LEFT_BEHIND = 8  # ticks behind which a node goes on with the present
+IDLE = 0.25  # seconds after which it is seen whether to stop
+QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
+SHARES = (50.0, 95.0, 99.0, 100.0)  # percentiles of lateness
+
+
+class NodeServer:
+    """Runs the nodes of one role, one for each of many loops, on one socket.
+
+    Args:
+        nodes: one per loop, in order.
+        wire: that writes and reads their packets.
+        endpoint: where they listen.
+        peer: who gets their packets: the next node, or a link on the way to it; None where they send none.
+        plant: who measures and acts; None where the nodes do neither.
+        tick: real seconds per tick; omitted: lockstep.
+        wait: the share of a tick that a packet of this tick is waited for, in real time.
+        heartbeat: ticks between marks, in real time.
+        keep: where the state is kept after every tick; one node only.
+        told: called with what happened in each tick.
+
+    Raises:
+        ProblemError: a peer or a plant is missing, or a kept state does not fit.
+    """
+
+    def __init__(
+        self,
+        nodes: Sequence[Node],
+        wire: Wire,
+        endpoint: Endpoint,
+        *,
+        peer: Address | None = None,
+        plant: Address | None = None,
+        tick: float | None = None,
+        wait: float = 0.5,
+        heartbeat: int = 1,
+        keep: Path | None = None,
+        told: Told | None = None,
+    ) -> None:
+        """Check that everybody is there, and take up a kept state."""
+        first = nodes[0]
+        self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
+        if (first.measures or first.actuates) and plant is None:
+            raise ProblemError(f"--plant is missing, and the {first.role} meets the plant; expected its HOST:PORT")
+        if first.talks and peer is None:
+            raise ProblemError(f"--peer is missing, and the {first.role} sends packets; expected HOST:PORT")
+        self.peer, self.plant, self._tick, self._wait = peer, plant, tick, wait
+        self._heartbeat, self._keep, self._told = heartbeat, keep, told
+        self.phase = Phase(tick or 1.0)
+        self.refused: Counter[str] = Counter()
+        self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
+        self._outbox: list[list[Packet]] = [[] for _ in nodes]
+        self._lateness: list[float] = []
+        self._began, self._cpu = time.monotonic(), time.process_time()
+        self._physical = 0
+        if keep is not None and keep.exists():
+            self._take_up(keep)
+
+    def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Go through ticks until so many are done or until stopped, and return the report."""
+        while not stopped() and not (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes)):
+            self._take(self.endpoint.receive(self._until()))
+            now = time.monotonic()
+            for node in self.nodes:
+                self._go_on(node, now)
+        return self.report()
+
+    def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Take what is still on its way until stopped, go through no more ticks, and return the report."""
+        while not stopped():
+            self._take(self.endpoint.receive(time.monotonic() + IDLE))
+        while found := self.endpoint.receive(time.monotonic() + QUIET):
+            self._take(found)
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """Return what has been counted so far."""
+        counters, reasons = Counter[str](), Counter[str]()
+        for node in self.nodes:
+            counters += node.counters
+            reasons += node.reasons
+        found: dict[str, Any] = {
+            "role": self.nodes[0].role,
+            "loops": len(self.nodes),
+            "tick": max(node.tick for node in self.nodes),
+            "counters": dict(counters),
+            "waiting": sum(node.inbox.waiting for node in self.nodes),
+            "refused": dict(self.refused),
+            "physical": self._physical,
+            "datagrams": {
+                "sent": self.endpoint.sent,
+                "unsent": self.endpoint.unsent,
+                "received": self.endpoint.received,
+                "dropped_by_kernel": self.endpoint.dropped,
+            },
+            "degraded": dict(reasons),
+            "seconds": round(time.monotonic() - self._began, 3),
+            "cpu_seconds": round(time.process_time() - self._cpu, 3),
+        }
+        if self._lateness:
+            late = np.percentile(1e3 * np.array(self._lateness), SHARES)
+            names = ("p50", "p95", "p99", "max")
+            found["lateness_ms"] = {name: round(float(value), 3) for name, value in zip(names, late, strict=True)}
+            found["clock_jumps"] = self.phase.jumps
+        return found
+
+    def _take(self, datagrams: Sequence[bytes]) -> None:
+        now = time.monotonic()
+        for datagram in datagrams:
+            packet = self.wire.decode(datagram)
+            if isinstance(packet, str):
+                self.refused[packet] += 1
+            elif packet.loop >= len(self.nodes):
+                self.refused["misdirected"] += 1
+            else:
+                self._sort(packet, now)
+
+    def _sort(self, packet: Packet, now: float) -> None:
+        """Give a packet to its node's next tick; one that repeats what is known asks for the last answer again."""
+        loop, node = packet.loop, self.nodes[packet.loop]
+        if packet.link == "plant":
+            self._physical += 1
+            if packet.kind == "measurement" and packet.tick > node.tick:
+                self._measurements[loop][packet.tick] = packet.values
+                self._hear(packet.tick, now)
+            elif packet.kind == "measurement" and self._tick is None:
+                self._send(self._outbox[loop])
+            return
+        if packet.kind == "mark" and self._tick is None and packet.tick <= node.inbox.marked.get(packet.link, -1):
+            self._send(self._outbox[loop])
+        node.sort_in([packet])
+        if packet.kind != "acknowledgement":
+            self._hear(packet.tick, now)
+
+    def _hear(self, tick: int, now: float) -> None:
+        if self._tick is not None:
+            self.phase.hear(tick, now)
+
+    def _go_on(self, node: Node, now: float) -> None:
+        """Go through the ticks that may begin."""
+        while (tick := self._next(node, now)) is not None:
+            loop = node.loop
+            measurement = self._measurements[loop].pop(tick, None)
+            packets, given = node.step(tick, measurement)
+            out = list(packets)
+            if self._tick is None or tick % self._heartbeat == 0:
+                out += node.mark()
+            if given is not None:
+                out.append(Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
+            self._outbox[loop] = out
+            if self._keep is not None:
+                kept = {"node": node.save(), "outbox": [list(packet) for packet in out]}
+                write_whole(self._keep, json.dumps(kept).encode())
+            self._send(out)
+            if self._tick is not None and self.phase.known:
+                self._lateness.append(time.monotonic() - self.phase.begins(tick))
+            if self._told is not None:
+                self._told(self._line(node, measurement, packets, given))
+            now = time.monotonic()
+
+    def _next(self, node: Node, now: float) -> int | None:
+        """Return the tick that a node may begin now, or None."""
+        tick, loop = node.tick + 1, node.loop
+        if self._tick is None:
+            heard = all(node.inbox.marked[link] >= tick - lag for link, lag in node.listens.items())
+            return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
+        if node.measures:
+            known = self._measurements[loop]
+            return min(known) if known else None
+        if not self.phase.known:
+            return None
+        present = self.phase.now(now)
+        tick = present if tick < present - LEFT_BEHIND or node.tick < 0 else tick
+        if now >= self.phase.begins(tick) + self._wait * self._tick:
+            return tick
+        prompt = [link for link, lag in node.listens.items() if lag == 0]
+        return tick if prompt and all(node.inbox.settled(link, tick) for link in prompt) else None
+
+    def _until(self) -> float:
+        """Return until when to wait for datagrams."""
+        idle = time.monotonic() + IDLE
+        if self._tick is None or self.nodes[0].measures or not self.phase.known:
+            return idle
+        behind = min(node.tick for node in self.nodes)
+        tick = self.phase.now(time.monotonic()) if behind < 0 else behind + 1
+        return min(idle, self.phase.begins(tick) + self._wait * self._tick)
+
+    def _send(self, packets: Sequence[Packet]) -> None:
+        for packet in packets:
+            to = self.plant if packet.link == "plant" else self.peer
+            assert to is not None
+            self.endpoint.send(self.wire.encode(packet), to)
+
+    def _take_up(self, path: Path) -> None:
+        try:
+            kept = json.loads(path.read_bytes())
+            self.nodes[0].restore(kept["node"])
+            packets = [Packet(*entry) for entry in kept["outbox"]]
+            self._outbox[0] = [packet._replace(values=tuple(packet.values)) for packet in packets]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ProblemError(f"the kept state {path} cannot be read ({error}); expected one of this node") from None
+        if self._tick is None:
+            self._send(self._outbox[0])  # it may have ended between keeping and sending
+
+    def _line(
+        self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None
+    ) -> dict[str, Any]:
+        line: dict[str, Any] = {"timestamp": node.tick * node.policy.tick, "tick": node.tick, "role": node.role}
+        if len(self.nodes) > 1:
+            line["loop"] = node.loop
+        if measurement is not None:
+            line["y"] = list(measurement)
+        for link in node.program.sends:
+            line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
+        line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
+        if given is not None:
+            line["u"] = list(given)
+        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.inbox.waiting}
+
+
+class PlantServer:
+    """Measures and acts for the nodes of a loop: a simulated plant that tells its measurements and takes its inputs.
+
+    Args:
+        plants: one per loop, in order.
+        wire: that writes and reads the packets.
+        endpoint: where inputs arrive.
+        sensor: who gets the measurements.
+        tick: real seconds per tick; omitted: lockstep.
+        told: called with what happened in each tick.
+    """
+
+    def __init__(
+        self,
+        plants: Sequence[SimulatedPlant],
+        wire: Wire,
+        endpoint: Endpoint,
+        sensor: Address,
+        *,
+        tick: float | None = None,
+        told: Told | None = None,
+    ) -> None:
+        """Nothing has happened."""
+        self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
+        self._tick, self._told = tick, told
+        self.inputs: list[Values] = [(0.0,) * plant.loop.problem.plant.inputs for plant in plants]
+        self._given = [-1] * len(plants)  # tick of the last input
+        self.costs: list[list[float]] = [[] for _ in plants]
+        self.refused: Counter[str] = Counter()
+        self.held = 0  # ticks in which no input came, and the last one went on
+        self.again = 0  # measurements told again
+
+    def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Go through so many ticks, or until stopped, and return the report."""
+        zero = time.monotonic()
+        for tick in range(ticks):
+            if stopped():
+                break
+            self._measure(tick)
+            if self._tick is None:
+                self._await(tick, stopped)
+            else:
+                self._wait(zero + (tick + 1) * self._tick)
+            for loop, plant in enumerate(self.plants):
+                self.held += self._given[loop] < tick
+                self.costs[loop].append(plant.move(self.inputs[loop]))
+                if self._told is not None:
+                    line = {"timestamp": tick * plant.loop.policy.tick, "tick": tick, "role": "plant", "loop": loop}
+                    line |= {"x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
+                    self._told(line)
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """Return what has been counted so far."""
+        return {
+            "role": "plant",
+            "tick": max(len(costs) for costs in self.costs) - 1,
+            "held": self.held,
+            "measured_again": self.again,
+            "refused": dict(self.refused),
+            "datagrams": {
+                "sent": self.endpoint.sent,
+                "unsent": self.endpoint.unsent,
+                "received": self.endpoint.received,
+                "dropped_by_kernel": self.endpoint.dropped,
+            },
+        }
+
+    def _measure(self, tick: int, behind: int = -1) -> None:
+        """Tell the measurements of a tick, of the loops whose input is not later than one."""
+        for loop, plant in enumerate(self.plants):
+            if behind < 0 or self._given[loop] <= behind:
+                sequence = tick & 0xFFFFFFFF
+                packet = Packet("measurement", "plant", tick, sequence, plant.measurement, 0, loop)
+                self.endpoint.send(self.wire.encode(packet), self.sensor)
+
+    def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
+        """Wait for the inputs of a tick; tell the measurement again where none comes."""
+        while any(given < tick for given in self._given) and not stopped():
+            found = self.endpoint.receive(time.monotonic() + IDLE)
+            self._take(found)
+            if not found:
+                self.again += 1
+                self._measure(tick, tick - 1)
+
+    def _wait(self, until: float) -> None:
+        """Take inputs until a time."""
+        while time.monotonic() < until:
+            self._take(self.endpoint.receive(until))
+
+    def _take(self, datagrams: Sequence[bytes]) -> None:
+        for datagram in datagrams:
+            packet = self.wire.decode(datagram)
+            if isinstance(packet, str):
+                self.refused[packet] += 1
+            elif packet.kind != "input" or packet.loop >= len(self.plants):
+                self.refused["misdirected"] += 1
+            elif packet.tick > self._given[packet.loop]:
+                self.inputs[packet.loop], self._given[packet.loop] = packet.values, packet.tick
+            else:
+                self.refused["repeated"] += 1
+
+
+def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
+    """Carry datagrams to a peer over a link that may lose them, until stopped; return the report."""
+
+    def carry(until: float) -> bool:
+        found = endpoint.receive(until if channel.due is None else min(until, channel.due))
+        now = time.monotonic()
+        out = [datagram for one in found for datagram in channel.take(one, now)]
+        for datagram in out + channel.release(now):
+            endpoint.send(datagram, peer)
+        return bool(found)
+
+    while not stopped():
+        carry(time.monotonic() + IDLE)
+    while carry(time.monotonic() + QUIET):
+        pass
+    return {
+        "role": "relay",
+        "counters": dict(channel.counters),
+        "pending": channel.pending,
+        "datagrams": {
+            "sent": endpoint.sent,
+            "unsent": endpoint.unsent,
+            "received": endpoint.received,
+            "dropped_by_kernel": endpoint.dropped,
+        },
+    }

@@ -1,0 +1,115 @@
+"""Datagrams over UDP: the only file that knows of sockets."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import time
+from typing import TypeAlias
+
+from taciturn.errors import ProblemError
+
+Address: TypeAlias = tuple[str, int]
+LARGEST = 65535  # bytes of a datagram
+BUFFER = 4 << 20  # bytes that wait in the kernel, if it lets us
+MOST = 512  # datagrams that are taken at once, so that a flood does not keep a node from its tick
+_MEMORY, _DROPS = 55, 8  # SO_MEMINFO of Linux, and where its table holds what was dropped
+
+
+def parse_address(name: str, text: str) -> Address:
+    """Return host and port of ``HOST:PORT``; the host may be left out: 127.0.0.1.
+
+    Raises:
+        ProblemError: no such form, no such port, or an unknown host.
+    """
+    host, colon, port = text.rpartition(":")
+    if not colon or not port.isdecimal() or not 0 <= int(port) <= 65535:
+        raise ProblemError(f"{name} is {text!r}; expected HOST:PORT with a port from 0 to 65535, as 127.0.0.1:9001")
+    try:
+        found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
+    except OSError as error:
+        raise ProblemError(f"{name}: the host {host!r} is unknown ({error}); expected a name or an address") from None
+    address = found[0][4]
+    return str(address[0]), int(address[1])
+
+
+class Endpoint:
+    """A bound UDP socket.
+
+    Args:
+        bind: where to listen; port 0: any free one.
+
+    Raises:
+        ProblemError: the address is in use, or not of this machine.
+    """
+
+    def __init__(self, bind: Address) -> None:
+        """Bind."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        with contextlib.suppress(OSError):
+            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+        try:
+            self._socket.bind(bind)
+        except OSError as error:
+            self._socket.close()
+            raise ProblemError(
+                f"{bind[0]}:{bind[1]} cannot be bound ({error.strerror}); expected a free port of this machine: "
+                "is another node running there?"
+            ) from None
+        self._socket.setblocking(False)
+        self.sent, self.received, self.unsent = 0, 0, 0
+
+    @property
+    def address(self) -> Address:
+        """Where it listens."""
+        host, port = self._socket.getsockname()
+        return str(host), int(port)
+
+    @property
+    def dropped(self) -> int | None:
+        """Datagrams that the kernel dropped as they came faster than they were taken; None where it does not say."""
+        try:
+            return struct.unpack_from("I", self._socket.getsockopt(socket.SOL_SOCKET, _MEMORY, 64), 4 * _DROPS)[0]
+        except (OSError, struct.error):
+            return None
+
+    def send(self, datagram: bytes, to: Address) -> None:
+        """Send a datagram; what the network refuses is counted in ``unsent``."""
+        try:
+            self._socket.sendto(datagram, to)
+            self.sent += 1
+        except OSError:
+            self.unsent += 1
+
+    def receive(self, until: float | None) -> list[bytes]:
+        """Return what has come; wait for the first datagram until a time of ``time.monotonic`` (None: forever)."""
+        found = self._take()
+        if not found:
+            left = None if until is None else until - time.monotonic()
+            if left is None or left > 0:
+                select.select([self._socket], [], [], left)
+                found = self._take()
+        return found
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def _take(self) -> list[bytes]:
+        found: list[bytes] = []
+        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # refused: a peer is not there yet
+            while len(found) < MOST:
+                found.append(self._socket.recv(LARGEST))
+        self.received += len(found)
+        return found
+
+
+def free_addresses(count: int) -> list[Address]:
+    """Return so many addresses of the loopback that are free now."""
+    endpoints = [Endpoint(("127.0.0.1", 0)) for _ in range(count)]
+    found = [endpoint.address for endpoint in endpoints]
+    for endpoint in endpoints:
+        endpoint.close()
+    return found

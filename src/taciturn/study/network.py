@@ -1,0 +1,238 @@
+"""Runs the nodes of a problem as processes on this machine, and measures what they cost and send."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import Array, count
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.model.estimate import Estimate
+from taciturn.model.network import Network
+from taciturn.model.policy import LinkName
+from taciturn.problem import load
+from taciturn.runtime.packet import KEY, Wire, read_key
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.runtime.processes import Processes
+from taciturn.runtime.relay import Fate
+from taciturn.runtime.serve import PlantServer
+from taciturn.runtime.udp import Endpoint, parse_address
+from taciturn.simulation.sampling import Progress
+from taciturn.simulation.statistics import BATCHES, batch_means
+from taciturn.study.evaluate import unit_of
+
+USUAL = 5000  # ticks
+SETTLED = 5.0  # time constants that are left out of an average
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkRun:
+    """What the nodes of a problem cost and sent.
+
+    Args:
+        loop: the loop that was run.
+        unit: what the cost counts per.
+        cost: a mean over the ticks with its standard error by batch means, or the total of a mission; None where the
+            run was too short for a mean.
+        rates: sends per step or per second by scheduled link (of a mission, the share of its steps).
+        datagrams: sent, delivered and lost, by link.
+        reports: of each process, by name.
+        costs: of each tick, (ticks,).
+        sends: whether a packet was sent, by link, (ticks,).
+        seed: of plant and links.
+        seconds: wall time.
+        notes: what the reader must know.
+    """
+
+    loop: Loop
+    unit: str
+    cost: Estimate | None
+    rates: Mapping[str, Estimate]
+    datagrams: Mapping[str, Mapping[str, int]]
+    reports: Mapping[str, Mapping[str, Any]]
+    costs: Array
+    sends: Mapping[str, Array]
+    seed: int
+    seconds: float
+    notes: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn network --json``."""
+        policy, loop = self.loop.policy, self.loop
+        guarantee = policy.guarantee if loop.nominal else None
+        return {
+            "policy": policy.kind,
+            "unit": self.unit,
+            "base_rate": 1.0 if loop.horizon is not None else 1 / policy.tick,
+            "cost": None if self.cost is None else _document(self.cost),
+            "cost_all_time": policy.cost_all_time if loop.nominal else None,
+            "cost_bound": None if guarantee is None else guarantee.cost,
+            "rates": {link: _document(rate) for link, rate in self.rates.items()},
+            "datagrams": {link: dict(found) for link, found in self.datagrams.items()},
+            "seed": self.seed,
+            "seconds": round(self.seconds, 4),
+            "ticks": len(self.costs),
+            "degraded": {name: report["degraded"] for name, report in self.reports.items() if "degraded" in report},
+            "processes": {name: dict(report) for name, report in self.reports.items()},
+            "notes": list(self.notes),
+        }
+
+
+def run_network(
+    file: str,
+    *,
+    ticks: int | None = None,
+    tick: float | None = None,
+    seed: int = 0,
+    key: bytes | None = None,
+    fates: Mapping[LinkName, Fate] | None = None,
+    progress: Progress | None = None,
+    meanwhile: Callable[[Processes], None] | None = None,
+) -> NetworkRun:
+    """Run a plant, its nodes and a relay on each link as processes on the loopback, and return what they cost.
+
+    Args:
+        file: problem file, or the name of a built-in problem.
+        ticks: to run; omitted: the mission, or 5000.
+        tick: real seconds per tick; omitted: virtual time, in which nothing is late and a seed gives the same run.
+        seed: of the plant, the draws and the losses.
+        key: that authenticates the packets; omitted: of the environment, or none.
+        fates: what befalls the packets of each link; omitted: the losses of ``[network]``.
+        progress: called with the fraction done.
+        meanwhile: called in a thread of its own once everything runs, to disturb it.
+
+    Raises:
+        ProblemError: data that do not fit, nodes that cannot be separated, or a process that has ended.
+    """
+    problem = load(file)
+    policy = problem.design()
+    loop = problem.close(policy)
+    count("seed", seed, 0)
+    ticks = loop.ticks(ticks if ticks is not None else problem.cost.horizon or USUAL)
+    key = read_key() if key is None else key
+    wire = Wire(policy, problem.network, key)
+    chosen = fates if fates is not None else losses(problem.network, seed)
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix="taciturn-") as name:
+        folder = Path(name)
+        processes = Processes(
+            file, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder, keeps=meanwhile is not None,
+            options=["--seed", str(seed)], environment={KEY: "" if key is None else key.hex()},
+        )  # fmt: skip
+        plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
+        try:
+            processes.start()
+            sensor = parse_address("the sensor", processes.addresses[processes.measuring])
+            simulated = SimulatedPlant(loop, seed)
+            shown = None if progress is None else _shown(progress, ticks)
+            server = PlantServer([simulated], wire, plant, sensor, tick=tick, told=shown)
+            disturber = threading.Thread(target=lambda: meanwhile and meanwhile(processes))
+            disturber.start()
+            server.run(ticks, (lambda: False) if meanwhile else processes.ended)
+            disturber.join()
+            if processes.ended():
+                raise ProblemError(processes.sentence())
+            reports = {**processes.stop(), "plant": server.report()}
+        finally:
+            processes.kill()
+            plant.close()
+        costs = np.array(server.costs[0])
+        sends = {link: _sends(folder / f"{processes.sender(link)}.jsonl", link, len(costs)) for link in processes.links}
+    unit = "mission" if loop.horizon is not None else unit_of(problem)
+    cost, notes = _cost(loop, costs, simulated.final_cost())
+    pace = 1.0 if unit == "mission" else 1 / policy.tick
+    skipped = _settled(loop)
+    return NetworkRun(
+        loop=loop,
+        unit=unit,
+        cost=cost,
+        rates={link: _rate(sends[link], skipped).scaled(pace) for link in policy.scheduled if link in sends},
+        datagrams={link: _datagrams(link, reports) for link in processes.links},
+        reports=reports,
+        costs=costs,
+        sends=sends,
+        seed=seed,
+        seconds=time.monotonic() - began,
+        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+    )
+
+
+def losses(network: Network, seed: int) -> dict[LinkName, Fate]:
+    """Return the links of a network as what befalls their packets."""
+    links: tuple[LinkName, ...] = ("actuator", "sensor")
+    return {
+        link: Fate(
+            seed=2 * seed + i, loss=0.0 if network.burst(link) else network.loss(link), burst=network.burst(link)
+        )
+        for i, link in enumerate(links)
+    }
+
+
+def _settled(loop: Loop) -> int:
+    """Return the ticks that an average leaves out."""
+    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.settling))
+
+
+def _cost(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
+    """Return the cost: a mean over the ticks in the units of the problem, or the total of one mission."""
+    if loop.horizon is not None:
+        discount = loop.problem.cost.discount
+        total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
+        return Estimate(total, 0.0, "exact"), ("one mission: its cost is that of these draws, and no mean",)
+    kept = costs[_settled(loop) :]
+    if len(kept) < 10 * BATCHES:
+        return None, (f"{len(kept)} ticks after the start are too few for a mean: ask for more --ticks",)
+    found = batch_means(kept)
+    return found.scaled(1 / loop.problem.tick, loop.problem.noise_cost / loop.problem.tick), ()
+
+
+def _rate(sends: Array, skipped: int) -> Estimate:
+    """Return the share of ticks with a send; where none or all have one, it may still be as rare as one in them."""
+    kept = sends[skipped:]
+    if len(kept) < 10 * BATCHES:
+        return Estimate(float(sends.mean()), float(sends.std() / np.sqrt(max(len(sends) - 1, 1))), "simulation")
+    found = batch_means(kept)
+    return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
+
+
+def _sends(log: Path, link: LinkName, ticks: int) -> Array:
+    """Return whether a packet was sent at each tick, as its sender has logged."""
+    sent = np.zeros(ticks)
+    for text in log.read_text(encoding="utf-8").splitlines():
+        with suppress(ValueError):  # the last line of a process that was killed
+            line = json.loads(text)
+            if line["tick"] < ticks and line[f"sent_{link}"]:
+                sent[line["tick"]] = 1.0
+    return sent
+
+
+def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
+    """Return what became of the packets of a link."""
+    counted = reports[f"relay {link}"]["counters"]
+    sent = sum(report["counters"].get(f"sent data {link}", 0) for report in reports.values() if "counters" in report)
+    return {
+        "sent": sent,
+        "delivered": counted.get("delivered", 0),
+        "lost": counted.get("lost", 0),
+        **{name: counted[name] for name in ("duplicated", "reordered", "corrupted") if name in counted},
+        **({"pending": reports[f"relay {link}"]["pending"]} if reports[f"relay {link}"]["pending"] else {}),
+    }
+
+
+def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None]:
+    return lambda line: progress((line["tick"] + 1) / ticks)
+
+
+def _document(estimate: Estimate) -> dict[str, Any]:
+    error = None if estimate.method == "exact" else estimate.standard_error
+    return {"value": estimate.value, "standard_error": error, "method": "simulation"}

@@ -1,0 +1,87 @@
+"""Runs a closed loop and its nodes side by side, on the same draws."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from unittest.mock import patch
+
+import numpy as np
+
+from taciturn.loop import Loop
+from taciturn.model.policy import Draw, Send
+from taciturn.program import numpy as interpreter
+from taciturn.program.draws import NORMAL
+from taciturn.program.ir import Program
+from taciturn.program.machine import Kernel
+from taciturn.runtime.node import Node, roles
+from taciturn.runtime.packet import Packet
+
+Records = Mapping[str, np.ndarray]
+
+
+def open_program(loop: Loop) -> Program:
+    """Return the loop with its draws as inputs."""
+    with patch("taciturn.loop.with_draws", lambda program: program):
+        whole = loop.program()
+    return whole.keep(outputs=set(whole.outputs))
+
+
+def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True) -> tuple[Records, np.ndarray]:
+    """Return what a loop shows, (ticks, paths) by name, and the draws of its policy, (ticks, draws, paths)."""
+    program = open_program(loop)
+    draws = np.random.default_rng(seed)
+    normal = [name.startswith(NORMAL) for name in program.inputs]
+    shape = (ticks, len(program.inputs), paths)
+    inputs = np.where(np.array(normal, dtype=bool)[:, None], draws.standard_normal(shape), draws.random(shape))
+    run = Kernel(program, "parity").run if fast else lambda *rest: interpreter.run(*rest)
+    outputs = run(program, loop.start(program, paths, seed), ticks, inputs).outputs
+    names = [f"uniform {i}" for i in drawn_by_the_policy(loop)]
+    return outputs, inputs[:, [program.inputs.index(name) for name in names], :]
+
+
+def drawn_by_the_policy(loop: Loop) -> list[int]:
+    """Return which uniform numbers of a tick are the policy's own; the rest are losses."""
+    count, own = sum(loop.network.burst(link) is not None for link in ("actuator", "sensor")), []
+    for step in loop.policy.steps:
+        if isinstance(step, Draw):
+            own.append(count)
+            count += 1
+        elif isinstance(step, Send) and (loop.network.loss(step.link) > 0 or loop.network.burst(step.link)):
+            count += 1
+    return own
+
+
+def column(records: Records, name: str, path: int = 0) -> np.ndarray:
+    """Return the entries of a signal, (ticks, entries)."""
+    keys = sorted((key for key in records if key.rpartition(" ")[0] == name), key=lambda key: int(key.split()[-1]))
+    return np.array([records[key][:, path] for key in keys]).T
+
+
+def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int = 0) -> tuple[list[int], int]:
+    """Run the nodes on what a loop measured and lost; return the ticks in which a bit differs, and the packets sent."""
+    policy = loop.policy
+    nodes = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
+    y, applied = column(records, "y", path), column(records, "applied", path)
+    arrived = {name.split()[1]: values[:, path] for name, values in records.items() if name.startswith("arrived ")}
+    sent = {name.split()[1]: values[:, path] for name, values in records.items() if name.startswith("sent ")}
+    boxes: dict[str, list[Packet]] = {role: [] for role in nodes}
+    wrong, packets = [], 0
+    for tick in range(len(y)):
+        flags: dict[str, float] = dict.fromkeys(sent, 0.0)
+        for role, node in nodes.items():
+            mine = draws[tick, :, path] if node.program.draws is not None else None
+            box, boxes[role] = boxes[role], []
+            out, given = node.step(tick, y[tick] if node.measures else None, box, mine)
+            if given is not None and np.array(given).tobytes() != applied[tick].tobytes():
+                wrong.append(tick)
+            for packet in out:
+                if packet.kind == "acknowledgement":
+                    boxes[next(r for r, n in nodes.items() if packet.link in n.program.sends)].append(packet)
+                    continue
+                packets += 1
+                flags[packet.link] = 1.0
+                if arrived[packet.link][tick]:
+                    boxes[next(r for r, n in nodes.items() if packet.link in n.program.hears)].append(packet)
+        wrong += [tick for link, flag in flags.items() if flag != sent[link][tick]]
+    assert not any(node.degraded for node in nodes.values())
+    return wrong, packets

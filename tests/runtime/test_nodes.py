@@ -1,0 +1,277 @@
+"""Nodes decide as the closed loop does, bit for bit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from catalogue import POLICIES, closed
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parity.loops import every_feature
+from runtime.loops import differing_ticks, record
+from systems import System, make_system, systems
+
+import taciturn
+from taciturn import ContinuousPlant, Cost, Network, Plant, design
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.runtime.node import Node, roles
+from taciturn.runtime.packet import Packet
+
+TWO_STATES = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 1.0]])
+NOISY = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], np.eye(2), C=[[1.0, 0.0]], V=[[0.1]])
+WEIGHTS = Cost(np.eye(2), [[0.1]])
+CONTINUOUS = {
+    "consistent": lambda: design.consistent(TWO_STATES, WEIGHTS, period=0.1),
+    "integral": lambda: design.integral(TWO_STATES, WEIGHTS, period=0.1, slope=0.5),
+    "periodic, predicted": lambda: design.periodic(TWO_STATES, WEIGHTS, period=0.3, actuation="model"),
+    "near-optimal, predicted": lambda: design.near_optimal(TWO_STATES, WEIGHTS, price=0.2, period=0.1),
+    "lqg, sampled": lambda: design.lqg(NOISY, WEIGHTS, theta=0.2, period=0.1, actuation="model"),
+}
+
+
+def build(name: str) -> Loop:
+    """Return the loop of a policy of the catalogue on a random plant, or of one for continuous plants."""
+    if name in CONTINUOUS:
+        policy = CONTINUOUS[name]()
+        return taciturn.close(NOISY if "lqg" in name else TWO_STATES, policy)
+    return closed(POLICIES[name](make_system(11, 3, 2, 2, "lossy" in name)))
+
+
+def assert_same(loop: Loop, ticks: int, seed: int, fast: bool) -> None:
+    """Check that nodes and loop agree in every bit of input and every decision, and that something was sent."""
+    ticks = min(ticks, loop.horizon or ticks)
+    records, draws = record(loop, ticks, seed, fast=fast)
+    wrong, packets = differing_ticks(loop, records, draws)
+    assert wrong == []
+    assert packets > 0
+
+
+@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+def test_nodes_decide_as_the_numpy_program(name: str) -> None:
+    """Every policy with a tick: 200 ticks against NumPy itself."""
+    assert_same(build(name), 200, 3, fast=False)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
+    """Every policy with a tick: 100,000 ticks in a row, against the build that has the bits of NumPy."""
+    assert_same(build(name), 100_000, 4, fast=True)
+
+
+@given(systems(states=4), st.integers(0, 2**32 - 1), st.sampled_from(["float64", "float32", "int16"]))
+@settings(max_examples=15, deadline=None)
+def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payload: str) -> None:
+    """Losses, acknowledgements, clocks, locations, memories, draws, bells and rounded payloads, all at once."""
+    loop = every_feature(system, seed)
+    network = loop.network
+    ranges = {"actuator_range": 3.0, "sensor_range": 20.0} if payload == "int16" else {}
+    rounded = Network(network.protocol, network.actuator_loss, network.sensor_loss, payload=payload, **ranges)
+    assert_same(taciturn.close(system.plant, loop.policy, rounded, loop.problem.cost), 120, seed % 1000, fast=True)
+
+
+def test_rounding_is_within_half_a_step() -> None:
+    """What a receiver reads of 16 bits is off by half a step at most, and clipped at the range."""
+    from taciturn.model.wire import Encoding
+
+    values = np.random.default_rng(0).uniform(-3, 3, 1000)
+    read = np.array([Encoding("int16", (2.0,)).rounded([value])[0] for value in values])
+    inside = np.abs(values) <= 2.0
+    assert np.abs(read - values)[inside].max() <= 0.5 * 2.0 / 32767 * (1 + 1e-9)
+    assert set(np.abs(read[~inside])) == {2.0}
+
+
+def test_a_rounded_loop_has_no_guarantee() -> None:
+    """The theory knows no rounding: the loop says so."""
+    problem = taciturn.load("two-mass").changed({"network.payload": "int16", "network.actuator_range": 5.0})
+    found = taciturn.evaluate(problem, steps=200_000)
+    assert found.cost_bound is None
+    assert any("int16" in note for note in found.notes)
+
+
+def masses(role: str, **options: object) -> Node:
+    """Return a node of the two masses, whose theory takes every packet to arrive."""
+    return Node(taciturn.load("two-mass").design(), role, **options)  # type: ignore[arg-type]
+
+
+def data(tick: int, sequence: int, value: float = 1.0, epoch: int = 0, link: str = "actuator", loop: int = 0) -> Packet:
+    """Return a packet to the actuator."""
+    return Packet("data", link, tick, sequence, (value,), epoch, loop)
+
+
+def test_each_packet_is_counted_once() -> None:
+    """Duplicates, replays, misdirected, late, early and superseded packets: received is the sum of the rest."""
+    node = masses("actuator")
+    node.step(0, packets=[data(0, 0), data(0, 0), data(0, 0, link="sensor"), data(0, 1, loop=3)])
+    node.step(1, packets=[data(3, 1, 3.0), data(3, 2, 4.0), data(1, 3), data(900, 4)])
+    node.step(2, packets=[data(1, 5, 9.0), data(0, 0), Packet("mark", "actuator", 2, 0)])
+    node.step(3, packets=[data(3, 6, 5.0, epoch=1), data(3, 7, epoch=0)])
+    counted = {name: n for name, n in node.counters.items() if not name.startswith("sent")}
+    received = counted.pop("received")
+    assert received == sum(counted.values()) + node.inbox.waiting
+    assert counted == {
+        "used": 3, "duplicate": 2, "misdirected": 2, "superseded": 2, "ahead": 1, "late": 1, "marks": 1, "replayed": 1,
+    }  # fmt: skip
+
+
+def test_the_newest_packet_of_a_tick_wins() -> None:
+    """Of two packets for one tick the later sequence is used, in whichever order they come."""
+    for order in ((0, 1), (1, 0)):
+        node = masses("actuator")
+        both = [data(0, 0, 1.0), data(0, 1, 2.0)]
+        assert node.step(0, packets=[both[i] for i in order]).input == (2.0,)
+
+
+def test_a_late_packet_is_used_where_none_may_be_lost_and_lost_where_some_are() -> None:
+    """On an ideal network the newest late packet counts and the node is degraded; on a lossy one it is lost."""
+    node = masses("actuator")
+    node.step(0)
+    assert node.step(1, packets=[data(0, 0, 7.0)]).input == (7.0,)
+    assert node.degraded
+    assert node.reasons == {"late": 1}
+    lossy = Node(taciturn.load("lossy-double-integrator").design(), "actuator")
+    lossy.step(0)
+    assert lossy.step(1, packets=[data(0, 0, 7.0)]).input == (0.0,)
+    assert not lossy.degraded
+    assert lossy.counters["late"] == 1
+
+
+def test_a_lost_packet_degrades_where_none_may_be_lost_until_it_is_forgotten() -> None:
+    """A gap in the sequence is seen at the next packet; after seven time constants the node is whole again."""
+    node = masses("actuator")
+    node.step(0, packets=[data(0, 0)])
+    node.step(1, packets=[data(1, 2)])
+    assert node.degraded
+    assert node.reasons == {"lost": 1}
+    last = int(np.ceil(7 * node.policy.settling)) + 2
+    for tick in range(2, last + 1):
+        node.step(tick)
+    assert not node.degraded
+
+
+def test_the_watchdog_makes_the_input_safe_and_lets_it_go() -> None:
+    """After so many silent ticks the input is the safe one; a mark ends the silence."""
+    for safe, expected in (("hold", (2.0,)), ("zero", (0.0,)), ((-1.5,), (-1.5,))):
+        node = masses("actuator", watchdog=3, safe=safe)
+        node.step(0, packets=[data(0, 0, 2.0)])
+        assert [node.step(tick).input for tick in (1, 2)] == [(2.0,)] * 2
+        assert not node.silent
+        assert node.step(3).input == expected
+        assert node.silent
+        assert node.step(4, packets=[Packet("mark", "actuator", 4, 0)]).input == (2.0,)
+
+
+def test_a_tick_is_gone_through_once() -> None:
+    """A clock that goes back changes nothing."""
+    node = masses("controller")
+    first = node.step(5, measurement=[1.0])
+    before = node.save()
+    assert node.step(5, measurement=[9.0]).packets == ()
+    assert node.step(2, measurement=[9.0]).packets == ()
+    after = node.save()
+    assert first.packets
+    assert {k: v for k, v in after.items() if k != "counters"} == {k: v for k, v in before.items() if k != "counters"}
+    assert after["counters"]["repeated"] == 2
+
+
+@pytest.mark.parametrize("name", ["lqg joint model", "remote", "lossy tcp, delayed", "stochastic", "rollout"])
+def test_a_node_that_slept_makes_up_for_what_it_missed(name: str) -> None:
+    """A node without a sensor that is called late ends where one ends that was called in time and heard nothing."""
+    policy = build(name).policy
+    role = roles(policy)[-1]
+    prompt, slow = Node(policy, role), Node(policy, role)
+    for tick in range(40):
+        prompt.step(tick)
+    slow.step(0)
+    slow.step(39)
+    assert slow.save()["memory"] == prompt.save()["memory"]
+    assert slow.counters["missed"] == 38
+    assert slow.degraded
+    assert not prompt.degraded
+
+
+@pytest.mark.parametrize(
+    "name", ["lqg joint model", "remote", "lossy tcp, delayed", "stochastic", "rollout", "pattern"]
+)
+def test_a_saved_node_goes_on_as_if_nothing_had_happened(name: str) -> None:
+    """State is saved as JSON and restored in a new node: the same packets and inputs follow."""
+    import json
+
+    loop = build(name)
+    policy = loop.policy
+    for role in roles(policy):
+        node, draws = Node(policy, role, seed=3), np.random.default_rng(1)
+        y = draws.standard_normal((60, policy.model.outputs))
+        for tick in range(30):
+            node.step(tick, y[tick] if node.measures else None)
+        other = Node(policy, role, seed=99)
+        other.restore(json.loads(json.dumps(node.save())))
+        for tick in range(30, 60):
+            measured = y[tick] if node.measures else None
+            assert node.step(tick, measured) == other.step(tick, measured)
+
+
+def test_what_is_no_state_of_this_node_is_refused() -> None:
+    """The state of another role, of another policy, and what is none."""
+    saved = masses("controller").save()
+    with pytest.raises(ProblemError, match=r"role 'controller'; expected 'actuator'"):
+        masses("actuator").restore(saved)
+    with pytest.raises(ProblemError, match="fingerprint"):
+        Node(taciturn.load("two-mass").changed({"theta": 0.2}).design(), "controller").restore(saved)
+    with pytest.raises(ProblemError, match="no saved state"):
+        masses("controller").restore({**saved, "inbox": {}})
+
+
+def test_bad_nodes_are_refused() -> None:
+    """Roles that share a place, watchdogs without food, safe inputs of another size, measurements that are none."""
+    with pytest.raises(ProblemError, match="place of the controller"):
+        masses("sensor")
+    with pytest.raises(ProblemError, match="not a role"):
+        masses("pilot")
+    with pytest.raises(ProblemError, match="no input to make safe"):
+        masses("controller", watchdog=3)
+    with pytest.raises(ProblemError, match="1 finite numbers"):
+        masses("actuator", safe=(1.0, 2.0))
+    for measurement in (None, [1.0, 2.0], [float("nan")]):
+        with pytest.raises(ProblemError, match="1 finite numbers at each tick"):
+            masses("controller").step(0, measurement)
+    with pytest.raises(ProblemError, match="no node evaluates"):
+        taciturn.load("wiener-double-integrator").changed({"kind": "optimal", "price": 0.1}).design()
+
+
+def test_nodes_that_cannot_be_separated_are_refused() -> None:
+    """A link within one place, two packets on one link, a signal that changes behind its packet."""
+    from dataclasses import replace
+
+    from taciturn.model.policy import Assign, Send
+
+    policy = taciturn.load("lossy-double-integrator").design()
+    together = replace(policy, sites=(frozenset({"controller", "actuator"}),))
+    with pytest.raises(ProblemError, match="begins and ends at one place"):
+        Node(together, "controller")
+    twice = replace(policy, steps=(*policy.steps, Send("sensor", "sensor", ("y",))))
+    with pytest.raises(ProblemError, match="two packets"):
+        Node(twice, "controller")
+    sent = next(i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == "actuator")
+    changed = Assign("controller", "command", {"command": [[2.0]]})
+    behind = replace(policy, steps=(*policy.steps[: sent + 1], changed, *policy.steps[sent + 1 :]))
+    with pytest.raises(ProblemError, match="command changes between the packet"):
+        Node(behind, "actuator")
+
+
+def test_a_packet_that_is_read_before_it_is_sent_is_that_of_the_tick_before() -> None:
+    """A delay as an order of steps: the loop and its nodes agree on it."""
+    from taciturn import Form, Policy, Trigger
+    from taciturn.model.policy import Assign, Decide, Received, Send
+
+    one = np.eye(1)
+    steps = (
+        Assign("actuator", "input", ({"input": 0.9 * one}, {"command": one}), Received("actuator")),
+        Assign("controller", "command", {"y": -0.4 * one}),
+        Decide("controller", "send", Trigger({"silent": Form(("command",), one), "send": Form(constant=0.01)})),
+        Send("controller", "actuator", ("command",), "send"),
+    )
+    plant = Plant([[1.05]], [[1.0]], [[0.1]])
+    policy = Policy("late", steps, plant, 1.0, sites=(frozenset({"sensor", "controller"}),))
+    assert_same(taciturn.close(plant, policy, Network("udp", 0.2), Cost(one, one)), 500, 1, fast=False)
