@@ -21,7 +21,7 @@ from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick, encode_payloads
+from taciturn.program.lower import Tick, encode_payloads, told_by
 from taciturn.program.ops import Precision
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
@@ -209,7 +209,7 @@ class Loop:
         sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1, **{_bad(link): 1 for link in ENDS}}
         initial = {**policy.initial, "x": "x", WEIGHT: np.ones(1), **{_bad(link): _bad(link) for link in ENDS}}
         payloads = encode_payloads(policy, self.network)
-        told = {link: {name: how[name] for name in policy.told(link)} for link, how in payloads.items()}
+        told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
         return Tick(Builder(self.precision), sizes, initial, policy.locations, told)
 
     def _measured(self, tick: Tick) -> list[int]:

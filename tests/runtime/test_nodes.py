@@ -20,10 +20,11 @@ from taciturn.runtime.packet import Packet
 
 TWO_STATES = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 1.0]])
 NOISY = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], np.eye(2), C=[[1.0, 0.0]], V=[[0.1]])
+SOME = ("lqg joint model", "remote", "lossy tcp, delayed", "stochastic", "rollout")
 WEIGHTS = Cost(np.eye(2), [[0.1]])
 CONTINUOUS = {
     "consistent": lambda: design.consistent(TWO_STATES, WEIGHTS, period=0.1),
-    "integral": lambda: design.integral(TWO_STATES, WEIGHTS, period=0.1, slope=0.5),
+    "integral": lambda: design.integral(TWO_STATES, WEIGHTS, period=0.1, slope=0.8),
     "periodic, predicted": lambda: design.periodic(TWO_STATES, WEIGHTS, period=0.3, actuation="model"),
     "near-optimal, predicted": lambda: design.near_optimal(TWO_STATES, WEIGHTS, price=0.2, period=0.1),
     "lqg, sampled": lambda: design.lqg(NOISY, WEIGHTS, theta=0.2, period=0.1, actuation="model"),
@@ -165,17 +166,17 @@ def test_the_watchdog_makes_the_input_safe_and_lets_it_go() -> None:
 def test_a_tick_is_gone_through_once() -> None:
     """A clock that goes back changes nothing."""
     node = masses("controller")
-    first = node.step(5, measurement=[1.0])
+    first = node.step(5, measurement=[1.0, 0.0])
     before = node.save()
-    assert node.step(5, measurement=[9.0]).packets == ()
-    assert node.step(2, measurement=[9.0]).packets == ()
+    assert node.step(5, measurement=[9.0, 0.0]).packets == ()
+    assert node.step(2, measurement=[9.0, 0.0]).packets == ()
     after = node.save()
     assert first.packets
     assert {k: v for k, v in after.items() if k != "counters"} == {k: v for k, v in before.items() if k != "counters"}
     assert after["counters"]["repeated"] == 2
 
 
-@pytest.mark.parametrize("name", ["lqg joint model", "remote", "lossy tcp, delayed", "stochastic", "rollout"])
+@pytest.mark.parametrize("name", SOME)
 def test_a_node_that_slept_makes_up_for_what_it_missed(name: str) -> None:
     """A node without a sensor that is called late ends where one ends that was called in time and heard nothing."""
     policy = build(name).policy
@@ -220,7 +221,7 @@ def test_what_is_no_state_of_this_node_is_refused() -> None:
     with pytest.raises(ProblemError, match="fingerprint"):
         Node(taciturn.load("two-mass").changed({"theta": 0.2}).design(), "controller").restore(saved)
     with pytest.raises(ProblemError, match="no saved state"):
-        masses("controller").restore({**saved, "inbox": {}})
+        masses("controller").restore({**saved, "memory": []})
 
 
 def test_bad_nodes_are_refused() -> None:
@@ -233,11 +234,11 @@ def test_bad_nodes_are_refused() -> None:
         masses("controller", watchdog=3)
     with pytest.raises(ProblemError, match="1 finite numbers"):
         masses("actuator", safe=(1.0, 2.0))
-    for measurement in (None, [1.0, 2.0], [float("nan")]):
-        with pytest.raises(ProblemError, match="1 finite numbers at each tick"):
+    for measurement in (None, [1.0], [float("nan"), 0.0]):
+        with pytest.raises(ProblemError, match="2 finite numbers at each tick"):
             masses("controller").step(0, measurement)
     with pytest.raises(ProblemError, match="no node evaluates"):
-        taciturn.load("wiener-double-integrator").changed({"kind": "optimal", "price": 0.1}).design()
+        taciturn.load("wiener-double-integrator").changed({"kind": "optimal", "theta": None, "price": 0.1}).design()
 
 
 def test_nodes_that_cannot_be_separated_are_refused() -> None:

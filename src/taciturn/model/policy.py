@@ -312,15 +312,6 @@ class Policy:
             raise ProblemError(f"the condition {condition!r} is no decision; expected one of {list(self.decisions)}")
         return len(self.decisions[condition].labels)
 
-    def told(self, link: str) -> tuple[str, ...]:
-        """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
-        homes: dict[str, frozenset[NodeName]] = {ONE: frozenset(NODES), "y": self.site("sensor")}
-        for step in self.steps:
-            if isinstance(step, Assign | Evaluate | Draw):
-                homes.setdefault(step.signal, self.site(step.at))
-        names = [name for step in self.steps if isinstance(step, Send) and step.link == link for name in step.payload]
-        return tuple(name for name in dict.fromkeys(names) if ENDS[link] not in homes[name])
-
     def site(self, node: NodeName) -> frozenset[NodeName]:
         """Return the nodes that share a place with this one."""
         return next((site for site in self.sites if node in site), frozenset({node}))

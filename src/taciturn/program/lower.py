@@ -13,6 +13,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import Network
 from taciturn.model.policy import (
+    ENDS,
     ONE,
     Assign,
     Condition,
@@ -295,6 +296,14 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
             parts = network.encoding(step.link).parts(sizes)
             payloads[step.link] = dict(zip(step.payload, parts, strict=True))
     return payloads
+
+
+def told_by(policy: Policy, link: str) -> tuple[str, ...]:
+    """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
+    computed = [step for step in policy.steps if isinstance(step, Assign | Evaluate | Draw)]
+    homes = {step.signal: step.at for step in computed} | {"y": "sensor", ONE: ENDS[link]}
+    names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
+    return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
 
 
 def _arrival(link: str) -> str:

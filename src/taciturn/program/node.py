@@ -28,7 +28,7 @@ from taciturn.model.policy import (
 )
 from taciturn.program.draws import UNIFORM, draw
 from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads
+from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads, told_by
 from taciturn.program.ops import State
 
 
@@ -110,7 +110,7 @@ def check_separable(policy: Policy) -> None:
             raise ProblemError(f"{step.at} listens to the {on.link} link, on which nothing is sent; expected a packet")
         sent, count = places[on.link], len(policy.steps)
         between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
-        for name in policy.told(on.link):
+        for name in told_by(policy, on.link):
             if any(_assigns(policy.steps[i], name) for i in between):
                 raise ProblemError(
                     f"the nodes of {policy.kind} cannot be separated: {name} changes between the packet that tells it "

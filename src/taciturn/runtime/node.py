@@ -65,7 +65,7 @@ class Node:
         >>> from taciturn import load
         >>> policy = load("two-mass").design()
         >>> controller, actuator = Node(policy, "controller"), Node(policy, "actuator")
-        >>> packets, _ = controller.step(0, measurement=[0.5])
+        >>> packets, _ = controller.step(0, measurement=[0.5, 0.5])
         >>> len(packets), actuator.step(0, packets=packets).input == packets[0].values
         (1, True)
     """
@@ -177,13 +177,15 @@ class Node:
         sent: list[Packet] = []
         missed = tick - self.tick - 1
         if missed:
-            self._degrade("missed" if self.tick >= 0 else "joined")
-            self.counters["missed"] += missed if self.tick >= 0 else 0
-            if self.tick >= 0 and not self.measures:
+            joins = self.tick < 0
+            if joins:
+                self._heard_at = tick - 1
+            else:
+                self.counters["missed"] += missed
+            if not joins and not self.measures:
                 for behind in range(max(self.tick + 1, tick - CAUGHT_UP), tick):
                     sent += self._advance(behind, y, None)
-            if self.tick < 0:
-                self._heard_at = tick - 1
+            self._degrade("joined" if joins else "missed", tick)
         sent += self._advance(tick, y, draws)
         return Stepped(tuple(sent), self._output())
 
@@ -232,6 +234,8 @@ class Node:
                     raise ProblemError(
                         f"the saved state has the {name} {saved[name]!r}; expected {expected!r}: that of this node"
                     )
+            if len(saved["memory"]) != len(self._memory) or len(saved["inputs"]) != len(self._inputs):
+                raise ValueError("it remembers another number of things")
             self.inbox.restore(saved["inbox"])
             self.epoch, self.tick = saved["epoch"], saved["tick"]
             self._memory, self._generator = saved["memory"], saved["generator"]
@@ -333,9 +337,9 @@ class Node:
             return None
         return self._safe if self.silent and self._safe is not None else self._input
 
-    def _degrade(self, reason: str) -> None:
+    def _degrade(self, reason: str, tick: int | None = None) -> None:
         self.reasons[reason] += 1
-        self._degraded_until = max(self._degraded_until, self.tick + 1 + self._remembers)
+        self._degraded_until = max(self._degraded_until, (self.tick if tick is None else tick) + 1 + self._remembers)
 
 
 def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
