@@ -37,9 +37,17 @@ def wire(key: bytes | None = None, **network: object) -> Wire:
     return Wire(policy(), Network("udp", 0.3, 0.6, **network), key)  # type: ignore[arg-type]
 
 
-@given(
-    U32, U32, st.integers(0, 2**64 - 1), st.integers(0, 2**16 - 1), st.lists(st.floats(-10, 10), min_size=2, max_size=2)
-)
+RANGES = {"sensor_range": 10.0, "actuator_range": 10.0}
+WIRES = [
+    (wire(key, payload=name, **more), Encoding(name, (10.0,) * 2 if more else ()))
+    for key in (None, KEY)
+    for name, more in (("float64", {}), ("float32", {}), ("int16", RANGES))
+]
+PAIRS = st.tuples(st.floats(-10, 10), st.floats(-10, 10))
+
+
+@given(U32, U32, st.integers(0, 2**64 - 1), st.integers(0, 2**16 - 1), PAIRS)
+@settings(deadline=None)
 def test_what_is_written_is_read(sequence: int, epoch: int, tick: int, loop: int, values: tuple[float, float]) -> None:
     """Every field and number comes back, with and without a key, as rounded as the encoding says."""
     for found, encoding in WIRES:
@@ -108,11 +116,11 @@ def test_a_fingerprint_is_that_of_the_data_and_not_of_their_last_bits() -> None:
     from taciturn.runtime.packet import fingerprint
 
     def nudged(found: Policy, size: float) -> Policy:
-        steps = [
-            Assign(s.at, s.signal, tuple({n: (1 + size) * np.asarray(w) for n, w in t.items()} for t in s.branches), s.on)
-            if isinstance(s, Assign) and s.signal == "seen" else s
-            for s in found.steps
-        ]  # fmt: skip
+        def turned(step: Assign) -> Assign:
+            branches = tuple({n: (1 + size) * np.asarray(w) for n, w in terms.items()} for terms in step.branches)
+            return Assign(step.at, step.signal, branches, step.on)
+
+        steps = (turned(s) if isinstance(s, Assign) and s.signal == "seen" else s for s in found.steps)
         return replace(found, steps=tuple(steps))
 
     problem, udp = taciturn.load("lossy-double-integrator"), Network("udp", 0.3, 0.6)

@@ -35,6 +35,7 @@ from taciturn.program.llvm import print_llvm
 from taciturn.program.numpy import Run
 
 VECTORS = "TACITURN_VECTORS"
+PASSES = "combine"  # how programs are compiled, in the key of what is kept
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
 _ALONE = ContextVar("alone", default=False)
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
@@ -215,7 +216,7 @@ def _load(text: str) -> _Code:
     """Return the machine code of a module, from the disk where it is there."""
     llvm, (cpu, features) = _llvm(), _host()
     release: str = importlib.import_module("llvmlite").__version__
-    key = hashlib.sha256("\n".join([text, cpu, features, release]).encode()).hexdigest()
+    key = hashlib.sha256("\n".join([text, cpu, features, release, PASSES]).encode()).hexdigest()
     folder = _cache_folder()
     kept = None if folder is None else folder / f"{key}.o"
     stored = None if kept is None else _read_object(kept)
