@@ -12,6 +12,15 @@ os.environ.setdefault("MPLBACKEND", "Agg")  # also for the examples, which run a
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads on matrices of six rows cost a third of the whole time
 settings.register_profile("repeatable", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("repeatable")
+NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nobody may overlook
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say at the end, in red, what this machine cannot show."""
+    skipped = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
+    reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
+    for reason in sorted(reason for reason in reasons if reason.startswith(NOT_SHOWN)):
+        terminalreporter.write_line(reason, red=True, bold=True)
 
 
 @pytest.fixture(scope="session", autouse=True)

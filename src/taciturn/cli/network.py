@@ -42,16 +42,21 @@ def network(
     tick: TickLength = None,
     seed: Seed = 0,
     key: Key = None,
+    namespaces: Annotated[
+        bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Run the nodes of a problem as processes on this machine, with a relay on each link."""
+    """Run the nodes of a problem as processes on this machine, with a relay on each link or in network namespaces."""
     import taciturn
     from taciturn.runtime.packet import read_key
     from taciturn.study.network import run_network
 
     length = _length(taciturn.load(file).design().tick, real_time, tick)
     with progress_bar("running") as progress:
-        found = run_network(file, ticks=ticks, tick=length, seed=seed, key=read_key(key), progress=progress)
+        found = run_network(
+            file, ticks=ticks, tick=length, seed=seed, key=read_key(key), namespaces=namespaces, progress=progress
+        )
     if as_json:
         print_json(found.document())
     else:

@@ -15,6 +15,7 @@ from typing import Any
 
 from taciturn.errors import ProblemError
 from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
+from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.node import place_of, roles
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import free_addresses
@@ -112,16 +113,17 @@ class Process:
 
 
 class Processes:
-    """The nodes of a policy, and a relay on each of its links, on the loopback of this machine.
+    """The nodes of a policy, with a relay on each of its links on the loopback, or in namespaces, without relays.
 
     Args:
         file: problem file, or the name of a built-in problem.
         policy: its policy.
-        fates: what befalls the packets of each link.
+        fates: what befalls the packets of each link, where there are relays.
         tick: real seconds per tick; omitted: lockstep.
         folder: where each node logs its ticks (``ROLE.jsonl``) and keeps its state (``ROLE.json``).
         options: further options of every node.
         environment: variables of every process.
+        namespaces: where the nodes run; omitted: on the loopback.
     """
 
     def __init__(
@@ -135,19 +137,24 @@ class Processes:
         keeps: bool = False,
         options: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
+        namespaces: Namespaces | None = None,
     ) -> None:
         """Give everybody an address."""
-        self.file, self.policy, self._environment = file, policy, environment
+        self.file, self.policy, self._environment, self._namespaces = file, policy, environment, namespaces
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
-        names = [*self.roles, *(f"relay {link}" for link in self.links), "plant"]
-        found = (f"{host}:{port}" for host, port in free_addresses(len(names)))
-        self.addresses = dict(zip(names, found, strict=True))
+        relayed = self.links if namespaces is None else []
+        names = [*self.roles, *(f"relay {link}" for link in relayed), "plant"]
+        if namespaces is None:
+            found = (f"{host}:{port}" for host, port in free_addresses(len(names)))
+            self.addresses = dict(zip(names, found, strict=True))
+        else:
+            self.addresses = namespaces.addresses
         pace = [] if tick is None else ["--real-time", "--tick", repr(tick)]
         self.commands: dict[str, list[str]] = {}
-        for link in self.links:
+        for link in relayed:
             self.commands[f"relay {link}"] = [
-                "relay", "--bind", self.addresses[f"relay {link}"], "--peer", self.addresses[self._end(link)],
+                "relay", "--bind", self.addresses[f"relay {link}"], "--peer", self.addresses[self.receiver(link)],
                 *_options(fates[link]),
             ]  # fmt: skip
         for role in self.roles:
@@ -175,7 +182,8 @@ class Processes:
         """
         chosen = names or tuple(self.commands)
         for name in chosen:
-            self.running[name] = Process(self.commands[name], self._environment)
+            before = () if self._namespaces is None else self._namespaces.before(name)
+            self.running[name] = Process(self.commands[name], self._environment, before)
         for name in chosen:
             self.running[name].expect()
 
@@ -204,15 +212,16 @@ class Processes:
         at = next(step.at for step in self.policy.steps if isinstance(step, Send) and step.link == link)
         return next(role for role in self.roles if at in place_of(self.policy, role))
 
-    def _end(self, link: LinkName) -> NodeName:
+    def receiver(self, link: LinkName) -> NodeName:
+        """Return the node where a link ends."""
         return next(role for role in self.roles if ENDS[link] in place_of(self.policy, role))
 
     def _peer(self, role: NodeName) -> str | None:
-        """Return who gets the packets of a node: a relay; of one that only acknowledges, the sender."""
+        """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:
-                return f"relay {step.link}"
+                return f"relay {step.link}" if self._namespaces is None else self.receiver(step.link)
         heard = [step for step in self.policy.steps if isinstance(step, Send) and ENDS[step.link] in site]
         return next(r for r in self.roles if heard[0].at in place_of(self.policy, r)) if heard else None
 

@@ -76,6 +76,8 @@ class NodeServer:
         self._heartbeat, self._keep, self._told = heartbeat, keep, told
         self.phase = Phase(tick or 1.0)
         self.refused: Counter[str] = Counter()
+        self.arrived: Counter[str] = Counter()  # new data, by link
+        self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # sequences of those since the last line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._outbox: list[list[Packet]] = [[] for _ in nodes]
         self._lateness: list[float] = []
@@ -112,6 +114,7 @@ class NodeServer:
             "loops": len(self.nodes),
             "tick": max(node.tick for node in self.nodes),
             "counters": dict(counters),
+            "arrived": dict(self.arrived),
             "waiting": sum(node.inbox.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "physical": self._physical,
@@ -156,7 +159,10 @@ class NodeServer:
             return
         if packet.kind == "mark" and self._tick is None and packet.tick <= node.inbox.marked.get(packet.link, -1):
             self._send(self._outbox[loop])
-        node.sort_in([packet])
+        if node.sort_in([packet]) and packet.kind == "data":
+            self.arrived[packet.link] += 1
+            if self._told is not None:
+                self._news[loop].setdefault(packet.link, []).append(packet.sequence)
         if packet.kind != "acknowledgement":
             self._hear(packet.tick, now)
 
@@ -240,6 +246,8 @@ class NodeServer:
             line["y"] = list(measurement)
         for link in node.program.sends:
             line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
+        for link in node.program.hears:
+            line[f"arrived_{link}"] = self._news[node.loop].pop(link, [])
         line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
         if given is not None:
             line["u"] = list(given)

@@ -6,8 +6,8 @@ import json
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName
 from taciturn.problem import load
+from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import KEY, Wire, read_key
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.processes import Processes
@@ -45,10 +46,12 @@ class NetworkRun:
         cost: a mean over the ticks with its standard error by batch means, or the total of a mission; None where the
             run was too short for a mean.
         rates: sends per step or per second by scheduled link (of a mission, the share of its steps).
-        datagrams: sent, delivered and lost, by link.
+        datagrams: sent, delivered and lost, by link; in namespaces also how many losses were ``predicted``, and what
+            nftables counted, where a packet that is sent again counts again (``nft_seen``, ``nft_dropped``).
         reports: of each process, by name.
         costs: of each tick, (ticks,).
         sends: whether a packet was sent, by link, (ticks,).
+        arrived: sequence numbers of the packets that came, by link, in order, as their receiver has logged.
         seed: of plant and links.
         seconds: wall time.
         notes: what the reader must know.
@@ -62,6 +65,7 @@ class NetworkRun:
     reports: Mapping[str, Mapping[str, Any]]
     costs: Array
     sends: Mapping[str, Array]
+    arrived: Mapping[str, tuple[int, ...]]
     seed: int
     seconds: float
     notes: tuple[str, ...]
@@ -96,10 +100,13 @@ def run_network(
     seed: int = 0,
     key: bytes | None = None,
     fates: Mapping[LinkName, Fate] | None = None,
+    namespaces: bool = False,
     progress: Progress | None = None,
     meanwhile: Callable[[Processes], None] | None = None,
 ) -> NetworkRun:
-    """Run a plant, its nodes and a relay on each link as processes on the loopback, and return what they cost.
+    """Run a plant and its nodes as processes of this machine, and return what they cost.
+
+    They run on the loopback with a relay on each link, or in network namespaces where the kernel loses packets.
 
     Args:
         file: problem file, or the name of a built-in problem.
@@ -107,12 +114,14 @@ def run_network(
         tick: real seconds per tick; omitted: virtual time, in which nothing is late and a seed gives the same run.
         seed: of the plant, the draws and the losses.
         key: that authenticates the packets; omitted: of the environment, or none.
-        fates: what befalls the packets of each link; omitted: the losses of ``[network]``.
+        fates: what befalls the packets of each link, by relays; omitted: the losses of ``[network]``.
+        namespaces: run each node in a namespace of its own, and let the kernel lose what ``[network]`` loses.
         progress: called with the fraction done.
         meanwhile: called in a thread of its own once everything runs, to disturb it.
 
     Raises:
-        ProblemError: data that do not fit, nodes that cannot be separated, or a process that has ended.
+        ProblemError: data that do not fit, nodes that cannot be separated, a process that has ended; with namespaces,
+            fates, losses in bursts or not in permille, or missing rights or programs.
     """
     problem = load(file)
     policy = problem.design()
@@ -121,15 +130,23 @@ def run_network(
     ticks = loop.ticks(ticks if ticks is not None else problem.cost.horizon or USUAL)
     key = read_key() if key is None else key
     wire = Wire(policy, problem.network, key)
+    if namespaces and fates is not None:
+        raise ProblemError("fates are given with namespaces, where no relay runs; expected one of them")
+    drops = kernel_losses(problem.network, seed) if namespaces else {}
     chosen = fates if fates is not None else losses(problem.network, seed)
     began = time.monotonic()
-    with tempfile.TemporaryDirectory(prefix="taciturn-") as name:
+    with (
+        tempfile.TemporaryDirectory(prefix="taciturn-") as name,
+        Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
+    ):
         folder = Path(name)
         processes = Processes(
             file, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder, keeps=meanwhile is not None,
             options=["--seed", str(seed)], environment={KEY: "" if key is None else key.hex()},
+            namespaces=spaces,
         )  # fmt: skip
-        plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
+        with nullcontext() if spaces is None else spaces.visit("plant"):
+            plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
         try:
             processes.start()
             sensor = parse_address("the sensor", processes.addresses[processes.measuring])
@@ -143,11 +160,19 @@ def run_network(
             if processes.ended():
                 raise ProblemError(processes.sentence())
             reports = {**processes.stop(), "plant": server.report()}
+            seen: dict[LinkName, Counted] = {}
+            if spaces is not None:
+                seen = {link: spaces.counted(link) for link in processes.links}
         finally:
             processes.kill()
             plant.close()
         costs = np.array(server.costs[0])
-        sends = {link: _sends(folder / f"{processes.sender(link)}.jsonl", link, len(costs)) for link in processes.links}
+        logs = {role: _logged(folder / f"{role}.jsonl") for role in processes.roles}
+    sends = {link: _sends(logs[processes.sender(link)], link, len(costs)) for link in processes.links}
+    datagrams = {link: _datagrams(link, reports) for link in processes.links}
+    for link, counts in seen.items():
+        found = predict_drops(drops[link].seed, drops[link].permille, range(datagrams[link]["sent"]))
+        datagrams[link] |= {"predicted": int(found.sum()), "nft_seen": counts.seen, "nft_dropped": counts.dropped}
     unit = "mission" if loop.horizon is not None else unit_of(problem)
     cost, notes = _cost(loop, costs, simulated.final_cost())
     pace = 1.0 if unit == "mission" else 1 / policy.tick
@@ -157,13 +182,14 @@ def run_network(
         unit=unit,
         cost=cost,
         rates={link: _rate(sends[link], skipped).scaled(pace) for link in policy.scheduled if link in sends},
-        datagrams={link: _datagrams(link, reports) for link in processes.links},
+        datagrams=datagrams,
         reports=reports,
         costs=costs,
         sends=sends,
+        arrived={link: _arrived(logs[processes.receiver(link)], link) for link in processes.links},
         seed=seed,
         seconds=time.monotonic() - began,
-        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+        notes=notes + _unforeseen(datagrams) + tuple(f"{text}: no guarantee holds" for text in loop.departures),
     )
 
 
@@ -176,6 +202,23 @@ def losses(network: Network, seed: int) -> dict[LinkName, Fate]:
         )
         for i, link in enumerate(links)
     }
+
+
+def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
+    """Return the links of a network as what the kernel drops there.
+
+    Raises:
+        ProblemError: losses in bursts, or no whole number of permille.
+    """
+    found: dict[LinkName, KernelLoss] = {}
+    for link, fate in losses(network, seed).items():
+        if fate.burst is not None:
+            raise ProblemError(f"{link}_burst is given; expected {link}_loss: the kernel loses no packets in bursts")
+        permille = round(1000 * fate.loss)
+        if abs(permille - 1000 * fate.loss) > 1e-9:
+            raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, as the kernel takes it")
+        found[link] = KernelLoss(fate.seed & 0xFFFFFFFF, permille)  # of 32 bits
+    return found
 
 
 def _settled(loop: Loop) -> int:
@@ -205,21 +248,45 @@ def _rate(sends: Array, skipped: int) -> Estimate:
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
 
 
-def _sends(log: Path, link: LinkName, ticks: int) -> Array:
-    """Return whether a packet was sent at each tick, as its sender has logged."""
-    sent = np.zeros(ticks)
+def _logged(log: Path) -> list[dict[str, Any]]:
+    """Return what a node has logged."""
+    lines: list[dict[str, Any]] = []
     for text in log.read_text(encoding="utf-8").splitlines():
         with suppress(ValueError):  # the last line of a process that was killed
-            line = json.loads(text)
-            if line["tick"] < ticks and line[f"sent_{link}"]:
-                sent[line["tick"]] = 1.0
+            lines.append(json.loads(text))
+    return lines
+
+
+def _sends(lines: Iterable[Mapping[str, Any]], link: LinkName, ticks: int) -> Array:
+    """Return whether a packet was sent at each tick, as its sender has logged."""
+    sent = np.zeros(ticks)
+    for line in lines:
+        if line["tick"] < ticks and line[f"sent_{link}"]:
+            sent[line["tick"]] = 1.0
     return sent
+
+
+def _arrived(lines: Iterable[Mapping[str, Any]], link: LinkName) -> tuple[int, ...]:
+    """Return the sequence numbers of the packets that came, as their receiver has logged."""
+    return tuple(sequence for line in lines for sequence in line[f"arrived_{link}"])
+
+
+def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
+    """Return on which links the kernel has lost something else than it was asked to."""
+    return tuple(
+        f"the {link} link has lost {counted['lost']} packets, and not the {counted['predicted']} of its rule"
+        for link, counted in datagrams.items()
+        if counted.get("predicted", counted["lost"]) != counted["lost"]
+    )
 
 
 def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
     """Return what became of the packets of a link."""
-    counted = reports[f"relay {link}"]["counters"]
     sent = sum(report["counters"].get(f"sent data {link}", 0) for report in reports.values() if "counters" in report)
+    if f"relay {link}" not in reports:
+        delivered = sum(report["arrived"].get(link, 0) for report in reports.values() if "arrived" in report)
+        return {"sent": sent, "delivered": delivered, "lost": sent - delivered}
+    counted = reports[f"relay {link}"]["counters"]
     return {
         "sent": sent,
         "delivered": counted.get("delivered", 0),
