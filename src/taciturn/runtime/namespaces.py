@@ -143,7 +143,8 @@ class Namespaces:
         try:
             self._make()
         except BaseException:
-            self._clear()
+            with suppress(ProblemError):  # the first failure is the one to tell
+                self._clear()
             raise
         return self
 
@@ -242,11 +243,15 @@ def _enter(descriptor: int) -> None:
 
 
 def _remove(name: str) -> None:
-    """Remove a namespace, and end what still runs in it."""
-    for pid in map(int, _run("ip", "netns", "pids", name).split()):
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
-    _run("ip", "netns", "delete", name)
+    """Remove a namespace, and end what still runs in it; another process may be removing it, too."""
+    try:
+        for pid in map(int, _run("ip", "netns", "pids", name).split()):
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        _run("ip", "netns", "delete", name)
+    except ProblemError:
+        if (_FOLDER / name).exists():
+            raise
 
 
 def _run(*command: str, given: str = "") -> str:
