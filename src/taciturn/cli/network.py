@@ -34,6 +34,9 @@ Log = Annotated[
 Loops = Annotated[int, typer.Option(min=1, max=65535, help="How many such loops this process serves.")]
 
 
+WAIT = {"controller": 0.35, "actuator": 0.7}  # the actuator waits for what the controller sends at its own deadline
+
+
 @app.command()
 def network(
     file: File,
@@ -73,7 +76,10 @@ def node(
     ticks: Ticks = None,
     real_time: RealTime = False,
     tick: TickLength = None,
-    wait: Annotated[float, typer.Option(help="Share of a tick that its packet is waited for, in real time.")] = 0.5,
+    wait: Annotated[
+        float | None,
+        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .35, actuator .7."),
+    ] = None,
     heartbeat: Annotated[int | None, typer.Option(min=1, help="Ticks between marks. Default: one second.")] = None,
     watchdog: Annotated[int | None, typer.Option(min=1, help="Ticks of silence until the input is safe.")] = None,
     safe: Annotated[str, typer.Option(help="The safe input: hold, zero, or numbers as 0.5,-1.")] = "hold",
@@ -96,7 +102,7 @@ def node(
     length = _length(policy.tick, real_time, tick)
     if state is not None and loops > 1:
         raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
-    number("--wait", wait, 0.0, 1.0, closed=True)
+    share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
     nodes = [
         Node(
             policy, cast("Any", role), network=problem.network, epoch=int(time.time()), seed=seed, loop=loop,
@@ -109,7 +115,7 @@ def node(
     world = None if plant is None else parse_address("--plant", plant)
     with _logged(log) as told, _stopping() as stopped:
         server = NodeServer(
-            nodes, wire, Endpoint(parse_address("--bind", bind)), peer=to, plant=world, tick=length, wait=wait,
+            nodes, wire, Endpoint(parse_address("--bind", bind)), peer=to, plant=world, tick=length, wait=share,
             heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
         )  # fmt: skip
         _listening(role, server.endpoint.address)

@@ -83,6 +83,7 @@ class Process:
         """End it without a chance to do anything (SIGKILL)."""
         self._process.kill()
         self._process.wait()
+        self._close()
 
     def pause(self, seconds: float) -> None:
         """Stop it for a while, so that its clock jumps."""
@@ -97,12 +98,22 @@ class Process:
             ProblemError: it gives none.
         """
         self._process.terminate()
+        assert self._process.stdout is not None
         try:
-            said, _ = self._process.communicate(timeout=PATIENCE)
-            return json.loads(said.splitlines()[-1])
+            self._process.wait(PATIENCE)
+            return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which a pipe holds
         except (subprocess.TimeoutExpired, ValueError, IndexError):
-            self.kill()
+            self._process.kill()
             raise ProblemError(self.sentence()) from None
+        finally:
+            self._process.wait()
+            self._close()
+
+    def _close(self) -> None:
+        self._reader.join()
+        for pipe in (self._process.stdout, self._process.stderr):
+            assert pipe is not None
+            pipe.close()
 
     def _read(self) -> None:
         assert self._process.stderr is not None
@@ -140,7 +151,8 @@ class Processes:
         namespaces: Namespaces | None = None,
     ) -> None:
         """Give everybody an address."""
-        self.file, self.policy, self._environment, self._namespaces = file, policy, environment, namespaces
+        self.file, self.policy, self.folder = file, policy, folder or Path()
+        self._environment, self._namespaces = environment, namespaces
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []

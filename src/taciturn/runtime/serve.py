@@ -283,6 +283,7 @@ class PlantServer:
         self._given = [-1] * len(plants)  # tick of the last input
         self.costs: list[list[float]] = [[] for _ in plants]
         self.refused: Counter[str] = Counter()
+        self.largest = 0.0  # entry of a state
         self.held = 0  # ticks in which no input came, and the last one went on
         self.again = 0  # measurements told again
 
@@ -300,6 +301,7 @@ class PlantServer:
             for loop, plant in enumerate(self.plants):
                 self.held += self._given[loop] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
+                self.largest = max(self.largest, float(np.abs(plant.state).max()))
                 if self._told is not None:
                     line = {"timestamp": tick * plant.loop.policy.tick, "tick": tick, "role": "plant", "loop": loop}
                     line |= {"x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
@@ -312,6 +314,7 @@ class PlantServer:
             "role": "plant",
             "tick": max(len(costs) for costs in self.costs) - 1,
             "held": self.held,
+            "largest_state": self.largest,
             "measured_again": self.again,
             "refused": dict(self.refused),
             "datagrams": {

@@ -1,0 +1,136 @@
+"""Nodes as processes over UDP: the same run of the same seed, whatever else goes over the network."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from runtime.attacks import KEY, await_ticks, capture, chapter_7, noise, throw
+
+import taciturn
+from taciturn.runtime.processes import Processes
+from taciturn.runtime.relay import Fate
+from taciturn.study.network import NetworkRun, losses, run_network
+
+Report = Mapping[str, Any]
+
+
+def refused(report: Report) -> int:
+    """Return the datagrams that were no packets."""
+    return sum(report["refused"].values())
+
+
+def assert_added_up(found: NetworkRun) -> None:
+    """Check that every datagram is accounted for: at each sender, on each link, at each receiver."""
+    for name, report in found.reports.items():
+        counters = report.get("counters", {})
+        if "kept" in report or name == "plant":
+            continue
+        assert report["datagrams"]["dropped_by_kernel"] == 0
+        if name.startswith("relay"):
+            link = name.split()[1]
+            sent = sum(
+                other["counters"].get(f"sent data {link}", 0) for other in found.reports.values() if "counters" in other
+            )
+            assert counters.get("received", 0) == sent
+            copies = counters.get("received", 0) - counters.get("lost", 0) + counters.get("duplicated", 0)
+            assert counters.get("delivered", 0) + report["pending"] == copies
+            assert report["datagrams"]["received"] == counters.get("received", 0) + counters.get("marks", 0)
+            assert report["datagrams"]["sent"] == counters.get("delivered", 0) + counters.get("marks", 0)
+            continue
+        outcomes = sum(n for what, n in counters.items() if not what.startswith(("sent", "received", "missed")))
+        assert counters.get("received", 0) == outcomes + report["waiting"]
+        assert report["datagrams"]["received"] == counters.get("received", 0) + refused(report) + report["physical"]
+
+
+@pytest.fixture(scope="module")
+def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
+    """Return a run of 500 ticks that nothing disturbs."""
+    return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=500, seed=2, key=KEY)
+
+
+def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path) -> None:
+    """Three processes and two relays: twice the same bits, every datagram accounted for, all of the JSON there."""
+    file = chapter_7(tmp_path)
+    first, again = (run_network(file, ticks=400, seed=3) for _ in range(2))
+    assert first.costs.tobytes() == again.costs.tobytes()
+    assert_added_up(first)
+    assert_added_up(again)
+    lost = first.datagrams["sensor"]["lost"]
+    assert first.datagrams["sensor"] == {"sent": 400, "delivered": 400 - lost, "lost": lost}
+    assert 60 < lost < 140
+    document = json.loads(json.dumps(first.document()))
+    assert {"policy", "unit", "cost", "cost_all_time", "cost_bound", "rates", "datagrams", "seed", "seconds"} <= set(
+        document
+    )
+    assert document["rates"]["actuator"]["value"] == pytest.approx(first.sends["actuator"][22:].mean(), abs=0.05)
+
+
+def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun) -> None:
+    """As many packets are lost as the seed names."""
+    fate = losses(taciturn.load(chapter_7(tmp_path)).network, 2)["sensor"]
+    assert quiet.datagrams["sensor"]["lost"] == sum(fate.lost(k, k) for k in range(500))
+
+
+def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
+    """Noise, an old capture, a wrong key, no key and another policy, at once: the same bits, and each counted."""
+    file = chapter_7(tmp_path)
+    thrown: dict[str, int] = {}
+
+    def attack(processes: Processes) -> None:
+        to = processes.addresses["controller"]
+        await_ticks(processes, "controller", 50)
+        thrown["replayed"] = throw(capture(file, 100, KEY), to, 4000)
+        thrown["forged"] = throw(capture(file, 100, bytes(32)), to, 4000)
+        thrown["foreign"] = throw(capture(file, 50, None) + capture(file, 50, KEY, price=0.2), to, 4000)
+        thrown["noise"] = throw(noise(500, 1), to, 4000)
+
+    found = run_network(file, ticks=500, seed=2, key=KEY, meanwhile=attack)
+    assert found.costs.tobytes() == quiet.costs.tobytes()
+    report = found.reports["controller"]
+    assert report["counters"]["replayed"] == thrown["replayed"]
+    assert report["refused"]["forged"] == thrown["forged"]
+    assert refused(report) == thrown["forged"] + thrown["foreign"] + thrown["noise"]
+
+
+def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun) -> None:
+    """Every node is killed (SIGKILL) and started again in virtual time: not a bit is lost."""
+    killed: list[str] = []
+
+    def kill(processes: Processes) -> None:
+        for i, role in enumerate(processes.roles):
+            await_ticks(processes, role, 60 * (i + 1))
+            processes.running[role].kill()
+            processes.start(role)
+            killed.append(role)
+
+    found = run_network(chapter_7(tmp_path), ticks=500, seed=2, key=KEY, meanwhile=kill)
+    assert killed == ["sensor", "controller", "actuator"]
+    assert found.costs.tobytes() == quiet.costs.tobytes()
+    assert all(not report.get("degraded") for report in found.reports.values())
+
+
+def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: NetworkRun) -> None:
+    """30 % of the packets come twice: the same bits, and as many duplicates as the links have made."""
+    file = chapter_7(tmp_path)
+    network = taciturn.load(file).network
+    fates = {link: Fate(fate.seed, fate.loss, duplicate=0.3) for link, fate in losses(network, 2).items()}
+    found = run_network(file, ticks=500, seed=2, key=KEY, fates=fates)
+    assert found.costs.tobytes() == quiet.costs.tobytes()
+    assert_added_up(found)
+    for link, role in (("sensor", "controller"), ("actuator", "actuator")):
+        doubled = found.reports[f"relay {link}"]["counters"]["duplicated"]
+        assert found.reports[role]["counters"]["duplicate"] == doubled > 30
+
+
+def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
+    """200 ticks at 100 Hz by the clock: every datagram accounted for, lateness told."""
+    found = run_network(chapter_7(tmp_path), ticks=200, tick=0.01, seed=1)
+    assert_added_up(found)
+    assert len(found.costs) == 200
+    assert np.isfinite(found.costs).all()
+    assert set(found.reports["controller"]["lateness_ms"]) == {"p50", "p95", "p99", "max"}
