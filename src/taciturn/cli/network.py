@@ -55,7 +55,7 @@ def network(
     from taciturn.runtime.packet import read_key
     from taciturn.study.network import run_network
 
-    length = _length(taciturn.load(file).design().tick, real_time, tick)
+    length = _length(taciturn.load(file).design().model.dt, real_time, tick)
     with progress_bar("running") as progress:
         found = run_network(
             file, ticks=ticks, tick=length, seed=seed, key=read_key(key), namespaces=namespaces, progress=progress
@@ -99,7 +99,7 @@ def node(
 
     problem = taciturn.load(file)
     policy = problem.design()
-    length = _length(policy.tick, real_time, tick)
+    length = _length(policy.model.dt, real_time, tick)
     if state is not None and loops > 1:
         raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
     share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
@@ -145,7 +145,7 @@ def plant(
 
     problem = taciturn.load(file)
     loop = problem.close(problem.design())
-    length = _length(loop.policy.tick, real_time, tick)
+    length = _length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
     with _logged(log) as told, _stopping() as stopped:
@@ -184,7 +184,7 @@ def relay(
         typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
 
 
-def _length(of_problem: float, real_time: bool, asked: float | None) -> float | None:
+def _length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
     """Return the real seconds of a tick; None in virtual time."""
     from taciturn._arrays import number
     from taciturn.errors import ProblemError
@@ -193,7 +193,7 @@ def _length(of_problem: float, real_time: bool, asked: float | None) -> float | 
         raise ProblemError("--tick is given without --real-time; expected both, or neither")
     if not real_time:
         return None
-    return of_problem if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)
+    return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)
 
 
 def _safe(text: str) -> Any:

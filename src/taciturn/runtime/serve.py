@@ -239,7 +239,7 @@ class NodeServer:
     def _line(
         self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None
     ) -> dict[str, Any]:
-        line: dict[str, Any] = {"timestamp": node.tick * node.policy.tick, "tick": node.tick, "role": node.role}
+        line: dict[str, Any] = {"timestamp": node.tick * (node.policy.model.dt or 1.0), "tick": node.tick, "role": node.role}
         if len(self.nodes) > 1:
             line["loop"] = node.loop
         if measurement is not None:
@@ -303,7 +303,7 @@ class PlantServer:
                 self.costs[loop].append(plant.move(self.inputs[loop]))
                 self.largest = max(self.largest, float(np.abs(plant.state).max()))
                 if self._told is not None:
-                    line = {"timestamp": tick * plant.loop.policy.tick, "tick": tick, "role": "plant", "loop": loop}
+                    line = {"timestamp": tick * (plant.loop.problem.plant.dt or 1.0), "tick": tick, "role": "plant", "loop": loop}
                     line |= {"x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
                     self._told(line)
         return self.report()
