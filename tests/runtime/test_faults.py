@@ -13,7 +13,6 @@ from runtime.test_network import assert_added_up, refused
 
 import taciturn
 from taciturn.runtime.processes import Processes
-from taciturn.runtime.relay import Fate
 from taciturn.study.network import NetworkRun, losses, run_network
 
 pytestmark = pytest.mark.evidence

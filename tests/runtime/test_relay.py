@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -73,7 +75,7 @@ def test_every_datagram_is_accounted_for() -> None:
     harmed = sum(isinstance(packet, str) for packet in read)
     assert count["corrupted"] <= harmed <= 2 * count["corrupted"]
     ticks = [packet.tick for packet in read if not isinstance(packet, str)]
-    overtaken = sum(later < earlier for earlier, later in zip(ticks, ticks[1:], strict=False))
+    overtaken = sum(later < earlier for earlier, later in pairwise(ticks))
     assert 0.5 * count["reordered"] < overtaken <= count["reordered"]
 
 

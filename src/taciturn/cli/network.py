@@ -140,8 +140,8 @@ def plant(
     import taciturn
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.plant import SimulatedPlant
-    from taciturn.runtime.serve import PlantServer
     from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.runtime.world import PlantServer
 
     problem = taciturn.load(file)
     loop = problem.close(problem.design())
@@ -173,8 +173,8 @@ def relay(
 ) -> None:
     """Carry packets over a link that loses, delays, doubles, reorders or corrupts them, alike for the same seed."""
     from taciturn.runtime.relay import Channel, Fate
-    from taciturn.runtime.serve import relay as carry
     from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.runtime.world import relay as carry
 
     fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt)
     to = parse_address("--peer", peer)

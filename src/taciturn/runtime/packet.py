@@ -89,7 +89,7 @@ class Wire:
         >>> len(datagram), wire.decode(datagram).values
         (44, (0.25,))
         >>> wire.decode(datagram[:-1])
-        'malformed'
+        'corrupted'
     """
 
     def __init__(self, policy: Policy, network: Network | None = None, key: bytes | None = None) -> None:

@@ -39,7 +39,7 @@ class Fate:
 
     Example:
         >>> [k for k in range(20) if Fate(seed=1, loss=0.2).lost(k, tick=k)]
-        [1, 2, 3, 10]
+        [0, 1, 5, 12, 16, 19]
     """
 
     seed: int = 0

@@ -21,8 +21,6 @@ from taciturn.errors import ProblemError
 from taciturn.runtime.clock import Phase
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
-from taciturn.runtime.relay import Channel
 from taciturn.runtime.udp import Address, Endpoint
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
@@ -239,7 +237,11 @@ class NodeServer:
     def _line(
         self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None
     ) -> dict[str, Any]:
-        line: dict[str, Any] = {"timestamp": node.tick * (node.policy.model.dt or 1.0), "tick": node.tick, "role": node.role}
+        line: dict[str, Any] = {
+            "timestamp": node.tick * (node.policy.model.dt or 1.0),
+            "tick": node.tick,
+            "role": node.role,
+        }
         if len(self.nodes) > 1:
             line["loop"] = node.loop
         if measurement is not None:
@@ -252,137 +254,3 @@ class NodeServer:
         if given is not None:
             line["u"] = list(given)
         return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.inbox.waiting}
-
-
-class PlantServer:
-    """Measures and acts for the nodes of a loop: a simulated plant that tells its measurements and takes its inputs.
-
-    Args:
-        plants: one per loop, in order.
-        wire: that writes and reads the packets.
-        endpoint: where inputs arrive.
-        sensor: who gets the measurements.
-        tick: real seconds per tick; omitted: lockstep.
-        told: called with what happened in each tick.
-    """
-
-    def __init__(
-        self,
-        plants: Sequence[SimulatedPlant],
-        wire: Wire,
-        endpoint: Endpoint,
-        sensor: Address,
-        *,
-        tick: float | None = None,
-        told: Told | None = None,
-    ) -> None:
-        """Nothing has happened."""
-        self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
-        self._tick, self._told = tick, told
-        self.inputs: list[Values] = [(0.0,) * plant.loop.problem.plant.inputs for plant in plants]
-        self._given = [-1] * len(plants)  # tick of the last input
-        self.costs: list[list[float]] = [[] for _ in plants]
-        self.refused: Counter[str] = Counter()
-        self.largest = 0.0  # entry of a state
-        self.held = 0  # ticks in which no input came, and the last one went on
-        self.again = 0  # measurements told again
-
-    def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Go through so many ticks, or until stopped, and return the report."""
-        zero = time.monotonic()
-        for tick in range(ticks):
-            if stopped():
-                break
-            self._measure(tick)
-            if self._tick is None:
-                self._await(tick, stopped)
-            else:
-                self._wait(zero + (tick + 1) * self._tick)
-            for loop, plant in enumerate(self.plants):
-                self.held += self._given[loop] < tick
-                self.costs[loop].append(plant.move(self.inputs[loop]))
-                self.largest = max(self.largest, float(np.abs(plant.state).max()))
-                if self._told is not None:
-                    line = {"timestamp": tick * (plant.loop.problem.plant.dt or 1.0), "tick": tick, "role": "plant", "loop": loop}
-                    line |= {"x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
-                    self._told(line)
-        return self.report()
-
-    def report(self) -> dict[str, Any]:
-        """Return what has been counted so far."""
-        return {
-            "role": "plant",
-            "tick": max(len(costs) for costs in self.costs) - 1,
-            "held": self.held,
-            "largest_state": self.largest,
-            "measured_again": self.again,
-            "refused": dict(self.refused),
-            "datagrams": {
-                "sent": self.endpoint.sent,
-                "unsent": self.endpoint.unsent,
-                "received": self.endpoint.received,
-                "dropped_by_kernel": self.endpoint.dropped,
-            },
-        }
-
-    def _measure(self, tick: int, behind: int = -1) -> None:
-        """Tell the measurements of a tick, of the loops whose input is not later than one."""
-        for loop, plant in enumerate(self.plants):
-            if behind < 0 or self._given[loop] <= behind:
-                sequence = tick & 0xFFFFFFFF
-                packet = Packet("measurement", "plant", tick, sequence, plant.measurement, 0, loop)
-                self.endpoint.send(self.wire.encode(packet), self.sensor)
-
-    def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
-        """Wait for the inputs of a tick; tell the measurement again where none comes."""
-        while any(given < tick for given in self._given) and not stopped():
-            found = self.endpoint.receive(time.monotonic() + IDLE)
-            self._take(found)
-            if not found:
-                self.again += 1
-                self._measure(tick, tick - 1)
-
-    def _wait(self, until: float) -> None:
-        """Take inputs until a time."""
-        while time.monotonic() < until:
-            self._take(self.endpoint.receive(until))
-
-    def _take(self, datagrams: Sequence[bytes]) -> None:
-        for datagram in datagrams:
-            packet = self.wire.decode(datagram)
-            if isinstance(packet, str):
-                self.refused[packet] += 1
-            elif packet.kind != "input" or packet.loop >= len(self.plants):
-                self.refused["misdirected"] += 1
-            elif packet.tick > self._given[packet.loop]:
-                self.inputs[packet.loop], self._given[packet.loop] = packet.values, packet.tick
-            else:
-                self.refused["repeated"] += 1
-
-
-def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Carry datagrams to a peer over a link that may lose them, until stopped; return the report."""
-
-    def carry(until: float) -> bool:
-        found = endpoint.receive(until if channel.due is None else min(until, channel.due))
-        now = time.monotonic()
-        out = [datagram for one in found for datagram in channel.take(one, now)]
-        for datagram in out + channel.release(now):
-            endpoint.send(datagram, peer)
-        return bool(found)
-
-    while not stopped():
-        carry(time.monotonic() + IDLE)
-    while carry(time.monotonic() + QUIET):
-        pass
-    return {
-        "role": "relay",
-        "counters": dict(channel.counters),
-        "pending": channel.pending,
-        "datagrams": {
-            "sent": endpoint.sent,
-            "unsent": endpoint.unsent,
-            "received": endpoint.received,
-            "dropped_by_kernel": endpoint.dropped,
-        },
-    }

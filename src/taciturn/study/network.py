@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,8 +26,8 @@ from taciturn.runtime.packet import KEY, Wire, read_key
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.relay import Fate
-from taciturn.runtime.serve import PlantServer
 from taciturn.runtime.udp import Endpoint, parse_address
+from taciturn.runtime.world import PlantServer
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.evaluate import unit_of
@@ -153,10 +153,10 @@ def run_network(
             simulated = SimulatedPlant(loop, seed)
             shown = None if progress is None else _shown(progress, ticks)
             server = PlantServer([simulated], wire, plant, sensor, tick=tick, told=shown)
-            disturber = threading.Thread(target=lambda: meanwhile and meanwhile(processes))
-            disturber.start()
-            server.run(ticks, (lambda: False) if meanwhile else processes.ended)
-            disturber.join()
+            if meanwhile is None:
+                server.run(ticks, processes.ended)
+            else:
+                _disturbed(server, ticks, processes, meanwhile)
             if processes.ended():
                 raise ProblemError(processes.sentence())
             reports = {**processes.stop(), "plant": server.report()}
@@ -219,6 +219,14 @@ def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
             raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, as the kernel takes it")
         found[link] = KernelLoss(fate.seed & 0xFFFFFFFF, permille)  # of 32 bits
     return found
+
+
+def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile: Callable[[Processes], None]) -> None:
+    """Run the plant while somebody disturbs the nodes in a thread; what goes wrong there ends the run."""
+    with ThreadPoolExecutor(1) as pool:
+        disturbance = pool.submit(meanwhile, processes)
+        server.run(ticks, lambda: disturbance.done() and (disturbance.exception() is not None or processes.ended()))
+        disturbance.result()
 
 
 def _settled(loop: Loop) -> int:
