@@ -15,13 +15,14 @@ from taciturn.model.cost import Cost
 from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ENDS, Assign, Identity, Policy, Send, Step
+from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
 from taciturn.model.trigger import Form, Matrix, Scheduled
+from taciturn.program.controller import begin_tick, draw_losses, is_bad
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
-from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick, encode_payloads, told_by
+from taciturn.program.lower import Tick
 from taciturn.program.ops import Precision
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
@@ -98,17 +99,16 @@ class Loop:
         Sums: ``cost`` (stage cost), ``excess`` (completed square, where the policy has an identity that holds),
         ``sent LINK`` (packets), ``control …`` (means of 0). Outputs: what ``taciturn.simulation`` records.
         """
-        plant = self.problem.plant
-        tick = self._tick({"x": plant.states})
-        losses = self._losses(tick)
-        tick.signals["y"] = self._measured(tick)
-        for step in self.policy.steps:
-            tick.take(step, losses)
-        tick.signals["applied"] = self._clip(tick)
-        stage = tick.form(self._stage(*self._deviate(tick)))
-        outputs = self._outputs(tick, ("x",))
-        tick.signals["x"] = self._moved(tick)
-        return with_draws(with_controls(tick.finish(self._sums(tick, stage), outputs)))
+        return with_draws(with_controls(self._whole()))
+
+    def open_program(self) -> Program:
+        """Return one tick of the loop whose noise is supplied.
+
+        Inputs: ``w i``, which moves the state, ``v i``, which falsifies the measurement, and ``uniform i``. Outputs:
+        those of ``program``. The states ``x`` come first.
+        """
+        whole = self._whole(supplied=True)
+        return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
         """Return one tick of the plant alone, whose input is supplied.
@@ -151,7 +151,7 @@ class Loop:
             if isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = tick.combine({DRAWN: spread}, len(spread))
             else:
-                tick.take(_driven(step, innovations.signal, spread), self._losses(tick))
+                tick.take(_driven(step, innovations.signal, spread), draw_losses(tick, self.policy, self.network))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
@@ -167,7 +167,7 @@ class Loop:
         for link in ENDS:
             burst = self.network.burst(link)
             if burst is not None:
-                drawn[_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
+                drawn[is_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
         rows: list[Array] = []
         for state in program.states:
             if isinstance(state.start, tuple):
@@ -205,38 +205,39 @@ class Loop:
         return wanted
 
     def _tick(self, extra: Mapping[str, int]) -> Tick:
-        policy, plant = self.policy, self.problem.plant
-        sizes = {**policy.sizes, **extra, "applied": plant.inputs, WEIGHT: 1, **{_bad(link): 1 for link in ENDS}}
-        initial = {**policy.initial, "x": "x", WEIGHT: np.ones(1), **{_bad(link): _bad(link) for link in ENDS}}
-        payloads = encode_payloads(policy, self.network)
-        told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
-        return Tick(Builder(self.precision), sizes, initial, policy.locations, told)
+        sizes = {**extra, "applied": self.problem.plant.inputs, WEIGHT: 1}
+        return begin_tick(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision)
 
-    def _measured(self, tick: Tick) -> list[int]:
+    def _whole(self, supplied: bool = False) -> Program:
+        """Return one tick of the loop with its noise drawn, or supplied."""
+        tick = self._tick({"x": self.problem.plant.states})
+        if supplied:
+            tick.recall("x")  # the first of the states
+        losses = draw_losses(tick, self.policy, self.network)
+        tick.signals["y"] = self._measured(tick, supplied)
+        for step in self.policy.steps:
+            tick.take(step, losses)
+        tick.signals["applied"] = self._clip(tick)
+        stage = tick.form(self._stage(*self._deviate(tick)))
+        outputs = self._outputs(tick, ("x",))
+        tick.signals["x"] = self._moved(tick, supplied)
+        return tick.finish(self._sums(tick, stage), outputs)
+
+    def _measured(self, tick: Tick, supplied: bool = False) -> list[int]:
         plant = self.problem.plant
         y = tick.combine({"x": plant.C}, plant.outputs)
+        if supplied:
+            return _add(tick, y, [tick.builder.input(f"v {i}") for i in range(plant.outputs)])
         return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
 
-    def _moved(self, tick: Tick) -> list[int]:
+    def _moved(self, tick: Tick, supplied: bool = False) -> list[int]:
         plant, jumps = self.problem.plant, self.problem.jumps
         moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
+        if supplied:
+            return _add(tick, moved, [tick.builder.input(f"w {i}") for i in range(plant.states)])
         if not plant.W.any():
             return moved
         return _add(tick, moved, _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps))
-
-    def _losses(self, tick: Tick) -> dict[str, Coefficient]:
-        """Return the loss probability of each link: constant, or read by the drawn location of its bursts."""
-        losses: dict[str, Coefficient] = {}
-        for link in ENDS:
-            burst, b = self.network.burst(link), tick.builder
-            losses[link] = self.network.loss(link)
-            if burst is not None and any(isinstance(s, Send) and s.link == link for s in self.policy.steps):
-                (bad,) = tick.read(_bad(link))
-                losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
-                turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
-                turned = b.emit("sub", b.constant(1.0), bad)
-                tick.signals[_bad(link)] = [tick.choose(b.emit("greater", turn, tick.uniform()), turned, bad)]
-        return losses
 
     def _deviate(self, tick: Tick) -> tuple[str, str]:
         """Return the signals that the cost weighs: state and input, or what they are off a reference."""
@@ -305,24 +306,34 @@ def close(
     if cost is None:
         raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
     network = policy.network if network is None else network
-    instance("network", network, Network)
     period = policy.tick if isinstance(plant, ContinuousPlant) else None
     problem = discretise(plant, cost, period, policy.prediction)
     for name in ("states", "inputs", "outputs"):
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
+    check_network(policy, network)
+    if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
+        raise ProblemError(
+            f"cost.horizon is {cost.horizon}, and the reference has {policy.cost.horizon} steps; expected the same"
+        )
+    return Loop(problem, policy, network, _departures(problem, policy, network))
+
+
+def check_network(policy: Policy, network: Network) -> None:
+    """Refuse a network over which a policy cannot run.
+
+    Raises:
+        InformationError: a node uses what it cannot know.
+        ProblemError: the delay is not the one of the design.
+    """
+    instance("network", network, Network)
     check_information(policy, network)
     if network.delay != policy.network.delay:
         raise ProblemError(
             f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
             "expected the delay of the design"
         )
-    if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
-        raise ProblemError(
-            f"cost.horizon is {cost.horizon}, and the reference has {policy.cost.horizon} steps; expected the same"
-        )
-    return Loop(problem, policy, network, _departures(problem, policy, network))
 
 
 def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
@@ -343,10 +354,6 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
     return tuple(text for text, departs in found.items() if departs)
-
-
-def _bad(link: str) -> str:
-    return f"{link} link is bad"
 
 
 def _driven(step: Step, innovation: str, spread: Array) -> Step:

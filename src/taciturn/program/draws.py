@@ -64,6 +64,13 @@ def with_draws(program: Program) -> Program:
     return replace(result, following=(*result.following, *words))
 
 
+def draw_uniforms(count: int) -> Program:
+    """Return the program that draws so many uniform numbers in a tick: its outputs ``uniform i``."""
+    builder, supplied = Builder(), dict[str, int]()
+    following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
+    return builder.finish(following, {}, supplied)
+
+
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
     """Return the start of each path's generator, (4, paths), as the bits of doubles.
 

@@ -26,7 +26,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
-from taciturn.program.draws import UNIFORM, draw
+from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, rebuild
 from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads, told_by
 from taciturn.program.ops import State
@@ -200,7 +200,7 @@ class _Lowering:
         return NodeProgram(
             site=self.site,
             parts=programs,
-            draws=_uniforms(walked[-1].drawn),
+            draws=draw_uniforms(walked[-1].drawn) if walked[-1].drawn else None,
             clocks=tuple(place for place in self.policy.locations if f"at {place.name}" in read),
             hears=hears,
             lag={link: self._before(link) + (link in late) for link in hears},
@@ -292,12 +292,3 @@ def _assigns(step: Step, signal: str) -> bool:
 def _flags(decision: str) -> str:
     """Return under which name the outcome of a decision is remembered until the second part."""
     return f"decided {decision}"
-
-
-def _uniforms(count: int) -> Program | None:
-    """Return the program that draws so many uniform numbers in a tick."""
-    if not count:
-        return None
-    builder, supplied = Builder(), dict[str, int]()
-    following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
-    return builder.finish(following, {}, supplied)

@@ -1,0 +1,72 @@
+"""Lowers a policy as a whole: its nodes and the links between them, with the measurement supplied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from taciturn._arrays import Array
+from taciturn.model.network import Network
+from taciturn.model.policy import ENDS, Policy, Send
+from taciturn.program.ir import Builder, Coefficient, Program
+from taciturn.program.lower import Tick, encode_payloads, told_by
+from taciturn.program.ops import Precision
+
+
+def lower_policy(policy: Policy, network: Network) -> Program:
+    """Return one tick of all nodes of a policy: what the plant is told when it has been measured.
+
+    Inputs: ``y i``, ``uniform i``. Outputs: ``applied i``, clipped as the model's input is, ``sent LINK`` and
+    ``arrived LINK``.
+
+    Args:
+        policy: the policy.
+        network: between its nodes.
+    """
+    tick = begin_tick(policy, network, {}, {})
+    losses = draw_losses(tick, policy, network)
+    tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]
+    for step in policy.steps:
+        tick.take(step, losses)
+    applied, limit = tick.signals["input"], policy.model.input_limit
+    if limit is not None:
+        applied = [tick.clip(value, bound) for value, bound in zip(applied, limit, strict=True)]
+    outputs = {f"applied {i}": value for i, value in enumerate(applied)}
+    outputs |= {f"sent {link}": tick.as_number(truth) for link, truth in tick.sent.items()}
+    outputs |= {f"arrived {link}": tick.as_number(truth) for link, truth in tick.arrived.items()}
+    return tick.finish({}, outputs)
+
+
+def begin_tick(
+    policy: Policy,
+    network: Network,
+    sizes: Mapping[str, int],
+    initial: Mapping[str, Array | str],
+    precision: Precision = "float64",
+) -> Tick:
+    """Return a tick of all nodes of a policy before its first step, with signals that are not the policy's."""
+    bad = [is_bad(link) for link in ENDS]
+    payloads = encode_payloads(policy, network)
+    told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
+    sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}
+    initial = {**policy.initial, **initial, **{name: name for name in bad}}
+    return Tick(Builder(precision), sizes, initial, policy.locations, told)
+
+
+def draw_losses(tick: Tick, policy: Policy, network: Network) -> dict[str, Coefficient]:
+    """Return the loss probability of each link: constant, or read by the drawn location of its bursts."""
+    losses: dict[str, Coefficient] = {}
+    for link in ENDS:
+        burst, b = network.burst(link), tick.builder
+        losses[link] = network.loss(link)
+        if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
+            (bad,) = tick.read(is_bad(link))
+            losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
+            turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
+            turned = b.emit("sub", b.constant(1.0), bad)
+            tick.signals[is_bad(link)] = [tick.choose(b.emit("greater", turn, tick.uniform()), turned, bad)]
+    return losses
+
+
+def is_bad(link: str) -> str:
+    """Return the name of the memory whether a link is bad."""
+    return f"{link} link is bad"
