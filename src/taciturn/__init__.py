@@ -38,6 +38,9 @@ if TYPE_CHECKING:
     from taciturn.problem import Problem as Problem
     from taciturn.problem import load as load
     from taciturn.renewal.optimal import Optimum as Optimum
+    from taciturn.runtime.control import from_control as from_control
+    from taciturn.runtime.control import to_control as to_control
+    from taciturn.runtime.nodes import Nodes as Nodes
     from taciturn.simulation.average import average as average
     from taciturn.simulation.average import difference as difference
     from taciturn.simulation.bank import Bank as Bank
@@ -81,6 +84,7 @@ _HOME = {
     "Jumps": "model.plant",
     "Loop": "loop",
     "Network": "model.network",
+    "Nodes": "runtime.nodes",
     "Plant": "model.plant",
     "Policy": "model.policy",
     "Problem": "problem",
@@ -109,6 +113,7 @@ _HOME = {
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
     "find_losses": "study.losses",
+    "from_control": "runtime.control",
     "load": "problem",
     "plant_from": "model.plant",
     "regenerative": "simulation.statistics",
@@ -117,6 +122,7 @@ _HOME = {
     "solve_optimum": "analyse.limits",
     "solve_renewal": "analyse.renewal",
     "sweep": "study.sweep",
+    "to_control": "runtime.control",
     "tradeoff": "study.tradeoff",
     "tune": "study.tune",
     "tune_period": "study.periods",

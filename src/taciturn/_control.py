@@ -1,0 +1,61 @@
+"""The one door to python-control, with types; it is an extra."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import Any, TypeAlias
+
+from taciturn._arrays import Array
+from taciturn.errors import ProblemError
+
+Function: TypeAlias = Callable[[float, Array, Array, object], Array]
+"""Time, state, input and parameters → the next state, or the output."""
+
+
+def state_space(A: Array, B: Array, C: Array, dt: float | bool, name: str) -> Any:
+    """Return the `control.StateSpace` x⁺ = A x + B u, y = C x.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    return _control().StateSpace(A, B, C, 0, dt, name=name)
+
+
+def nonlinear_system(
+    update: Function,
+    output: Function,
+    states: Sequence[str],
+    inputs: Sequence[str],
+    outputs: Sequence[str],
+    dt: float | bool,
+    name: str,
+) -> Any:
+    """Return the `control.NonlinearIOSystem` of two functions.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    return _control().NonlinearIOSystem(
+        update, output, states=list(states), inputs=list(inputs), outputs=list(outputs), dt=dt, name=name
+    )
+
+
+def is_linear(system: object) -> bool:
+    """Tell whether something is a `control.StateSpace` or a `control.TransferFunction`.
+
+    Raises:
+        ProblemError: python-control is missing.
+    """
+    control = _control()
+    return isinstance(system, (control.StateSpace, control.TransferFunction))
+
+
+def _control() -> Any:
+    try:
+        return import_module("control")
+    except ImportError:
+        raise ProblemError(
+            "python-control is not installed; expected it for to_control and from_control: "
+            "pip install 'taciturn[control]'"
+        ) from None
