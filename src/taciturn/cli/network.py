@@ -9,12 +9,15 @@ import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Annotated, Any, cast
+from typing import IO, TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from taciturn import _print
 from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
+
+if TYPE_CHECKING:
+    from taciturn.runtime.serve import NodeServer
 
 Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any free one.")]
 Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who gets the packets.")]
@@ -119,7 +122,8 @@ def node(
             heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
         )  # fmt: skip
         _listening(role, server.endpoint.address)
-        server.run(ticks, stopped)
+        with _counters(server) as shown:
+            server.run(ticks, lambda: shown() or stopped())
         typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
 
 
@@ -222,6 +226,36 @@ def _burst(text: str | None) -> Any:
 
 def _listening(name: str, address: tuple[str, int]) -> None:
     print(f"taciturn: the {name} listens on {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _counters(server: NodeServer) -> Generator[Callable[[], bool]]:
+    """Show the counters of a node on a terminal, twice a second, each time that what is given is called."""
+    if not sys.stderr.isatty():
+        yield lambda: False
+        return
+    from rich.console import Console
+    from rich.live import Live
+    from rich.text import Text
+
+    def line() -> Text:
+        report = server.report()
+        counted = ", ".join(f"{count} {name}" for name, count in sorted(report["counters"].items()))
+        degraded = " · DEGRADED" if any(node.degraded for node in server.nodes) else ""
+        refused = sum(report["refused"].values())
+        return Text(f"tick {report['tick']} · {counted or 'nothing yet'} · {refused} refused{degraded}")
+
+    with Live(line(), console=Console(stderr=True), transient=True, auto_refresh=False) as live:
+        next_at = time.monotonic()
+
+        def show() -> bool:
+            nonlocal next_at
+            if time.monotonic() >= next_at:
+                next_at = time.monotonic() + 0.5
+                live.update(line(), refresh=True)
+            return False
+
+        yield show
 
 
 @contextmanager

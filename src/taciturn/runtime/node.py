@@ -114,7 +114,7 @@ class Node:
         self._safe = _safe_input(safe, policy.model.inputs)
         horizon = policy.cost.horizon if policy.cost is not None else None
         self._remembers = ceil(FORGOTTEN * policy.settling) or horizon or NEVER  # ticks
-        self._acknowledges = tuple(link for link in program.hears if _acknowledged(policy, link))
+        self.acknowledges = tuple(link for link in program.hears if _acknowledged(policy, link))
         self.tick = -1
         self._memory: Sequence[Any] = [state.start for state in program.parts[0].states]
         self._generator: Sequence[Any] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
@@ -192,7 +192,7 @@ class Node:
     @property
     def talks(self) -> bool:
         """Whether the node sends packets."""
-        return bool(self._sends or self._acknowledges)
+        return bool(self._sends or self.acknowledges)
 
     @property
     def listens(self) -> dict[str, int]:
@@ -201,7 +201,7 @@ class Node:
 
     def mark(self) -> tuple[Packet, ...]:
         """Return the packets that tell those who listen that this node lives and has finished the tick."""
-        links: tuple[str, ...] = (*self._sends, *self._acknowledges)
+        links: tuple[str, ...] = (*self._sends, *self.acknowledges)
         return tuple(self._packet("mark", link) for link in links)
 
     def sort_in(self, packets: Iterable[Packet]) -> bool:
@@ -306,7 +306,7 @@ class Node:
     def _collect(self, part: int, tick: int) -> list[Packet]:
         """Take the packets that a part wants, and return the acknowledgements."""
         found = self.inbox.collect(part, tick, self._inputs)
-        told = [packet for packet in found if packet.kind == "data" and packet.link in self._acknowledges]
+        told = [packet for packet in found if packet.kind == "data" and packet.link in self.acknowledges]
         return [self._packet("acknowledgement", packet.link, tick=packet.tick) for packet in told]
 
     def _turn_clocks(self, tick: int) -> None:

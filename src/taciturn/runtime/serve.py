@@ -72,6 +72,11 @@ class NodeServer:
             raise ProblemError(f"--plant is missing, and the {first.role} meets the plant; expected its HOST:PORT")
         if first.talks and peer is None:
             raise ProblemError(f"--peer is missing, and the {first.role} sends packets; expected HOST:PORT")
+        if first.program.sends and first.acknowledges:
+            raise ProblemError(
+                f"the {first.role} sends packets on one link and acknowledges those of another, and a node has one "
+                "peer; expected a policy that acknowledges at its actuator only"
+            )
         self.peer, self.plant, self._tick, self._wait = peer, plant, tick, wait
         self._heartbeat, self._keep, self._told = heartbeat, keep, told
         self.phase = Phase(tick or 1.0)
