@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any free one.")]
 Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who gets the packets.")]
-Ticks = Annotated[int | None, typer.Option(min=1, help="Ticks to run. Default: until interrupted.")]
+Ticks = Annotated[int | None, typer.Option(help="Ticks to run. Default: until interrupted.")]
 RealTime = Annotated[bool, typer.Option("--real-time", help="Go by the clock instead of virtual time.")]
 TickLength = Annotated[
     float | None, typer.Option("--tick", help="Real seconds per tick. Default: those of the problem.")
@@ -34,7 +34,7 @@ Log = Annotated[
     str | None,
     typer.Option(metavar="OUT", help="A JSON line per tick: to a file, - for standard output, or udp://HOST:PORT."),
 ]
-Loops = Annotated[int, typer.Option(min=1, max=65535, help="How many such loops this process serves.")]
+Loops = Annotated[int, typer.Option(help="How many such loops this process serves.")]
 
 
 WAIT = {"controller": 0.35, "actuator": 0.7}  # the actuator waits for what the controller sends at its own deadline
@@ -43,7 +43,7 @@ WAIT = {"controller": 0.35, "actuator": 0.7}  # the actuator waits for what the 
 @app.command()
 def network(
     file: File,
-    ticks: Annotated[int | None, typer.Option(min=1, help="Default: the mission, or 5000.")] = None,
+    ticks: Annotated[int | None, typer.Option(help="Default: the mission, or 5000.")] = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     seed: Seed = 0,
@@ -58,6 +58,7 @@ def network(
     from taciturn.runtime.packet import read_key
     from taciturn.study.network import run_network
 
+    _check_counts({"--ticks": ticks})
     length = _length(taciturn.load(file).design().model.dt, real_time, tick)
     with progress_bar("running") as progress:
         found = run_network(
@@ -83,8 +84,8 @@ def node(
         float | None,
         typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .35, actuator .7."),
     ] = None,
-    heartbeat: Annotated[int | None, typer.Option(min=1, help="Ticks between marks. Default: one second.")] = None,
-    watchdog: Annotated[int | None, typer.Option(min=1, help="Ticks of silence until the input is safe.")] = None,
+    heartbeat: Annotated[int | None, typer.Option(help="Ticks between marks. Default: one second.")] = None,
+    watchdog: Annotated[int | None, typer.Option(help="Ticks of silence until the input is safe.")] = None,
     safe: Annotated[str, typer.Option(help="The safe input: hold, zero, or numbers as 0.5,-1.")] = "hold",
     state: Annotated[Path | None, typer.Option(metavar="PATH", help="Keeps the state after every tick.")] = None,
     key: Key = None,
@@ -100,6 +101,7 @@ def node(
     from taciturn.runtime.serve import NodeServer
     from taciturn.runtime.udp import Endpoint, parse_address
 
+    _check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
     problem = taciturn.load(file)
     policy = problem.design()
     length = _length(policy.model.dt, real_time, tick)
@@ -116,9 +118,9 @@ def node(
     wire = Wire(policy, problem.network, read_key(key))
     to = None if peer is None else parse_address("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
-    with _logged(log) as told, _stopping() as stopped:
+    with _logged(log) as told, _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
         server = NodeServer(
-            nodes, wire, Endpoint(parse_address("--bind", bind)), peer=to, plant=world, tick=length, wait=share,
+            nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
             heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
         )  # fmt: skip
         _listening(role, server.endpoint.address)
@@ -132,7 +134,7 @@ def plant(
     file: File,
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="The node that measures.")],
     bind: Bind = "127.0.0.1:0",
-    ticks: Annotated[int, typer.Option(min=1, help="Ticks to run.")] = 1000,
+    ticks: Annotated[int, typer.Option(help="Ticks to run.")] = 1000,
     real_time: RealTime = False,
     tick: TickLength = None,
     key: Key = None,
@@ -147,13 +149,13 @@ def plant(
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
 
+    _check_counts({"--ticks": ticks, "--loops": loops})
     problem = taciturn.load(file)
     loop = problem.close(problem.design())
     length = _length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
-    with _logged(log) as told, _stopping() as stopped:
-        endpoint = Endpoint(parse_address("--bind", bind))
+    with _logged(log) as told, _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
         server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told)
         _listening("plant", endpoint.address)
         typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
@@ -182,10 +184,19 @@ def relay(
 
     fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt)
     to = parse_address("--peer", peer)
-    with _stopping() as stopped:
-        endpoint = Endpoint(parse_address("--bind", bind))
+    with _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
         _listening("relay", endpoint.address)
         typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
+
+
+def _check_counts(counts: Mapping[str, int | None]) -> None:
+    """Refuse options that count something and are not at least 1, or more loops than a packet can tell."""
+    from taciturn._arrays import count, number
+
+    for name, value in counts.items():
+        if value is not None:
+            count(name, value)
+    number("--loops", counts.get("--loops") or 1, high=65535, closed=True)
 
 
 def _length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
@@ -278,8 +289,9 @@ def _logged(target: str | None) -> Generator[Callable[[Mapping[str, Any]], None]
     if target is None:
         yield None
     elif target.startswith("udp://"):
-        to, endpoint = parse_address("--log", target.removeprefix("udp://")), Endpoint(("0.0.0.0", 0))
-        yield lambda line: endpoint.send(json.dumps(line).encode(), to)
+        to = parse_address("--log", target.removeprefix("udp://"))
+        with Endpoint(("0.0.0.0", 0)) as endpoint:
+            yield lambda line: endpoint.send(json.dumps(line).encode(), to)
     elif target == "-":
         yield _lines(sys.stdout)
     else:

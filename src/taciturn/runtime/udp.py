@@ -97,6 +97,14 @@ class Endpoint:
         """Close the socket."""
         self._socket.close()
 
+    def __enter__(self) -> Endpoint:
+        """Be closed at the end of a block."""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Close."""
+        self.close()
+
     def _take(self) -> list[bytes]:
         found: list[bytes] = []
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # refused: a peer is not there yet

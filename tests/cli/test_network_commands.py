@@ -1,0 +1,174 @@
+"""Nodes, plants, links and networks at the command line: what they answer, and what a user can get wrong."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from taciturn.runtime.processes import Process
+from taciturn.runtime.udp import Endpoint, free_addresses
+
+if TYPE_CHECKING:
+    from conftest import Run, Write
+
+PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (
+            ["node", "pilot", "two-mass"],
+            "the node is 'pilot', which is not a role; expected one of controller, actuator",
+        ),
+        (["node", "sensor", "two-mass"], "at the place of the controller in lqg"),
+        (["node", "controller", "two-mass"], "--plant is missing"),
+        (["node", "controller", "two-mass", "--plant", ":9000"], "--peer is missing"),
+        (["node", "actuator", "two-mass", "--plant", "9000"], "--plant is '9000'; expected HOST:PORT"),
+        (["node", "actuator", "two-mass", "--plant", ":99999"], "a port from 0 to 65535"),
+        (["node", "actuator", "two-mass", "--plant", "no.such.host.invalid:9"], "'no.such.host.invalid' is unknown"),
+        (["node", "actuator", "two-mass", "--plant", ":9", "--bind", "192.0.2.1:9"], "192.0.2.1:9 cannot be bound"),
+        (["node", "actuator", "two-mass", "--plant", ":9", "--safe", "banana"], "--safe is 'banana'; expected hold"),
+        (["node", "actuator", "two-mass", "--plant", ":9", "--safe", "1,2"], "the safe input is (1.0, 2.0)"),
+        (["node", "controller", "two-mass", "--watchdog", "3"], "has no input to make safe"),
+        (["node", "actuator", "two-mass", "--wait", "3"], "--wait is 3"),
+        (["node", "actuator", "two-mass", "--ticks", "0"], "--ticks is 0; expected a whole number, at least 1"),
+        (["node", "actuator", "two-mass", "--tick", "0.1"], "--tick is given without --real-time"),
+        (["node", "actuator", "two-mass", "--state", "s", "--loops", "2"], "--state is given with --loops 2"),
+        (["node", "actuator", "two-mass", "--key", "no-such-file"], "the key file no-such-file cannot be read"),
+        (["network", "two-mass", "--tick", "0.1"], "--tick is given without --real-time"),
+        (["network", "wiener-double-integrator", "--ticks", "0"], "--ticks is 0; expected a whole number, at least 1"),
+        (["node", "controller", "two-mass", "--loops", "70000"], "--loops is 70000"),
+        (["plant", "two-mass", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
+        (["relay", "--peer", ":9", "--loss", "1.5"], "loss is 1.5; expected 0 ≤"),
+        (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
+        (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),
+    ],
+)
+def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str], told: str) -> None:
+    """Roles, addresses, keys, times and links: one sentence, exit code 2."""
+    assert told in run(*arguments).sentence
+
+
+def test_a_policy_without_nodes_is_refused(run: Run, write: Write) -> None:
+    """What is for analysis, and what is triggered between ticks, has no nodes."""
+    optimal = write(policy='[policy]\nkind = "optimal"\nprice = 0.1\n')
+    for command in (["network", optimal], ["node", "controller", optimal], ["plant", optimal, "--peer", ":9"]):
+        assert "decides by a boundary that no node evaluates" in run(*command).sentence
+
+
+def test_keys_that_are_none_are_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Too short, and no hexadecimal digits, in a file and in the environment."""
+    key = tmp_path / "key"
+    key.write_text("abcd")
+    assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass", "--key", str(key)).sentence
+    monkeypatch.setenv("TACITURN_KEY", "secret")
+    assert "TACITURN_KEY holds no hexadecimal digits; expected 32 to 64" in run("network", "two-mass").sentence
+
+
+def test_a_port_in_use_and_a_foreign_state_are_refused(run: Run, tmp_path: Path) -> None:
+    """Somebody listens there already; the state is that of another role, or none."""
+    endpoint = Endpoint(("127.0.0.1", 0))
+    taken = f"127.0.0.1:{endpoint.address[1]}"
+    told = run("node", "actuator", "two-mass", "--plant", ":9", "--bind", taken).sentence
+    assert "cannot be bound (Address already in use)" in told
+    endpoint.close()
+    state = tmp_path / "state.json"
+    for text in ("{", "[]", '{"node": {}, "outbox": []}'):
+        state.write_text(text)
+        assert "state" in run("node", "actuator", "two-mass", "--plant", ":9", "--state", str(state)).sentence
+
+
+def test_the_network_answers_as_evaluate_does(run: Run) -> None:
+    """One JSON document with the keys of ``evaluate`` and the datagrams; for people, a table."""
+    answer = run("network", "lossy-double-integrator", "--seed", "1", "--json")
+    document = json.loads(answer.out)
+    assert answer.code == 0
+    assert document["unit"] == "mission"
+    assert document["cost"]["standard_error"] is None
+    assert document["datagrams"]["sensor"]["sent"] == document["ticks"] == 100
+    text = run("network", "lossy-double-integrator", "--seed", "1").out
+    assert f"{document['datagrams']['sensor']['lost']} lost" in text
+    assert "one mission" in text
+
+
+def terminals() -> list[list[list[str]]]:
+    """Return the groups of commands that the page shows, a terminal each."""
+    blocks = re.findall(r"```console\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return [[line.removeprefix("$ taciturn ").split() for line in block.splitlines()] for block in blocks]
+
+
+@pytest.mark.parametrize("relayed", [False, True], ids=["four terminals", "with a relay"])
+def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool) -> None:
+    """What the page tells to type, on free ports: the plant ends after its ticks, the nodes when they are told to."""
+    four, relay, three = terminals()
+    for group in ([*relay, *four] if relayed else four, [] if relayed else three):
+        if not group:
+            continue
+        ports = sorted({word for command in group for word in command if re.fullmatch(r":\d+", word)})
+        free = dict(zip(ports, (f":{port}" for _, port in free_addresses(len(ports))), strict=True))
+        commands = [[free.get(word, word) for word in command] for command in group]
+        if relayed:
+            sensor = next(command for command in commands if command[:2] == ["node", "sensor"])
+            sensor[sensor.index("--peer") + 1] = free[":9012"]
+        *others, plant = commands
+        processes = [Process(command) for command in others]
+        for process in processes:
+            process.expect()
+        done = subprocess.run(
+            [sys.executable, "-m", "taciturn.cli", *plant], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        reports = [process.stop() for process in processes]
+        assert done.returncode == 0, done.stderr
+        ticks = int(plant[plant.index("--ticks") + 1])
+        assert json.loads(done.stdout)["tick"] == ticks - 1
+        assert all(report["tick"] == ticks - 1 for report in reports if report["role"] != "relay")
+        if "--log" in plant:
+            assert len((tmp_path / "plant.jsonl").read_text().splitlines()) == ticks
+
+
+def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
+    """A line per tick to a file and to a UDP port, with the fields that the page names."""
+    listener = Endpoint(("127.0.0.1", 0))
+    here, there = (f"127.0.0.1:{port}" for _, port in free_addresses(2))
+    log = f"udp://127.0.0.1:{listener.address[1]}"
+    actuator = Process(
+        ["node", "actuator", "two-mass", "--bind", there, "--plant", ":9", "--log", log, "--ticks", "30"]
+    )
+    actuator.expect()
+    plant = Endpoint(("127.0.0.1", 0))
+    at = f"127.0.0.1:{plant.address[1]}"
+    path = tmp_path / "log.jsonl"
+    controller = Process(
+        ["node", "controller", "two-mass", "--bind", here, "--peer", there, "--plant", at, "--log", str(path)]
+    )
+    controller.expect()
+    import taciturn
+    from taciturn.runtime.packet import Packet, Wire
+    from taciturn.runtime.udp import parse_address
+
+    wire = Wire(taciturn.load("two-mass").design())
+    for tick in range(30):
+        plant.send(wire.encode(Packet("measurement", "plant", tick, tick, (0.5, -0.5))), parse_address("x", here))
+    found: list[bytes] = []
+    import time
+
+    end = time.monotonic() + 20
+    while len(found) < 30 and time.monotonic() < end:
+        found += listener.receive(time.monotonic() + 1)
+    controller.stop()
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    told = [json.loads(line) for line in found]
+    assert [line["tick"] for line in lines] == [line["tick"] for line in told] == list(range(30))
+    assert lines[0]["y"] == [0.5, -0.5]
+    assert {"timestamp", "sent_actuator", "option_send_silent", "degraded"} <= set(lines[0])
+    assert {"u", "arrived_actuator", "silent"} <= set(told[0])
+    actuator.kill()
+    plant.close()
+    listener.close()
