@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum as Optimum
     from taciturn.runtime.control import from_control as from_control
     from taciturn.runtime.control import to_control as to_control
+    from taciturn.runtime.node import Node as Node
     from taciturn.runtime.nodes import Nodes as Nodes
     from taciturn.simulation.average import average as average
     from taciturn.simulation.average import difference as difference
@@ -57,6 +58,8 @@ if TYPE_CHECKING:
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.losses import find_losses as find_losses
+    from taciturn.study.network import NetworkRun as NetworkRun
+    from taciturn.study.network import run_network as run_network
     from taciturn.study.periods import TunedPeriod as TunedPeriod
     from taciturn.study.periods import tune_period as tune_period
     from taciturn.study.reproduce import reproduce as reproduce
@@ -84,6 +87,8 @@ _HOME = {
     "Jumps": "model.plant",
     "Loop": "loop",
     "Network": "model.network",
+    "NetworkRun": "study.network",
+    "Node": "runtime.node",
     "Nodes": "runtime.nodes",
     "Plant": "model.plant",
     "Policy": "model.policy",
@@ -118,6 +123,7 @@ _HOME = {
     "plant_from": "model.plant",
     "regenerative": "simulation.statistics",
     "reproduce": "study.reproduce",
+    "run_network": "study.network",
     "simulate": "simulation.trajectory",
     "solve_optimum": "analyse.limits",
     "solve_renewal": "analyse.renewal",

@@ -70,6 +70,15 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path) -> None:
     assert document["rates"]["actuator"]["value"] == pytest.approx(first.sends["actuator"][22:].mean(), abs=0.05)
 
 
+def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
+    """One row per tick, and a picture of costs and sends."""
+    table = quiet.to_pandas()
+    assert len(table) == len(quiet.costs) == 500
+    assert table["sent_sensor"].all()
+    assert table["cost"].to_numpy().tobytes() == quiet.costs.tobytes()
+    assert len(quiet.plot().axes) == 2
+
+
 def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun) -> None:
     """As many packets are lost as the seed names."""
     fate = losses(taciturn.load(chapter_7(tmp_path)).network, 2)["sensor"]

@@ -10,11 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taciturn._arrays import Array, count
+from taciturn._figure import Panel, Series, draw
+from taciturn._table import data_frame
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -31,6 +33,10 @@ from taciturn.runtime.world import PlantServer
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.evaluate import unit_of
+
+if TYPE_CHECKING:
+    import pandas
+    from matplotlib.figure import Figure
 
 USUAL = 5000  # ticks
 SETTLED = 5.0  # time constants that are left out of an average
@@ -69,6 +75,32 @@ class NetworkRun:
     seed: int
     seconds: float
     notes: tuple[str, ...]
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return a table with one row per tick: what it cost, and whether a packet was sent, by link.
+
+        Raises:
+            ProblemError: pandas is not installed.
+        """
+        columns: dict[str, object] = {"cost": self.costs}
+        columns |= {f"sent_{link}": sent > 0 for link, sent in self.sends.items()}
+        return data_frame(columns, "tick", range(len(self.costs)))
+
+    def plot(self) -> Figure:
+        """Return a figure: what each tick cost, and every send."""
+        ticks = [float(tick) for tick in range(len(self.costs))]
+        marks = [
+            Series(
+                np.flatnonzero(sent).astype(float).tolist(),
+                [1.0] * int(sent.sum()),
+                f"{link}: {int(sent.sum())} of {len(sent)}",
+                "stems",
+                color=i,
+            )
+            for i, (link, sent) in enumerate(self.sends.items())
+        ]
+        costs = Panel([Series(ticks, self.costs.tolist(), "cost of a tick")], ylabel="cost")
+        return draw([costs, Panel(marks, xlabel="tick", ylabel="sends")])
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --json``."""
