@@ -167,12 +167,14 @@ class NodeServer:
             return
         if packet.kind == "mark" and self._tick is None and packet.tick <= node.inbox.marked.get(packet.link, -1):
             self._send(self._outbox[loop])
-        if node.sort_in([packet]) and packet.kind == "data":
+        if not node.sort_in([packet]):
+            return
+        if packet.link in node.program.hears:  # an acknowledgement tells when its tick was over, not when it began
+            self._hear(packet.tick, now)
+        if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
                 self._news[loop].setdefault(packet.link, []).append(packet.sequence)
-        if packet.kind != "acknowledgement":
-            self._hear(packet.tick, now)
 
     def _hear(self, tick: int, now: float) -> None:
         if self._tick is not None:
