@@ -37,7 +37,7 @@ Log = Annotated[
 Loops = Annotated[int, typer.Option(help="How many such loops this process serves.")]
 
 
-WAIT = {"controller": 0.35, "actuator": 0.7}  # the actuator waits for what the controller sends at its own deadline
+WAIT = {"controller": 0.3, "actuator": 0.55}  # the actuator waits for what the controller sends at its own deadline
 
 
 @app.command()
@@ -82,7 +82,7 @@ def node(
     tick: TickLength = None,
     wait: Annotated[
         float | None,
-        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .35, actuator .7."),
+        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .3, of an actuator .55."),
     ] = None,
     heartbeat: Annotated[int | None, typer.Option(help="Ticks between marks. Default: one second.")] = None,
     watchdog: Annotated[int | None, typer.Option(help="Ticks of silence until the input is safe.")] = None,
