@@ -82,7 +82,7 @@ def node(
     tick: TickLength = None,
     wait: Annotated[
         float | None,
-        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .3, of an actuator .55."),
+        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .3, actuator .55."),
     ] = None,
     heartbeat: Annotated[int | None, typer.Option(help="Ticks between marks. Default: one second.")] = None,
     watchdog: Annotated[int | None, typer.Option(help="Ticks of silence until the input is safe.")] = None,
