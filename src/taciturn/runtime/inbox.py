@@ -80,7 +80,7 @@ class Inbox:
         return sum(len(channel.waiting) for channel in self.channels.values())
 
     def take(self, packet: Packet, past: int) -> bool:
-        """Take a packet in after the tick ``past``; return whether it is new, and tells that its sender lives."""
+        """Take a packet in after the tick ``past``; return whether it is new, and not far too early."""
         self.counters["received"] += 1
         channel = self.channels.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.link in self.marks
@@ -92,11 +92,12 @@ class Inbox:
         if news != "new":
             self.counters[news] += 1
             return False
+        if packet.tick > past + AHEAD and past >= 0:
+            self.counters["ahead"] += 1
+            return False
         if channel is None:
             self.counters["marks"] += 1
             self.marked[packet.link] = max(self.marked[packet.link], packet.tick)
-        elif packet.tick > past + AHEAD and past >= 0:
-            self.counters["ahead"] += 1
         elif packet.tick > past - channel.lag:
             self._wait(channel, packet)
         else:
@@ -122,7 +123,6 @@ class Inbox:
                 found.append(packet)
             elif channel.behind is not None:
                 packet = channel.behind
-                self._degrade("late")
             channel.behind = None
             if self._lossless and channel.window.missing > channel.missing:
                 self._degrade("lost")
@@ -169,8 +169,10 @@ class Inbox:
         self.counters["late"] += 1
         if packet.kind == "acknowledgement":
             self._degrade("late acknowledgement")
-        elif self._lossless and (channel.behind is None or packet.tick > channel.behind.tick):
-            channel.behind = packet
+        elif self._lossless:
+            self._degrade("late")
+            if channel.behind is None or packet.tick > channel.behind.tick:
+                channel.behind = packet
 
 
 def packet_of(saved: Sequence[Any]) -> Packet:

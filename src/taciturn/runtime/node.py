@@ -87,6 +87,7 @@ class Node:
         self.policy, self.role = policy, role
         self.network = policy.network if network is None else network
         self.loop, self.epoch = count("loop", loop, 0), count("epoch", epoch, 0)
+        count("seed", seed, 0)
         self.fingerprint = fingerprint(policy, self.network)
         self.program = program = lower_node(policy, place_of(policy, role), self.network)
         self._parts = [compile_python(part) for part in program.parts]
@@ -245,6 +246,8 @@ class Node:
             for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
                 counter.clear()
                 counter.update(kept)
+        except ProblemError:
+            raise
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise ProblemError(f"this is no saved state of a node ({error!r}); expected what Node.save gave") from None
 

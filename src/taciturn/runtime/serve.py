@@ -19,9 +19,11 @@ import numpy as np
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.runtime.clock import Phase
+from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.window import Window
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 LEFT_BEHIND = 8  # ticks behind which a node goes on with the present
@@ -84,10 +86,16 @@ class NodeServer:
         self.arrived: Counter[str] = Counter()  # new data, by link
         self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # sequences of those since the last line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
+        self._measured = [Window() for _ in nodes]
         self._outbox: list[list[Packet]] = [[] for _ in nodes]
+        self._answered = [0.0 for _ in nodes]  # when the outbox was sent again
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._began, self._cpu = time.monotonic(), time.process_time()
         self._physical = 0
+        if keep is not None and not keep.parent.is_dir():
+            raise ProblemError(
+                f"the state is to be kept in {keep.parent}, which is no folder; expected one that exists"
+            )
         if keep is not None and keep.exists():
             self._take_up(keep)
 
@@ -155,30 +163,44 @@ class NodeServer:
         return touched
 
     def _sort(self, packet: Packet, now: float) -> None:
-        """Give a packet to its node's next tick; one that repeats what is known asks for the last answer again."""
+        """Give a packet to its node's next tick; in lockstep one that comes again asks for the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
         if packet.link == "plant":
             self._physical += 1
-            if packet.kind == "measurement" and node.tick < packet.tick and len(self._measurements[loop]) < PATIENT:
+            news = self._measured[loop].admit(packet.epoch, packet.sequence)
+            if packet.kind != "measurement" or not node.measures:
+                self.refused["misplaced"] += 1
+            elif news != "new":
+                self.refused[news] += 1
+                self._answer_again(loop, now, news == "duplicate")
+            elif self._begins(packet, now) and len(self._measurements[loop]) < PATIENT:
                 self._measurements[loop][packet.tick] = packet.values
-                self._hear(packet.tick, now)
-            elif packet.kind == "measurement" and self._tick is None:
-                self._send(self._outbox[loop])
+            else:
+                self.refused["ahead"] += 1
             return
-        if packet.kind == "mark" and self._tick is None and packet.tick <= node.inbox.marked.get(packet.link, -1):
-            self._send(self._outbox[loop])
+        repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
         if not node.sort_in([packet]):
+            self._answer_again(loop, now, repeated)
             return
-        if packet.link in node.program.hears:  # an acknowledgement tells when its tick was over, not when it began
-            self._hear(packet.tick, now)
+        if packet.link in node.program.hears and self._tick is not None:  # an acknowledgement comes when a tick is over
+            self.phase.hear(packet.tick, now)
         if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
                 self._news[loop].setdefault(packet.link, []).append(packet.sequence)
 
-    def _hear(self, tick: int, now: float) -> None:
+    def _begins(self, packet: Packet, now: float) -> bool:
+        """Whether the tick of a measurement can have begun, and is not past."""
+        last = self.nodes[packet.loop].tick
         if self._tick is not None:
-            self.phase.hear(tick, now)
+            return self.phase.hear(packet.tick, now) and packet.tick > last
+        return last < packet.tick <= last + AHEAD or last < 0  # the plant may be ahead of a sensor that nobody awaits
+
+    def _answer_again(self, loop: int, now: float, asked: bool) -> None:
+        """Send what was sent last, as the answer may have been lost; not so often that others can make much of it."""
+        if asked and self._tick is None and now - self._answered[loop] > QUIET:
+            self._answered[loop] = now
+            self._send(self._outbox[loop])
 
     def _go_on(self, node: Node, now: float) -> None:
         """Go through the ticks that may begin."""
@@ -193,7 +215,8 @@ class NodeServer:
                 out.append(Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
             self._outbox[loop] = out
             if self._keep is not None:
-                kept = {"node": node.save(), "outbox": [list(packet) for packet in out]}
+                outbox = [list(packet) for packet in out]
+                kept = {"node": node.save(), "measured": self._measured[loop].save(), "outbox": outbox}
                 write_whole(self._keep, json.dumps(kept).encode())
             self._send(out)
             if self._tick is not None and self.phase.known:
@@ -239,8 +262,11 @@ class NodeServer:
         try:
             kept = json.loads(path.read_bytes())
             self.nodes[0].restore(kept["node"])
+            self._measured[0].restore(kept["measured"])
             packets = [Packet(*entry) for entry in kept["outbox"]]
             self._outbox[0] = [packet._replace(values=tuple(packet.values)) for packet in packets]
+        except ProblemError:
+            raise
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ProblemError(f"the kept state {path} cannot be read ({error}); expected one of this node") from None
         if self._tick is None:

@@ -12,9 +12,9 @@ from typing import TypeAlias
 from taciturn.errors import ProblemError
 
 Address: TypeAlias = tuple[str, int]
-LARGEST = 65535  # bytes of a datagram
+LARGEST = 4096  # bytes of a datagram that are read: packets are shorter, and what is cut is none
 BUFFER = 4 << 20  # bytes that wait in the kernel, if it lets us
-MOST = 512  # datagrams that are taken at once, so that a flood does not keep a node from its tick
+MOST = 128  # datagrams that are taken at once, so that a flood does not keep a node from its tick
 _MEMORY, _DROPS = 55, 8  # SO_MEMINFO of Linux, and where its table holds what was dropped
 
 

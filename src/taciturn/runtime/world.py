@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.relay import Channel
 from taciturn.runtime.serve import IDLE, QUIET, Told
 from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.window import Window
 
 
 class PlantServer:
@@ -44,6 +46,9 @@ class PlantServer:
         self._tick, self._told = tick, told
         self.inputs: list[Values] = [(0.0,) * plant.loop.problem.plant.inputs for plant in plants]
         self._given = [-1] * len(plants)  # tick of the last input
+        self._waiting: list[dict[int, Values]] = [{} for _ in plants]  # inputs by tick: a node may be one ahead
+        self._windows = [Window() for _ in plants]
+        self._now, self._epoch = 0, int(time.time())
         self.costs: list[list[float]] = [[] for _ in plants]
         self.refused: Counter[str] = Counter()
         self.largest = 0.0  # entry of a state
@@ -56,12 +61,15 @@ class PlantServer:
         for tick in range(ticks):
             if stopped():
                 break
+            self._now = tick
             self._measure(tick)
             if self._tick is None:
                 self._await(tick, stopped)
             else:
                 self._wait(zero + (tick + 1) * self._tick)
             for loop, plant in enumerate(self.plants):
+                if tick in self._waiting[loop]:
+                    self.inputs[loop], self._given[loop] = self._waiting[loop].pop(tick), tick
                 self.held += self._given[loop] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
                 self.largest = max(self.largest, float(np.abs(plant.state).max()))
@@ -93,22 +101,22 @@ class PlantServer:
             },
         }
 
-    def _measure(self, tick: int, behind: int = -1) -> None:
-        """Tell the measurements of a tick, of the loops whose input is not later than one."""
+    def _measure(self, tick: int, again: bool = False) -> None:
+        """Tell the measurements of a tick; again, those of the loops whose input has not come."""
         for loop, plant in enumerate(self.plants):
-            if behind < 0 or self._given[loop] <= behind:
+            if not again or tick not in self._waiting[loop]:
                 sequence = tick & 0xFFFFFFFF
-                packet = Packet("measurement", "plant", tick, sequence, plant.measurement, 0, loop)
+                packet = Packet("measurement", "plant", tick, sequence, plant.measurement, self._epoch, loop)
                 self.endpoint.send(self.wire.encode(packet), self.sensor)
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
         """Wait for the inputs of a tick; tell the measurement again where none comes."""
-        while any(given < tick for given in self._given) and not stopped():
+        while any(tick not in waiting for waiting in self._waiting) and not stopped():
             found = self.endpoint.receive(time.monotonic() + IDLE)
             self._take(found)
             if not found:
                 self.again += 1
-                self._measure(tick, tick - 1)
+                self._measure(tick, again=True)
 
     def _wait(self, until: float) -> None:
         """Take inputs until a time."""
@@ -122,10 +130,22 @@ class PlantServer:
                 self.refused[packet] += 1
             elif packet.kind != "input" or packet.loop >= len(self.plants):
                 self.refused["misdirected"] += 1
-            elif packet.tick > self._given[packet.loop]:
-                self.inputs[packet.loop], self._given[packet.loop] = packet.values, packet.tick
             else:
-                self.refused["repeated"] += 1
+                self._sort(packet)
+
+    def _sort(self, packet: Packet) -> None:
+        """Keep an input for its tick; one that is late acts at once, if none of a later tick has."""
+        loop, news = packet.loop, self._windows[packet.loop].admit(packet.epoch, packet.sequence)
+        if news != "new":
+            self.refused[news] += 1
+        elif packet.tick > self._now + AHEAD:
+            self.refused["ahead"] += 1
+        elif packet.tick >= self._now:
+            self._waiting[loop][packet.tick] = packet.values
+        elif packet.tick > self._given[loop]:
+            self.inputs[loop], self._given[loop] = packet.values, packet.tick
+        else:
+            self.refused["late"] += 1
 
 
 def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
