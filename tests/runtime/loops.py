@@ -7,6 +7,7 @@ from unittest.mock import patch
 
 import numpy as np
 
+import taciturn
 from taciturn.loop import Loop
 from taciturn.model.policy import Draw, Send
 from taciturn.program import numpy as interpreter
@@ -15,6 +16,8 @@ from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
 from taciturn.runtime.node import Node, roles
 from taciturn.runtime.packet import Packet
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.study.network import losses
 
 Records = Mapping[str, np.ndarray]
 
@@ -85,3 +88,26 @@ def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int =
         wrong += [tick for link, flag in flags.items() if flag != sent[link][tick]]
     assert not any(node.degraded for node in nodes.values())
     return wrong, packets
+
+
+def by_hand(file: str, ticks: int, seed: int) -> np.ndarray:
+    """Return the costs of a problem's nodes and plant in this process, over links that lose what relays would lose."""
+    problem = taciturn.load(file)
+    policy, fates = problem.design(), losses(problem.network, seed)
+    nodes = {role: Node(policy, role, network=problem.network, seed=seed) for role in roles(policy)}
+    plant, boxes = SimulatedPlant(problem.close(policy), seed), {role: list[Packet]() for role in nodes}
+    u, costs = (0.0,) * policy.model.inputs, np.empty(ticks)
+    for tick in range(ticks):
+        for role, node in nodes.items():
+            box, boxes[role] = boxes[role], []
+            packets, given = node.step(tick, plant.measurement if node.measures else None, box)
+            u = u if given is None else given
+            for packet in packets:
+                ends = {name: node.program.hears for name, node in nodes.items()}
+                if packet.kind == "acknowledgement":
+                    ends = {name: node.program.sends for name, node in nodes.items()}
+                elif fates[packet.link].lost(packet.sequence, tick):  # type: ignore[index]
+                    continue
+                boxes[next(name for name, links in ends.items() if packet.link in links)].append(packet)
+        costs[tick] = plant.move(u)
+    return costs

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from runtime.attacks import KEY, await_ticks, capture, chapter_7, noise, throw
+from runtime.attacks import CHAPTER_7, KEY, await_ticks, capture, chapter_7, noise, throw
+from runtime.loops import by_hand
 
 import taciturn
 from taciturn.runtime.processes import Processes
@@ -77,6 +78,47 @@ def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
     assert table["sent_sensor"].all()
     assert table["cost"].to_numpy().tobytes() == quiet.costs.tobytes()
     assert len(quiet.plot().axes) == 2
+
+
+DELAYED = CHAPTER_7.replace('protocol = "udp"', 'protocol = "tcp"\ndelay = 1')
+BURSTS = (
+    CHAPTER_7.replace("actuator_loss = 0.1", "")
+    + """
+[network.actuator_burst]
+to_bad = 0.05
+to_good = 0.3
+loss_good = 0.01
+loss_bad = 0.7
+"""
+)
+
+
+def assert_by_hand(folder: Path, problem: str, ticks: int) -> None:
+    """Check that processes and nodes in memory cost the same, bit for bit, at every tick."""
+    if "[plant]" in problem:
+        (folder / "problem.toml").write_text(problem, encoding="utf-8")
+        problem = str(folder / "problem.toml")
+    found = run_network(problem, ticks=ticks, seed=2)
+    assert found.costs.tobytes() == by_hand(problem, ticks, 2).tobytes()
+    assert_added_up(found)
+
+
+@pytest.mark.parametrize("problem", ["remote-scalar", "two-mass", DELAYED], ids=["remote", "two-mass", "tcp, delayed"])
+def test_processes_do_what_nodes_in_memory_do(tmp_path: Path, problem: str) -> None:
+    """Whichever node is ahead of another: the same bits as stepping the nodes one after the other."""
+    assert_by_hand(tmp_path, problem, 150)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize(
+    "problem",
+    ["remote-double-integrator", "wiener-double-integrator", "inverted-pendulum", "double-integrator", BURSTS, DELAYED],
+    ids=["remote", "sampled", "pendulum", "consistent", "bursts", "tcp, delayed"],
+)
+def test_processes_do_what_nodes_in_memory_do_for_long(tmp_path: Path, problem: str) -> None:
+    """Every kind of link and place, two thousand ticks."""
+    horizon = taciturn.load(problem).cost.horizon if "[plant]" not in problem else None
+    assert_by_hand(tmp_path, problem, horizon or 2000)
 
 
 def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun) -> None:
