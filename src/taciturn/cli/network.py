@@ -60,7 +60,7 @@ def network(
 
     _check_counts({"--ticks": ticks})
     length = _length(taciturn.load(file).design().model.dt, real_time, tick)
-    with progress_bar("running") as progress:
+    with progress_bar("running") as progress, _ended_as_interrupted():
         found = run_network(
             file, ticks=ticks, tick=length, seed=seed, key=read_key(key), namespaces=namespaces, progress=progress
         )
@@ -237,6 +237,20 @@ def _burst(text: str | None) -> Any:
 
 def _listening(name: str, address: tuple[str, int]) -> None:
     print(f"taciturn: the {name} listens on {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def _ended_as_interrupted() -> Generator[None]:
+    """Let SIGTERM do what Ctrl-C does, so that no process, namespace or folder is left behind."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

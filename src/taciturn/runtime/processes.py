@@ -29,16 +29,21 @@ class Process:
 
     Args:
         arguments: of ``taciturn``.
+        name: that it goes by in sentences.
         environment: variables beside those of this process.
         before: a command that runs it, as ``ip netns exec NAME``.
     """
 
     def __init__(
-        self, arguments: Sequence[str], environment: Mapping[str, str] | None = None, before: Sequence[str] = ()
+        self,
+        arguments: Sequence[str],
+        name: str = "a process",
+        environment: Mapping[str, str] | None = None,
+        before: Sequence[str] = (),
     ) -> None:
         """Start it."""
         command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
-        self._name = " ".join(arguments[:2])
+        self._name = name
         self._errors: list[str] = []
         self._listens = threading.Event()
         self._process = subprocess.Popen(
@@ -195,7 +200,7 @@ class Processes:
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
-            self.running[name] = Process(self.commands[name], self._environment, before)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before)
         for name in chosen:
             self.running[name].expect()
 

@@ -274,7 +274,8 @@ def _cost(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tupl
         return Estimate(total, 0.0, "exact"), ("one mission: its cost is that of these draws, and no mean",)
     kept = costs[_settled(loop) :]
     if len(kept) < 10 * BATCHES:
-        return None, (f"{len(kept)} ticks after the start are too few for a mean: ask for more --ticks",)
+        needed = _settled(loop) + 10 * BATCHES
+        return None, (f"{len(costs)} ticks are too few for a mean cost with its error: expected at least {needed}",)
     found = batch_means(kept)
     return found.scaled(1 / loop.problem.tick, loop.problem.noise_cost / loop.problem.tick), ()
 

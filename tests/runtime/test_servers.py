@@ -1,0 +1,128 @@
+"""What servers of nodes and plants do with packets that are old, far too early, or come again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+import taciturn
+from taciturn.runtime.node import Node
+from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.runtime.serve import NodeServer
+from taciturn.runtime.udp import Endpoint
+from taciturn.runtime.world import PlantServer
+
+PROBLEM = taciturn.load("two-mass")
+POLICY = PROBLEM.design()
+WIRE = Wire(POLICY)
+TICK = 0.02
+
+
+@pytest.fixture
+def here() -> Iterator[Endpoint]:
+    """Give an endpoint that plays everybody else."""
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        yield endpoint
+
+
+def serving(role: str, here: Endpoint, tick: float | None) -> NodeServer:
+    """Return the server of one node, whose peer and plant are here."""
+    node = Node(POLICY, role)  # type: ignore[arg-type]
+    there = Endpoint(("127.0.0.1", 0))
+    return NodeServer([node], WIRE, there, peer=here.address, plant=here.address, tick=tick)
+
+
+def soon(seconds: float) -> Callable[[], bool]:
+    """Return what tells whether so much time has gone by."""
+    end = time.monotonic() + seconds
+    return lambda: time.monotonic() > end
+
+
+def measured(tick: int, epoch: int = 100, sequence: int | None = None) -> bytes:
+    """Return the measurement of a tick."""
+    number = tick if sequence is None else sequence
+    return WIRE.encode(Packet("measurement", "plant", tick, number, (0.5, -0.5), epoch))
+
+
+def given(tick: int, value: float, epoch: int = 100, sequence: int | None = None) -> bytes:
+    """Return the input of a tick."""
+    return WIRE.encode(Packet("input", "plant", tick, tick if sequence is None else sequence, (value,), epoch))
+
+
+@pytest.mark.parametrize("tick", [None, TICK], ids=["virtual time", "real time"])
+def test_measurements_of_far_ticks_and_of_old_epochs_are_dropped(here: Endpoint, tick: float | None) -> None:
+    """A node goes on with the present: what cannot have begun, and what is old, changes nothing and is counted."""
+    server = serving("controller", here, tick)
+    with server.endpoint:
+        to = server.endpoint.address
+        for k in range(3):
+            here.send(measured(k), to)
+        server.run(3, soon(2.0))
+        strange = [
+            measured(2**62, sequence=50),
+            measured(470, sequence=51),
+            measured(1, epoch=7),
+            measured(400, epoch=7),
+        ]
+        for datagram in strange:
+            here.send(datagram, to)
+        server.run(None, soon(0.3))
+        here.send(measured(3, sequence=60), to)
+        report = server.run(4, soon(2.0))
+    assert report["tick"] == 3
+    assert report["refused"] == {"ahead": 2, "replayed": 2}
+    assert report["counters"].get("missed", 0) == 0
+
+
+def test_an_answer_is_given_again_but_not_often(here: Endpoint) -> None:
+    """In virtual time a measurement that comes again is answered again, once in a while; in real time never."""
+    for tick in (None, TICK):
+        server = serving("controller", here, tick)
+        with server.endpoint:
+            here.send(measured(0), server.endpoint.address)
+            server.run(1, soon(2.0))
+            first = len(here.receive(time.monotonic() + 0.2))
+            for _ in range(20):
+                here.send(measured(0), server.endpoint.address)
+            server.run(None, soon(0.3))
+            again = len(here.receive(time.monotonic() + 0.2))
+        assert first >= 1
+        assert again == (first if tick is None else 0)
+
+
+def test_refused_packets_do_not_move_the_clock(here: Endpoint) -> None:
+    """Copies of one old packet are counted, and the actuator keeps its ticks."""
+    server = serving("actuator", here, TICK)
+    with server.endpoint:
+        to, began = server.endpoint.address, time.monotonic()
+        for k in range(10):
+            while time.monotonic() < began + k * TICK:
+                server.run(None, soon(0.002))
+            here.send(WIRE.encode(Packet("data", "actuator", k, k, (0.1,), 100)), to)
+            for _ in range(4):
+                here.send(WIRE.encode(Packet("data", "actuator", 470, 3, (9.0,), 5)), to)
+        report = server.run(None, soon(0.2))
+    assert report["counters"]["replayed"] == 40
+    assert 9 <= report["tick"] < 40
+    assert report["clock_jumps"] == 0
+
+
+def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> None:
+    """A plant applies at tick k what was computed for tick k, also where the next one has come already."""
+    loop = PROBLEM.close(POLICY)
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        plant = SimulatedPlant(loop, 1)
+        server = PlantServer([plant], WIRE, endpoint, here.address)
+        datagrams = [given(1, 0.75), given(470, 9.0, sequence=470), given(2**60, 9.0, sequence=500), given(0, 0.25)]
+        for datagram in [*datagrams, given(2, 0.5, epoch=3)]:
+            here.send(datagram, endpoint.address)
+        report = server.run(2, soon(2.0))
+        seen = [tuple(server.inputs[0])]
+    other = SimulatedPlant(loop, 1)
+    costs = [other.move([0.25]), other.move([0.75])]
+    assert server.costs[0] == costs
+    assert seen == [(0.75,)]
+    assert report["refused"] == {"ahead": 2, "replayed": 1}
