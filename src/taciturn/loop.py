@@ -122,7 +122,7 @@ class Loop:
             if isinstance(step, Assign) and step.signal in followed:
                 tick.take(step, {})
         tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
-        tick.signals["applied"] = self._clip(tick)
+        tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
         tick.signals["x"] = self._moved(tick)
         outputs |= {f"y {i}": value for i, value in enumerate(self._measured(tick))}
@@ -217,7 +217,7 @@ class Loop:
         tick.signals["y"] = self._measured(tick, supplied)
         for step in self.policy.steps:
             tick.take(step, losses)
-        tick.signals["applied"] = self._clip(tick)
+        tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
         tick.signals["x"] = self._moved(tick, supplied)
@@ -248,13 +248,6 @@ class Loop:
         tick.signals["x off"] = tick.combine({"x": n, tracking.state: -n}, plant.states)
         tick.signals["applied off"] = tick.combine({"applied": m, tracking.input: -m}, plant.inputs)
         return "x off", "applied off"
-
-    def _clip(self, tick: Tick) -> list[int]:
-        limit = self.problem.plant.input_limit
-        values = tick.signals["input"]
-        if limit is None:
-            return values
-        return [tick.clip(value, bound) for value, bound in zip(values, limit, strict=True)]
 
     def _stage(self, state: str, applied: str, constant: float = 0.0) -> Form:
         p = self.problem

@@ -27,9 +27,7 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]
     for step in policy.steps:
         tick.take(step, losses)
-    applied, limit = tick.signals["input"], policy.model.input_limit
-    if limit is not None:
-        applied = [tick.clip(value, bound) for value, bound in zip(applied, limit, strict=True)]
+    applied = tick.clipped(tick.signals["input"], policy.model.input_limit)
     outputs = {f"applied {i}": value for i, value in enumerate(applied)}
     outputs |= {f"sent {link}": tick.as_number(truth) for link, truth in tick.sent.items()}
     outputs |= {f"arrived {link}": tick.as_number(truth) for link, truth in tick.arrived.items()}

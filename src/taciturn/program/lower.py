@@ -96,6 +96,12 @@ class Tick:
         rounder = b.constant(ROUNDERS[b.precision])
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
+    def clipped(self, values: Vector, limit: Array | None) -> Vector:
+        """Return numbers within ± their limits, or as they are where there are none."""
+        return (
+            values if limit is None else [self.clip(v, bound) for v, bound in zip(values, limit.tolist(), strict=True)]
+        )
+
     def clip(self, value: int, limit: float) -> int:
         """Return a number within ±limit."""
         high, low = self.builder.constant(limit), self.builder.constant(-limit)

@@ -129,7 +129,7 @@ class _Part(Tick):
         self._link = ""
 
     def take(self, step: Step, losses: Mapping[str, float]) -> None:
-        on = step.on if isinstance(step, Assign | Evaluate) else None
+        on = _condition(step)
         self._link = on.link if isinstance(on, Received) else ""
         super().take(step, losses)
         if isinstance(step, Send):
@@ -272,9 +272,7 @@ class _Lowering:
             outputs |= {f"sent {link}": tick.as_number(truth)}
             outputs |= {f"{link} {i}": value for i, value in enumerate(tick.packets[link])}
         if "actuator" in self.site:
-            limit = self.policy.model.input_limit
-            values = tick.recall("input")
-            applied = values if limit is None else [tick.clip(v, bound) for v, bound in zip(values, limit, strict=True)]
+            applied = tick.clipped(tick.recall("input"), self.policy.model.input_limit)
             outputs |= {f"input {i}": value for i, value in enumerate(applied)}
         for decision, options in tick.options.items():
             outputs |= {f"option {decision} {label}": value for label, value in options.items()}

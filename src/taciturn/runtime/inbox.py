@@ -25,7 +25,6 @@ from taciturn.runtime.packet import Packet
 from taciturn.runtime.window import Window
 
 AHEAD = 64  # ticks that a packet may be early
-OUTCOMES = ("used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks")
 
 
 @dataclass

@@ -30,7 +30,7 @@ from taciturn._arrays import count
 from taciturn.errors import ProblemError
 from taciturn.model.policy import ENDS, LinkName, Policy
 from taciturn.model.wire import HEADER, KINDS, LINKS
-from taciturn.runtime.node import place_of, roles
+from taciturn.runtime.node import role_at, roles
 
 NETWORK, PORT = "10.77.0", 9000  # of every node; no other machine sees them
 NEEDED = (
@@ -172,7 +172,9 @@ class Namespaces:
 
     def counted(self, link: LinkName) -> Counted:
         """Return what the kernel has counted on a link."""
-        found = json.loads(_run(*self.before(self._end(link)), "nft", "-j", "list", "counters"))["nftables"]
+        found = json.loads(_run(*self.before(role_at(self.policy, ENDS[link])), "nft", "-j", "list", "counters"))[
+            "nftables"
+        ]
         packets = {entry["counter"]["name"]: entry["counter"]["packets"] for entry in found if "counter" in entry}
         return Counted(packets[f"{link}_seen"], packets[f"{link}_dropped"])
 
@@ -191,10 +193,7 @@ class Namespaces:
                 lines += [f"addr add {hosts[place]} peer {hosts[other]} dev {other}", f"link set {other} up"]
             _run("ip", "-n", name, "-batch", "-", given="\n".join(lines))
         for link, loss in self.losses.items():
-            _run(*self.before(self._end(link)), "nft", "-f", "-", given=_rules(link, loss))
-
-    def _end(self, link: LinkName) -> str:
-        return next(role for role in roles(self.policy) if ENDS[link] in place_of(self.policy, role))
+            _run(*self.before(role_at(self.policy, ENDS[link])), "nft", "-f", "-", given=_rules(link, loss))
 
     def _clear(self) -> None:
         for name in self.names.values():

@@ -97,6 +97,8 @@ class Node:
         self.reasons: Counter[str] = Counter()
         self._inputs: list[float] = []
         self.inbox = Inbox(self._lay_out(), self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
+        # of each link, which tick its sender must have finished before tick k may begin: k less this
+        self.listens: dict[str, int] = {link: channel.lag for (_, link), channel in self.inbox.channels.items()}
         outputs = {name: i for i, name in enumerate(program.parts[0].outputs)}
         self._sends: dict[str, tuple[int, slice]] = {}  # where the flag stands, and the payload behind it
         for link, names in program.sends.items():
@@ -194,11 +196,6 @@ class Node:
     def talks(self) -> bool:
         """Whether the node sends packets."""
         return bool(self._sends or self.acknowledges)
-
-    @property
-    def listens(self) -> dict[str, int]:
-        """Of each link, which tick its sender must have finished before tick k may begin: k less this."""
-        return {link: channel.lag for (_, link), channel in self.inbox.channels.items()}
 
     def mark(self) -> tuple[Packet, ...]:
         """Return the packets that tell those who listen that this node lives and has finished the tick."""
@@ -316,11 +313,10 @@ class Node:
         """Set every clock by the number of the tick."""
         for i, (place, table) in enumerate(zip(self.program.clocks, self._tables, strict=True)):
             here, turns = self._places[i], tick - max(self.tick, 0)
-            for _ in range(turns if turns < 2 * len(table) else 0):
+            if turns > len(table):  # where it repeats, whole rounds change nothing
+                turns = len(table) + (turns - len(table)) % place.period
+            for _ in range(turns):
                 here = table[here]
-            if turns >= 2 * len(table):  # where it repeats, whole rounds change nothing
-                for _ in range(len(table) + (turns - len(table)) % place.period):
-                    here = table[here]
             self._places[i] = here
             self._inputs[self._clocks_at + i] = float(here)
 
@@ -363,6 +359,11 @@ def roles(policy: Policy) -> tuple[NodeName, ...]:
     """Return the nodes that run as processes of their own, in the order of a tick: one for each place."""
     found: list[NodeName] = ["sensor", "controller", "actuator"]
     return tuple(role for role in found if role == "controller" or "controller" not in policy.site(role))
+
+
+def role_at(policy: Policy, node: str) -> NodeName:
+    """Return the role whose process runs a node."""
+    return next(role for role in roles(policy) if node in policy.site(role))
 
 
 def _acknowledged(policy: Policy, link: str) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 from taciturn.errors import ProblemError
 from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
 from taciturn.runtime.namespaces import Namespaces
-from taciturn.runtime.node import place_of, roles
+from taciturn.runtime.node import place_of, role_at, roles
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import free_addresses
 
@@ -55,11 +55,6 @@ class Process:
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
-
-    @property
-    def id(self) -> int:
-        """Its number."""
-        return self._process.pid
 
     @property
     def alive(self) -> bool:
@@ -189,7 +184,7 @@ class Processes:
     @property
     def measuring(self) -> NodeName:
         """The node that the plant tells its measurements."""
-        return next(role for role in self.roles if "sensor" in place_of(self.policy, role))
+        return role_at(self.policy, "sensor")
 
     def start(self, *names: str) -> None:
         """Start processes by name (omitted: all), and wait until they listen.
@@ -215,8 +210,7 @@ class Processes:
     def stop(self) -> dict[str, dict[str, Any]]:
         """End all, each after those that send to it, and return their reports by name."""
         order = ["sensor", "relay sensor", "controller", "relay actuator", "actuator"]
-        reports = {name: self.running.pop(name).stop() for name in order if name in self.running}
-        return reports
+        return {name: self.running.pop(name).stop() for name in order if name in self.running}
 
     def kill(self) -> None:
         """End all at once."""
@@ -227,11 +221,11 @@ class Processes:
     def sender(self, link: LinkName) -> NodeName:
         """Return the node that sends on a link."""
         at = next(step.at for step in self.policy.steps if isinstance(step, Send) and step.link == link)
-        return next(role for role in self.roles if at in place_of(self.policy, role))
+        return role_at(self.policy, at)
 
     def receiver(self, link: LinkName) -> NodeName:
         """Return the node where a link ends."""
-        return next(role for role in self.roles if ENDS[link] in place_of(self.policy, role))
+        return role_at(self.policy, ENDS[link])
 
     def _peer(self, role: NodeName) -> str | None:
         """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
@@ -240,7 +234,7 @@ class Processes:
             if isinstance(step, Send) and step.at in site:
                 return f"relay {step.link}" if self._namespaces is None else self.receiver(step.link)
         heard = [step for step in self.policy.steps if isinstance(step, Send) and ENDS[step.link] in site]
-        return next(r for r in self.roles if heard[0].at in place_of(self.policy, r)) if heard else None
+        return role_at(self.policy, heard[0].at) if heard else None
 
 
 def _options(fate: Fate) -> list[str]:

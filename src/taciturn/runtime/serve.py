@@ -19,7 +19,7 @@ import numpy as np
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.runtime.clock import Phase
-from taciturn.runtime.inbox import AHEAD
+from taciturn.runtime.inbox import AHEAD, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.udp import Address, Endpoint
@@ -131,12 +131,7 @@ class NodeServer:
             "waiting": sum(node.inbox.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "physical": self._physical,
-            "datagrams": {
-                "sent": self.endpoint.sent,
-                "unsent": self.endpoint.unsent,
-                "received": self.endpoint.received,
-                "dropped_by_kernel": self.endpoint.dropped,
-            },
+            "datagrams": self.endpoint.counted,
             "degraded": dict(reasons),
             "seconds": round(time.monotonic() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
@@ -263,8 +258,7 @@ class NodeServer:
             kept = json.loads(path.read_bytes())
             self.nodes[0].restore(kept["node"])
             self._measured[0].restore(kept["measured"])
-            packets = [Packet(*entry) for entry in kept["outbox"]]
-            self._outbox[0] = [packet._replace(values=tuple(packet.values)) for packet in packets]
+            self._outbox[0] = [packet_of(entry) for entry in kept["outbox"]]
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:

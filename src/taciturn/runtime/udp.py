@@ -75,6 +75,16 @@ class Endpoint:
         except (OSError, struct.error):
             return None
 
+    @property
+    def counted(self) -> dict[str, int | None]:
+        """What has gone out and come in."""
+        return {
+            "sent": self.sent,
+            "unsent": self.unsent,
+            "received": self.received,
+            "dropped_by_kernel": self.dropped,
+        }
+
     def send(self, datagram: bytes, to: Address) -> None:
         """Send a datagram; what the network refuses is counted in ``unsent``."""
         try:

@@ -93,12 +93,7 @@ class PlantServer:
             "largest_state": self.largest,
             "measured_again": self.again,
             "refused": dict(self.refused),
-            "datagrams": {
-                "sent": self.endpoint.sent,
-                "unsent": self.endpoint.unsent,
-                "received": self.endpoint.received,
-                "dropped_by_kernel": self.endpoint.dropped,
-            },
+            "datagrams": self.endpoint.counted,
         }
 
     def _measure(self, tick: int, again: bool = False) -> None:
@@ -167,10 +162,5 @@ def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable
         "role": "relay",
         "counters": dict(channel.counters),
         "pending": channel.pending,
-        "datagrams": {
-            "sent": endpoint.sent,
-            "unsent": endpoint.unsent,
-            "received": endpoint.received,
-            "dropped_by_kernel": endpoint.dropped,
-        },
+        "datagrams": endpoint.counted,
     }
