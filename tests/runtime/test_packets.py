@@ -70,7 +70,7 @@ def test_the_layout_is_that_of_the_table() -> None:
     assert struct.unpack(">I", datagram[-20:-16])[0] == zlib.crc32(datagram[:-20])
     tag = hashlib.blake2s(datagram[:-16], digest_size=16, key=KEY, person=b"taciturn").digest()
     assert hmac.compare_digest(tag, datagram[-16:])
-    assert read_place(datagram) == (0x01020304, 0, 9)
+    assert read_place(datagram) == (0x01020304, 0, 5, 9)
 
 
 def test_what_is_not_ours_is_refused_with_its_reason() -> None:

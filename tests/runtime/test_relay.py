@@ -103,3 +103,17 @@ def test_impossible_links_are_refused() -> None:
     channel = Channel(Fate())
     assert channel.take(b"short", 0.0) == []
     assert channel.counters == {"foreign": 1}
+
+
+def test_loops_that_share_a_link_lose_other_packets_and_an_outage_is_one_for_all() -> None:
+    """What is lost of one loop says nothing of another: as often both as chance has it; in an outage all is."""
+    fate, other = Fate(5, 0.3), Fate(5, 0.3, outage=(10, 20))
+    pairs = np.array([[fate.lost(k, k, loop) for loop in (0, 1)] for k in range(6000)])
+    assert within(pairs.all(axis=1).mean(), 0.09, np.sqrt(0.09 * 0.91 / 6000))
+    for loop in (0, 1):
+        for k in range(30):
+            assert other.lost(k, k, loop) == (10 <= k < 20 or fate.lost(k, k, loop))
+    channel = Channel(Fate(outage=(3, 5)))
+    assert [len(channel.take(datagram(k), 0.0)) for k in range(7)] == [1, 1, 1, 0, 0, 1, 1]
+    with pytest.raises(ProblemError, match="the outage is"):
+        Fate(outage=(5, 5))

@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -99,6 +99,7 @@ def node(
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.serve import NodeServer
+    from taciturn.runtime.service import logged, say_where, until_stopped
     from taciturn.runtime.udp import Endpoint, parse_address
 
     _check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
@@ -118,12 +119,12 @@ def node(
     wire = Wire(policy, problem.network, read_key(key))
     to = None if peer is None else parse_address("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
-    with _logged(log) as told, _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
+    with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
             heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
         )  # fmt: skip
-        _listening(role, server.endpoint.address)
+        say_where(role, server.endpoint.address)
         with _counters(server) as shown:
             server.run(ticks, lambda: shown() or stopped())
         typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
@@ -146,6 +147,7 @@ def plant(
     import taciturn
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.plant import SimulatedPlant
+    from taciturn.runtime.service import logged, say_where, until_stopped
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
 
@@ -155,9 +157,9 @@ def plant(
     length = _length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
-    with _logged(log) as told, _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
+    with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
         server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told)
-        _listening("plant", endpoint.address)
+        say_where("plant", endpoint.address)
         typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
 
 
@@ -175,17 +177,21 @@ def relay(
     duplicate: Annotated[float, typer.Option(help="Probability that a packet comes twice.")] = 0.0,
     reorder: Annotated[float, typer.Option(help="Probability that a packet comes after the next.")] = 0.0,
     corrupt: Annotated[float, typer.Option(help="Probability that bits of a packet are turned.")] = 0.0,
+    outage: Annotated[
+        str | None, typer.Option(metavar="FIRST,END", help="Ticks in which every packet is lost.")
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Carry packets over a link that loses, delays, doubles, reorders or corrupts them, alike for the same seed."""
     from taciturn.runtime.relay import Channel, Fate
-    from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.runtime.service import say_where, until_stopped
+    from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint, parse_address
     from taciturn.runtime.world import relay as carry
 
-    fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt)
+    fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt, _outage(outage))
     to = parse_address("--peer", peer)
-    with _stopping() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
-        _listening("relay", endpoint.address)
+    with until_stopped() as stopped, Endpoint(parse_address("--bind", bind), LARGEST_OF_ALL) as endpoint:
+        say_where("relay", endpoint.address)
         typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
 
 
@@ -235,8 +241,16 @@ def _burst(text: str | None) -> Any:
     return Burst(to_bad, to_good, loss_good, loss_bad)
 
 
-def _listening(name: str, address: tuple[str, int]) -> None:
-    print(f"taciturn: the {name} listens on {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+def _outage(text: str | None) -> tuple[int, int] | None:
+    from taciturn.errors import ProblemError
+
+    if text is None:
+        return None
+    try:
+        first, end = map(int, text.split(","))
+    except ValueError:
+        raise ProblemError(f"--outage is {text!r}; expected two ticks, as 20,40") from None
+    return first, end
 
 
 @contextmanager
@@ -281,37 +295,3 @@ def _counters(server: NodeServer) -> Generator[Callable[[], bool]]:
             return False
 
         yield show
-
-
-@contextmanager
-def _stopping() -> Generator[Callable[[], bool]]:
-    """Tell whether to stop: after SIGTERM or Ctrl-C, at which the counters are still to be printed."""
-    asked: list[int] = []
-    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in (2, 15)}
-    try:
-        yield lambda: bool(asked)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-
-
-@contextmanager
-def _logged(target: str | None) -> Generator[Callable[[Mapping[str, Any]], None] | None]:
-    """Give what writes a JSON line per tick."""
-    from taciturn.runtime.udp import Endpoint, parse_address
-
-    if target is None:
-        yield None
-    elif target.startswith("udp://"):
-        to = parse_address("--log", target.removeprefix("udp://"))
-        with Endpoint(("0.0.0.0", 0)) as endpoint:
-            yield lambda line: endpoint.send(json.dumps(line).encode(), to)
-    elif target == "-":
-        yield _lines(sys.stdout)
-    else:
-        with Path(target).open("a", encoding="utf-8") as file:
-            yield _lines(file)
-
-
-def _lines(file: IO[str]) -> Callable[[Mapping[str, Any]], None]:
-    return lambda line: print(json.dumps(line), file=file, flush=True)

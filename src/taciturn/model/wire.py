@@ -18,6 +18,7 @@ PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input"]
 KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input")
 LINKS = ("sensor", "actuator", "plant")
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # struct's letters
+BYTES = len(CODES)  # the encoding of a payload that is no numbers
 VERSION = 1
 AUTHENTICATED = 0x80  # bit of the encoding
 LARGEST = 32767  # integer that stands for the full scale
@@ -46,7 +47,10 @@ HEADER = (
     FieldOfHeader("kind", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(KINDS))),
     FieldOfHeader("link", "B", ", ".join(f"{code}: {name}" for code, name in enumerate(LINKS))),
     FieldOfHeader(
-        "encoding", "B", "0: float64, 1: float32, 2: int16 of the entries; plus 128: the datagram ends with a tag"
+        "encoding",
+        "B",
+        "0: float64, 1: float32, 2: int16 of the entries, 3: no entries, but bytes, as a picture; "
+        "plus 128: the datagram ends with a tag",
     ),
     FieldOfHeader("loop", "H", "which of many loops that one process serves"),
     FieldOfHeader("entries", "B", "numbers in the payload"),
@@ -57,7 +61,7 @@ HEADER = (
 )
 HEADER_FORMAT = "!" + "".join(entry.code for entry in HEADER)
 HEADER_SIZE = struct.calcsize(HEADER_FORMAT)
-_SEEN = ("sequence", "kind", "tick")  # by a link that looks at what it carries
+_SEEN = ("sequence", "kind", "loop", "tick")  # by a link that looks at what it carries
 _PLACE = struct.Struct(
     "!" + "".join(e.code if e.name in _SEEN else f"{struct.calcsize('!' + e.code)}x" for e in HEADER)
 )
@@ -121,6 +125,6 @@ class Encoding:
         return exact
 
 
-def read_place(datagram: bytes) -> tuple[int, int, int]:
-    """Return sequence, kind and tick of a datagram that is at least as long as a header; nothing is checked."""
+def read_place(datagram: bytes) -> tuple[int, int, int, int]:
+    """Return sequence, kind, loop and tick of a datagram that is at least as long as a header; nothing is checked."""
     return _PLACE.unpack_from(datagram)

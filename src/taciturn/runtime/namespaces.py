@@ -122,16 +122,17 @@ class Namespaces:
     Args:
         policy: whose nodes they are for.
         losses: of each link; omitted links lose nothing.
+        places: further ones, beside the nodes and the plant.
 
     Raises:
         ProblemError: when entered: rights, a program or a part of the kernel are missing.
     """
 
-    def __init__(self, policy: Policy, losses: Mapping[LinkName, KernelLoss]) -> None:
+    def __init__(self, policy: Policy, losses: Mapping[LinkName, KernelLoss], places: Sequence[str] = ()) -> None:
         """Give everybody a name and an address."""
         self.policy, self.losses = policy, losses
         owner = f"taciturn-{os.getpid()}-{_born(os.getpid())}-{next(_numbers)}"
-        self.names = {place: f"{owner}-{place}" for place in (*roles(policy), "plant")}
+        self.names = {place: f"{owner}-{place}" for place in (*roles(policy), *places, "plant")}
         self.addresses = {place: f"{NETWORK}.{i}:{PORT}" for i, place in enumerate(self.names, start=1)}
 
     def __enter__(self) -> Namespaces:

@@ -138,6 +138,15 @@ class Node:
         return self._applied is not None
 
     @property
+    def memory(self) -> dict[str, list[float]]:
+        """What the node remembers, by the names that the policy's steps give it."""
+        found: dict[str, list[float]] = {}
+        for state, value in zip(self.program.parts[0].states, self._memory, strict=True):
+            if not state.word:
+                found.setdefault(state.name, []).append(value)
+        return found
+
+    @property
     def degraded(self) -> bool:
         """Whether something has happened that the theory of the policy does not know, and is not forgotten yet."""
         return self.tick < self._degraded_until

@@ -78,6 +78,7 @@ class Wire:
         policy: whose nodes talk.
         network: how payloads are rounded; omitted: that of the design.
         key: shared secret of 16 to 32 bytes; omitted: packets are not authenticated.
+        entries: of the packets that hold another number of entries than the policy says, by kind and link.
 
     Raises:
         ProblemError: a key that is too short or too long, or payloads without their range.
@@ -92,7 +93,13 @@ class Wire:
         'corrupted'
     """
 
-    def __init__(self, policy: Policy, network: Network | None = None, key: bytes | None = None) -> None:
+    def __init__(
+        self,
+        policy: Policy,
+        network: Network | None = None,
+        key: bytes | None = None,
+        entries: Mapping[tuple[PacketKind, str], int] | None = None,
+    ) -> None:
         """Note what a packet of each kind on each link holds."""
         network = policy.network if network is None else network
         if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
@@ -114,6 +121,8 @@ class Wire:
         shapes[_KIND_CODES["measurement"], plant] = exact, policy.model.outputs
         shapes[_KIND_CODES["input"], plant] = exact, policy.model.inputs
         shapes[_KIND_CODES["mark"], plant] = exact, 0
+        for (kind, link), number in (entries or {}).items():
+            shapes[_KIND_CODES[kind], _LINK_CODES[link]] = exact, number
         self._shapes = {key: _Shape(*shape) for key, shape in shapes.items()}
 
     def encode(self, packet: Packet) -> bytes:
@@ -129,20 +138,36 @@ class Wire:
                 f"a packet of kind {packet.kind} on the {packet.link} link holds {packet.values}; "
                 f"expected {'no such packet' if shape is None else f'{shape.entries} finite numbers'}"
             )
-        flag = 0 if self._key is None else AUTHENTICATED
-        datagram = _HEADER.pack(
-            packet.sequence, VERSION, kind, link, shape.code | flag, packet.loop, shape.entries, 0,
-            packet.epoch, packet.tick, self.fingerprint,
-        ) + shape.write(packet.values)  # fmt: skip
-        datagram += _CRC.pack(zlib.crc32(datagram))
-        return datagram if self._key is None else datagram + self._tag(datagram)
+        return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
-    def decode(self, datagram: bytes) -> Packet | Refusal:
+    def decode(self, datagram: bytes) -> Packet | str:
         """Return the packet of a datagram, or why it is none.
 
         ``"malformed"``: its length or a field is impossible; ``"corrupted"``: its CRC is wrong; ``"foreign"``: it is of
         another version or policy, or not authenticated alike; ``"forged"``: its tag is wrong. In this order.
         """
+        found = self._open(datagram)
+        if isinstance(found, str):
+            return found
+        packet, coding, payload = found
+        shape = self._shapes.get((_KIND_CODES[packet.kind], _LINK_CODES[packet.link]))
+        if shape is None or coding != (shape.code, shape.entries) or len(payload) != shape.size:
+            return "malformed"
+        values = shape.read(payload)
+        return packet._replace(values=values) if all(map(math.isfinite, values)) else "malformed"
+
+    def _write(self, packet: Packet, code: int, entries: int, payload: bytes) -> bytes:
+        """Return a payload with all that stands around it."""
+        flag = 0 if self._key is None else AUTHENTICATED
+        datagram = _HEADER.pack(
+            packet.sequence, VERSION, _KIND_CODES[packet.kind], _LINK_CODES[packet.link], code | flag, packet.loop,
+            entries, 0, packet.epoch, packet.tick, self.fingerprint,
+        ) + payload  # fmt: skip
+        datagram += _CRC.pack(zlib.crc32(datagram))
+        return datagram if self._key is None else datagram + self._tag(datagram)
+
+    def _open(self, datagram: bytes) -> tuple[Packet, tuple[int, int], bytes] | Refusal:
+        """Return a packet without its values, how its payload is coded and its entries, and the payload."""
         tag = 0 if self._key is None else TAG_SIZE
         end = len(datagram) - CRC_SIZE - tag
         if end < HEADER_SIZE:
@@ -156,15 +181,10 @@ class Wire:
             return "foreign"
         if self._key is not None and not hmac.compare_digest(datagram[-TAG_SIZE:], self._tag(datagram[:-TAG_SIZE])):
             return "forged"
-        shape = self._shapes.get((kind, link))
-        if shape is None or (coded & ~AUTHENTICATED, entries, zero) != (shape.code, shape.entries, 0):
+        if kind >= len(KINDS) or link >= len(LINKS) or zero:
             return "malformed"
-        if end - HEADER_SIZE != shape.size:
-            return "malformed"
-        values = shape.read(datagram, HEADER_SIZE)
-        if not all(map(math.isfinite, values)):
-            return "malformed"
-        return Packet(KINDS[kind], LINKS[link], tick, sequence, values, epoch, loop)
+        packet = Packet(KINDS[kind], LINKS[link], tick, sequence, (), epoch, loop)
+        return packet, (coded & ~AUTHENTICATED, entries), datagram[HEADER_SIZE:end]
 
     def _tag(self, content: bytes) -> bytes:
         assert self._key is not None
@@ -187,8 +207,8 @@ class _Shape:
         steps = (round(max(-LARGEST, min(LARGEST, v * f))) for v, f in zip(values, self._factors, strict=True))
         return self._layout.pack(*steps)
 
-    def read(self, datagram: bytes, offset: int) -> tuple[float, ...]:
-        found = self._layout.unpack_from(datagram, offset)
+    def read(self, payload: bytes) -> tuple[float, ...]:
+        found = self._layout.unpack(payload)
         return tuple(v * s for v, s in zip(found, self._steps, strict=True)) if self._steps else found
 
 

@@ -53,6 +53,16 @@ class SimulatedPlant:
         self.measurement: tuple[float, ...] = tuple((plant.C @ self.state + noise).tolist())
 
     @property
+    def inputs(self) -> int:
+        """How many there are."""
+        return self.loop.problem.plant.inputs
+
+    @property
+    def tick_length(self) -> float:
+        """Seconds of a tick; 1 where the problem does not say."""
+        return self.loop.problem.plant.dt or 1.0
+
+    @property
     def state(self) -> Array:
         """The state of the plant, (n,)."""
         return np.array([self._states[i] for i in self._x])
@@ -66,10 +76,8 @@ class SimulatedPlant:
         Raises:
             ProblemError: another number of inputs, or the plant has left the range of numbers.
         """
-        if len(inputs) != self.loop.problem.plant.inputs:
-            raise ProblemError(
-                f"the input has {len(inputs)} entries; expected {self.loop.problem.plant.inputs}: those of the plant"
-            )
+        if len(inputs) != self.inputs:
+            raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}: those of the plant")
         self._states, outputs = self._turn(self._states, [float(value) for value in inputs])
         self.measurement = tuple(outputs[i] for i in self._y)
         self.tick += 1

@@ -18,20 +18,22 @@ from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.node import place_of, role_at, roles
 from taciturn.runtime.relay import Fate
+from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses
 
+COMMANDS = "taciturn.cli"
 PATIENCE = 60.0  # seconds until a process that starts must listen
-READY = "listens on"
 
 
 class Process:
-    """One process of the command line.
+    """One process of this package.
 
     Args:
-        arguments: of ``taciturn``.
+        arguments: of the command line.
         name: that it goes by in sentences.
         environment: variables beside those of this process.
         before: a command that runs it, as ``ip netns exec NAME``.
+        module: that has the command line.
     """
 
     def __init__(
@@ -40,9 +42,10 @@ class Process:
         name: str = "a process",
         environment: Mapping[str, str] | None = None,
         before: Sequence[str] = (),
+        module: str = COMMANDS,
     ) -> None:
         """Start it."""
-        command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
+        command = [*before, sys.executable, "-m", module, *arguments]
         self._name = name
         self._errors: list[str] = []
         self._listens = threading.Event()
@@ -76,7 +79,7 @@ class Process:
         """Return what it said when it ended."""
         if not self.alive:
             self._reader.join(1.0)
-        said = [line.removeprefix("taciturn: ") for line in self._errors if READY not in line]
+        said = [line.removeprefix("taciturn: ") for line in self._errors if LISTENS not in line]
         return said[-1] if said else f"{self._name} has ended with code {self._process.poll()}; expected it to run"
 
     def kill(self) -> None:
@@ -119,7 +122,7 @@ class Process:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._errors.append(line.rstrip("\n"))
-            if READY in line:
+            if LISTENS in line:
                 self._listens.set()
 
 
@@ -135,6 +138,7 @@ class Processes:
         options: further options of every node.
         environment: variables of every process.
         namespaces: where the nodes run; omitted: on the loopback.
+        places: further processes, on the way from the sensor; whoever names them gives their commands.
     """
 
     def __init__(
@@ -149,6 +153,7 @@ class Processes:
         options: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
         namespaces: Namespaces | None = None,
+        places: Sequence[str] = (),
     ) -> None:
         """Give everybody an address."""
         self.file, self.policy, self.folder = file, policy, folder or Path()
@@ -156,7 +161,7 @@ class Processes:
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []
-        names = [*self.roles, *(f"relay {link}" for link in relayed), "plant"]
+        names = [*self.roles, *(f"relay {link}" for link in relayed), *places, "plant"]
         if namespaces is None:
             found = (f"{host}:{port}" for host, port in free_addresses(len(names)))
             self.addresses = dict(zip(names, found, strict=True))
@@ -171,7 +176,7 @@ class Processes:
             ]  # fmt: skip
         for role in self.roles:
             arguments = ["node", role, file, "--bind", self.addresses[role], *pace, *options]
-            peer = self._peer(role)
+            peer = self.peer(role)
             arguments += ["--peer", self.addresses[peer]] if peer else []
             site = place_of(policy, role)
             arguments += ["--plant", self.addresses["plant"]] if {"sensor", "actuator"} & site else []
@@ -179,7 +184,10 @@ class Processes:
                 arguments += ["--log", str(folder / f"{role}.jsonl")]
                 arguments += ["--state", str(folder / f"{role}.json")] if keeps else []
             self.commands[role] = arguments
+        self.modules: dict[str, str] = {}  # of those that are no commands of taciturn
         self.running: dict[str, Process] = {}
+        flow = ["sensor", *places, "relay sensor", "controller", "relay actuator", "actuator"]
+        self._flow = [name for name in flow if name in names]
 
     @property
     def measuring(self) -> NodeName:
@@ -195,7 +203,8 @@ class Processes:
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
-            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before)
+            module = self.modules.get(name, COMMANDS)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before, module)
         for name in chosen:
             self.running[name].expect()
 
@@ -209,8 +218,7 @@ class Processes:
 
     def stop(self) -> dict[str, dict[str, Any]]:
         """End all, each after those that send to it, and return their reports by name."""
-        order = ["sensor", "relay sensor", "controller", "relay actuator", "actuator"]
-        return {name: self.running.pop(name).stop() for name in order if name in self.running}
+        return {name: self.running.pop(name).stop() for name in self._flow if name in self.running}
 
     def kill(self) -> None:
         """End all at once."""
@@ -227,7 +235,7 @@ class Processes:
         """Return the node where a link ends."""
         return role_at(self.policy, ENDS[link])
 
-    def _peer(self, role: NodeName) -> str | None:
+    def peer(self, role: NodeName) -> str | None:
         """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
@@ -244,6 +252,8 @@ def _options(fate: Fate) -> list[str]:
     for name in ("loss", "delay", "jitter", "hold", "duplicate", "reorder", "corrupt"):
         if getattr(fate, name):
             options += [f"--{name}", repr(getattr(fate, name))]
+    if fate.outage is not None:
+        options += ["--outage", "{},{}".format(*fate.outage)]
     if burst is not None:
         options += ["--burst", f"{burst.to_bad!r},{burst.to_good!r},{burst.loss_good!r},{burst.loss_bad!r}"]
     return options

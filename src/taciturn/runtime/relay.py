@@ -33,9 +33,11 @@ class Fate:
         duplicate: probability that a packet comes twice.
         reorder: probability that a packet comes after the one that follows it.
         corrupt: probability that one to three bits of a packet are turned.
+        outage: (first, end): every packet of the ticks from the first to before the end is lost.
 
     Raises:
-        ProblemError: a probability outside [0, 1], a negative time, loss and burst together.
+        ProblemError: a probability outside [0, 1], a negative time, loss and burst together, an outage that ends
+            before it begins.
 
     Example:
         >>> [k for k in range(20) if Fate(seed=1, loss=0.2).lost(k, tick=k)]
@@ -51,6 +53,7 @@ class Fate:
     duplicate: float = 0.0
     reorder: float = 0.0
     corrupt: float = 0.0
+    outage: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -64,14 +67,19 @@ class Fate:
             instance("burst", self.burst, Burst)
             if self.loss > 0:
                 raise ProblemError("loss and burst are both given; expected one of them")
+        if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
+            raise ProblemError(f"the outage is {self.outage}; expected its first tick and, later, the tick it ends at")
 
     def uniform(self, purpose: int, index: int) -> float:
         """Return a number in [0, 1) that depends on seed, purpose and index alone (SplitMix64 [steele2014])."""
         return _mix(_mix(self.seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
 
-    def lost(self, sequence: int, tick: int) -> bool:
-        """Tell whether a packet is lost."""
-        return self.uniform(_LOSS, sequence) < (self.loss if self.burst is None else self._loss_at(tick))
+    def lost(self, sequence: int, tick: int, loop: int = 0) -> bool:
+        """Tell whether a packet is lost; a burst and an outage are those of all loops that share the link."""
+        if self.outage is not None and self.outage[0] <= tick < self.outage[1]:
+            return True
+        chance = self.loss if self.burst is None else self._loss_at(tick)
+        return self.uniform(_LOSS, of_loop(sequence, loop)) < chance
 
     def _loss_at(self, tick: int) -> float:
         assert self.burst is not None
@@ -132,7 +140,7 @@ class Channel:
         if len(datagram) < HEADER_SIZE:
             self.counters["foreign"] += 1
             return []
-        sequence, kind, tick = read_place(datagram)
+        sequence, kind, loop, tick = read_place(datagram)
         if kind == MARK:
             self.counters["marks"] += 1
             self._marked = max(self._marked, tick)
@@ -141,9 +149,10 @@ class Channel:
             return [*self._out(free), datagram]
         self.counters["received"] += 1
         fate = self.fate
-        if fate.lost(sequence, tick):
+        if fate.lost(sequence, tick, loop):
             self.counters["lost"] += 1
             return []
+        sequence = of_loop(sequence, loop)
         if fate.uniform(_HARM, sequence) < fate.corrupt:
             self.counters["corrupted"] += 1
             datagram = self._harmed(datagram, sequence)
@@ -188,6 +197,11 @@ class Channel:
             place = int(8 * len(harmed) * self.fate.uniform(_BIT, 4 * sequence + 1 + i))
             harmed[place // 8] ^= 1 << place % 8
         return bytes(harmed)
+
+
+def of_loop(sequence: int, loop: int) -> int:
+    """Return a number that tells the packets of all loops apart."""
+    return sequence | loop << 32
 
 
 def _mix(z: int) -> int:

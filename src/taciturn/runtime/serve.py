@@ -10,9 +10,9 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 
@@ -22,10 +22,10 @@ from taciturn.runtime.clock import Phase
 from taciturn.runtime.inbox import AHEAD, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.service import Told
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
-Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 LEFT_BEHIND = 8  # ticks behind which a node goes on with the present
 PATIENT = 4096  # measurements that wait for their tick
 REMEMBERED = 100_000  # ticks whose lateness is told, the last
@@ -283,6 +283,7 @@ class NodeServer:
         for link in node.program.hears:
             line[f"arrived_{link}"] = self._news[node.loop].pop(link, [])
         line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
+        line["memory"] = node.memory
         if given is not None:
             line["u"] = list(given)
         return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.inbox.waiting}

@@ -12,9 +12,10 @@ from typing import TypeAlias
 from taciturn.errors import ProblemError
 
 Address: TypeAlias = tuple[str, int]
-LARGEST = 4096  # bytes of a datagram that are read: packets are shorter, and what is cut is none
+LARGEST, LARGEST_OF_ALL = 4096, 65535  # bytes of a datagram that are read: packets of numbers are shorter
 BUFFER = 4 << 20  # bytes that wait in the kernel, if it lets us
 MOST = 128  # datagrams that are taken at once, so that a flood does not keep a node from its tick
+_FORCED = 33  # SO_RCVBUFFORCE of Linux: beyond what others may ask for
 _MEMORY, _DROPS = 55, 8  # SO_MEMINFO of Linux, and where its table holds what was dropped
 
 
@@ -40,16 +41,19 @@ class Endpoint:
 
     Args:
         bind: where to listen; port 0: any free one.
+        largest: bytes of a datagram that are read; what is longer is cut, and then no packet.
 
     Raises:
         ProblemError: the address is in use, or not of this machine.
     """
 
-    def __init__(self, bind: Address) -> None:
+    def __init__(self, bind: Address, largest: int = LARGEST) -> None:
         """Bind."""
+        self._largest = largest
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        with contextlib.suppress(OSError):
-            self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+        for option in (socket.SO_RCVBUF, _FORCED):  # the second is root's
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.SOL_SOCKET, option, BUFFER)
         try:
             self._socket.bind(bind)
         except OSError as error:
@@ -119,7 +123,7 @@ class Endpoint:
         found: list[bytes] = []
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # refused: a peer is not there yet
             while len(found) < MOST:
-                found.append(self._socket.recv(LARGEST))
+                found.append(self._socket.recv(self._largest))
         self.received += len(found)
         return found
 

@@ -5,22 +5,51 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
+from taciturn._arrays import Array
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.relay import Channel
-from taciturn.runtime.serve import IDLE, QUIET, Told
+from taciturn.runtime.serve import IDLE, QUIET
+from taciturn.runtime.service import Told
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
 
+class Physical(Protocol):
+    """A plant, one tick at a time, as ``taciturn.runtime.plant.SimulatedPlant`` is one."""
+
+    @property
+    def inputs(self) -> int:
+        """How many there are."""
+        ...
+
+    @property
+    def tick_length(self) -> float:
+        """Seconds of a tick; 1 where the problem does not say."""
+        ...
+
+    @property
+    def measurement(self) -> Values:
+        """y, (p,), of the present tick."""
+        ...
+
+    @property
+    def state(self) -> Array:
+        """x, (n,)."""
+        ...
+
+    def move(self, inputs: Sequence[float]) -> float:
+        """Go through a tick with these inputs, and return what it costs."""
+        ...
+
+
 class PlantServer:
-    """Measures and acts for the nodes of a loop: a simulated plant that tells its measurements and takes its inputs.
+    """Measures and acts for the nodes of a loop: a plant that tells its measurements and takes its inputs.
 
     Args:
         plants: one per loop, in order.
@@ -33,7 +62,7 @@ class PlantServer:
 
     def __init__(
         self,
-        plants: Sequence[SimulatedPlant],
+        plants: Sequence[Physical],
         wire: Wire,
         endpoint: Endpoint,
         sensor: Address,
@@ -44,7 +73,7 @@ class PlantServer:
         """Nothing has happened."""
         self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
         self._tick, self._told = tick, told
-        self.inputs: list[Values] = [(0.0,) * plant.loop.problem.plant.inputs for plant in plants]
+        self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
         self._given = [-1] * len(plants)  # tick of the last input
         self._waiting: list[dict[int, Values]] = [{} for _ in plants]  # inputs by tick: a node may be one ahead
         self._windows = [Window() for _ in plants]
@@ -68,14 +97,13 @@ class PlantServer:
             else:
                 self._wait(zero + (tick + 1) * self._tick)
             for loop, plant in enumerate(self.plants):
-                if tick in self._waiting[loop]:
-                    self.inputs[loop], self._given[loop] = self._waiting[loop].pop(tick), tick
+                self._adopt(loop, tick)
                 self.held += self._given[loop] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
                 self.largest = max(self.largest, float(np.abs(plant.state).max()))
                 if self._told is not None:
                     line = {
-                        "timestamp": tick * (plant.loop.problem.plant.dt or 1.0),
+                        "timestamp": tick * plant.tick_length,
                         "tick": tick,
                         "role": "plant",
                         "loop": loop,
@@ -103,6 +131,11 @@ class PlantServer:
                 sequence = tick & 0xFFFFFFFF
                 packet = Packet("measurement", "plant", tick, sequence, plant.measurement, self._epoch, loop)
                 self.endpoint.send(self.wire.encode(packet), self.sensor)
+
+    def _adopt(self, loop: int, tick: int) -> None:
+        """Let the input of a tick act, if it has come."""
+        if tick in self._waiting[loop]:
+            self.inputs[loop], self._given[loop] = self._waiting[loop].pop(tick), tick
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
         """Wait for the inputs of a tick; tell the measurement again where none comes."""

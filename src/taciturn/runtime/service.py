@@ -1,0 +1,53 @@
+"""What every process of a network does: it says where it listens, logs its ticks, and ends when it is asked to."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import IO, Any, TypeAlias
+
+from taciturn.runtime.udp import Address, Endpoint, parse_address
+
+Told: TypeAlias = Callable[[Mapping[str, Any]], None]
+LISTENS = "listens on"  # who starts a process waits for this
+
+
+def say_where(name: str, address: Address) -> None:
+    """Say on standard error that a process listens."""
+    print(f"taciturn: the {name} {LISTENS} {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def until_stopped() -> Generator[Callable[[], bool]]:
+    """Tell whether to stop: after SIGTERM or Ctrl-C, at which the counters are still to be printed."""
+    asked: list[int] = []
+    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in (2, 15)}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def logged(target: str | None) -> Generator[Told | None]:
+    """Give what writes a JSON line per tick: to a file, ``-`` for standard output, or ``udp://HOST:PORT``."""
+    if target is None:
+        yield None
+    elif target.startswith("udp://"):
+        to = parse_address("--log", target.removeprefix("udp://"))
+        with Endpoint(("0.0.0.0", 0)) as endpoint:
+            yield lambda line: endpoint.send(json.dumps(line).encode(), to)
+    elif target == "-":
+        yield _lines(sys.stdout)
+    else:
+        with Path(target).open("a", encoding="utf-8") as file:
+            yield _lines(file)
+
+
+def _lines(file: IO[str]) -> Told:
+    return lambda line: print(json.dumps(line), file=file, flush=True)
