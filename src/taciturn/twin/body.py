@@ -1,0 +1,168 @@
+"""The body of a robot: its rigid-body physics, and what disturbs it; the same of the same seed and calls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, choice, count, number
+from taciturn._mujoco import FREE, Motion
+from taciturn.twin.robot import Robot
+
+CORRELATION = 0.5  # seconds over which a disturbing force forgets
+SETTLING = 200  # steps in which the wheels come to rest on the floor
+_AXES = (0, 1, 5)  # of a wrench: force along x and y, torque about z
+_SLACK = 1e-6  # of a step: a time that is a multiple of the step but for rounding is one
+
+
+class Body:
+    """Rigid-body physics of one robot, with wheels, motors and friction.
+
+    Forces on the chassis disturb it: Ornstein–Uhlenbeck processes, stationary from the start.
+
+    Args:
+        robot: which one.
+        seed: of the disturbance.
+        start: what the camera would measure at the start, (n,) in metres and radians; the robot's own unless given.
+        gain_error: how far the motors' gains are off, as a fraction: all by this of the rover, each by a share of it
+            of the omni-directional robot.
+        disturbance: size of the disturbing forces, as a multiple of the robot's own; 0: none.
+        variant: how the wheels are modelled, one of the robot's variants.
+
+    Raises:
+        ProblemError: MuJoCo is missing, or an argument is malformed.
+
+    Example:
+        >>> from taciturn.twin.catalogue import ROBOTS
+        >>> body = Body(ROBOTS["rover"], disturbance=0)
+        >>> body.act([-20])
+        >>> body.flow(0.3)
+        >>> round(float(body.pose[0]), 2)
+        0.69
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        seed: int = 0,
+        *,
+        start: ArrayLike | None = None,
+        gain_error: float = 0.0,
+        disturbance: float = 1.0,
+        variant: str = "capsule",
+    ) -> None:
+        """Put it on the floor and let it come to rest."""
+        n = len(robot.states)
+        placed = array("start", robot.start if start is None else start, (n,), "states")
+        self._robot = robot
+        self._random = np.random.default_rng(count("seed", seed, 0))
+        self._size = number("disturbance", disturbance, 0.0, closed=True) * np.array(robot.stir)
+        self._gain = 1 + number("gain_error", gain_error, -1.0, 1.0) * np.array(robot.motor_errors)
+        scene = robot.build(choice("variant", variant, robot.variants))
+        self._dt = scene.step
+        self._motion = Motion(scene)
+        self._kept = [*range(FREE), *scene.addresses(robot.joints)]
+        self._wrench = self._motion.force("robot")
+        for _ in range(SETTLING):
+            self._motion.step()
+        self._motion.speed[:] = 0.0
+        self._heading = _yaw(self._motion.position)
+        self._inputs = np.zeros(len(robot.inputs))
+        self._limit = np.array(robot.input_limit)
+        self._steps = 0
+        self._pushes: list[tuple[int, float, float]] = []  # step at which it ends, and the force along x and y
+        self._forget = math.exp(-self._dt / CORRELATION)
+        self._force = self._size * self._random.standard_normal(n)
+        self.kidnap(placed - self.pose)
+
+    @property
+    def time(self) -> float:
+        """Seconds since the start."""
+        return self._steps * self._dt
+
+    @property
+    def pose(self) -> Array:
+        """What the camera would measure of the marker if it made no mistake, (n,); a heading goes on beyond ±π."""
+        self._motion.settle()
+        place = self._motion.site("marker")
+        return np.array([place[0], place[1], self._heading]) if self._robot.turns else place[:1]
+
+    @property
+    def snapshot(self) -> tuple[float, ...]:
+        """All that a camera sees: coordinates of the body and of its wheels, `Robot.seen` of them."""
+        return tuple(float(self._motion.position[k]) for k in self._kept)
+
+    def act(self, inputs: Sequence[float]) -> None:
+        """Hold an input from now on, (m,), clipped at the robot's limits.
+
+        Raises:
+            ProblemError: not m finite numbers.
+        """
+        self._inputs = np.clip(array("inputs", inputs, (len(self._limit),), "inputs"), -self._limit, self._limit)
+
+    def flow(self, until: float) -> None:
+        """Let time pass, in whole steps of the physics and never beyond ``until``.
+
+        Raises:
+            ProblemError: not a finite time.
+        """
+        last = math.floor(number("until", until) / self._dt + _SLACK)
+        for _ in range(self._steps, last):
+            self._step()
+
+    def push(self, newtons: float, seconds: float, direction: float = 0.0) -> None:
+        """Push the chassis from now on, in a direction in radians from the x axis.
+
+        Raises:
+            ProblemError: a number that is not finite, or a negative time.
+        """
+        size, angle = number("newtons", newtons), number("direction", direction)
+        ends = self._steps + round(number("seconds", seconds, 0.0, closed=True) / self._dt)
+        self._pushes.append((ends, size * math.cos(angle), size * math.sin(angle)))
+
+    def kidnap(self, offset: Sequence[float] | Array) -> None:
+        """Move the robot at once, by an offset (n,) in metres and radians; a heading turns about the marker.
+
+        Raises:
+            ProblemError: not n finite numbers.
+        """
+        by = array("offset", offset, (len(self._robot.states),), "states")
+        motion, q = self._motion, self._motion.position
+        if self._robot.turns:
+            motion.settle()
+            mark, c, s = motion.site("marker"), math.cos(by[2]), math.sin(by[2])
+            turn = np.array([[c, -s], [s, c]])
+            q[:2] = mark[:2] + turn @ (q[:2] - mark[:2])
+            motion.speed[:2] = turn @ motion.speed[:2]
+            q[3:FREE] = _turned(q[3:FREE], by[2])
+            self._heading += by[2]
+        across = 2 if self._robot.turns else 1
+        q[:across] += by[:across]
+
+    def _step(self) -> None:
+        n, wrench = len(self._robot.states), self._wrench
+        wrench[:] = 0.0
+        wrench[list(_AXES[:n])] = self._force
+        self._pushes = [one for one in self._pushes if one[0] > self._steps]
+        for _, x, y in self._pushes:
+            wrench[0] += x
+            wrench[1] += y
+        self._motion.command[:] = self._gain * self._robot.drive(self._inputs, self._heading)
+        self._motion.step()
+        fresh = self._random.standard_normal(n)
+        self._force = self._forget * self._force + math.sqrt(1 - self._forget**2) * self._size * fresh
+        self._heading += math.remainder(_yaw(self._motion.position) - self._heading, 2 * math.pi)
+        self._steps += 1
+
+
+def _yaw(position: Array) -> float:
+    w, x, y, z = (float(one) for one in position[3:FREE])
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def _turned(quaternion: Array, angle: float) -> Array:
+    w, x, y, z = quaternion
+    c, s = math.cos(angle / 2), math.sin(angle / 2)
+    return np.array([c * w - s * z, c * x - s * y, c * y + s * x, c * z + s * w])
