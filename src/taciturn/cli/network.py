@@ -17,6 +17,9 @@ from taciturn import _print
 from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
 
 if TYPE_CHECKING:
+    from taciturn.model.network import Network
+    from taciturn.model.policy import Policy
+    from taciturn.runtime.packet import Wire
     from taciturn.runtime.serve import NodeServer
 
 Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any free one.")]
@@ -58,9 +61,9 @@ def network(
     from taciturn.runtime.packet import read_key
     from taciturn.study.network import run_network
 
-    _check_counts({"--ticks": ticks})
-    length = _length(taciturn.load(file).design().model.dt, real_time, tick)
-    with progress_bar("running") as progress, _ended_as_interrupted():
+    check_counts({"--ticks": ticks})
+    length = tick_length(taciturn.load(file).design().model.dt, real_time, tick)
+    with progress_bar("running") as progress, ended_as_interrupted():
         found = run_network(
             file, ticks=ticks, tick=length, seed=seed, key=read_key(key), namespaces=namespaces, progress=progress
         )
@@ -92,20 +95,30 @@ def node(
     log: Log = None,
     loops: Loops = 1,
     seed: Seed = 0,
+    questions: Annotated[
+        bool, typer.Option("--questions", help="The sensor is a camera: ask it, where a measurement would be sent.")
+    ] = False,
+    eye: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="The calibration of a camera: read its pictures as measurements.")
+    ] = None,
+    seen: Annotated[str | None, typer.Option(metavar="OUT", help="With --eye: a JSON line per picture, as --log.")] = None,
+    watch: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="With --eye: who gets the pictures, with what is seen in them.")
+    ] = None,
 ) -> None:
     """Run one node of a problem: it meets its peers over UDP until it is interrupted, and prints what it counted."""
     import taciturn
     from taciturn._arrays import number
     from taciturn.runtime.node import Node
-    from taciturn.runtime.packet import Wire, read_key
+    from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import NodeServer
     from taciturn.runtime.service import logged, say_where, until_stopped
-    from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
-    _check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
+    check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
     problem = taciturn.load(file)
     policy = problem.design()
-    length = _length(policy.model.dt, real_time, tick)
+    length = tick_length(policy.model.dt, real_time, tick)
     if state is not None and loops > 1:
         raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
     share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
@@ -116,10 +129,15 @@ def node(
         )
         for loop in range(loops)
     ]  # fmt: skip
-    wire = Wire(policy, problem.network, read_key(key))
     to = None if peer is None else parse_address("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
-    with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
+    largest = LARGEST if eye is None else LARGEST_OF_ALL
+    with (
+        _wire(role, policy, problem.network, read_key(key), questions, eye, seen, watch) as wire,
+        logged(log) as told,
+        until_stopped() as stopped,
+        Endpoint(parse_address("--bind", bind), largest) as endpoint,
+    ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
             heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
@@ -151,10 +169,10 @@ def plant(
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
 
-    _check_counts({"--ticks": ticks, "--loops": loops})
+    check_counts({"--ticks": ticks, "--loops": loops})
     problem = taciturn.load(file)
     loop = problem.close(problem.design())
-    length = _length(loop.policy.model.dt, real_time, tick)
+    length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
     with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
@@ -195,7 +213,42 @@ def relay(
         typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
 
 
-def _check_counts(counts: Mapping[str, int | None]) -> None:
+@contextmanager
+def _wire(
+    role: str,
+    policy: Policy,
+    network: Network,
+    key: bytes | None,
+    questions: bool,
+    eye: Path | None,
+    seen: str | None,
+    watch: str | None,
+) -> Generator[Wire]:
+    """Give what writes and reads the packets of a node; where the sensor is a camera, questions and pictures too."""
+    from taciturn.errors import ProblemError
+    from taciturn.runtime.packet import Wire
+    from taciturn.runtime.udp import parse_address
+
+    if questions and role != "sensor" or eye is not None and role != "controller":
+        option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
+        raise ProblemError(f"{option} is given for the {role}; expected it for the {where}")
+    if eye is None and (seen is not None or watch is not None):
+        raise ProblemError("--seen or --watch is given without --eye; expected it with the calibration of a camera")
+    if questions:
+        from taciturn.twin.wire import QuestionWire
+
+        yield QuestionWire(policy, network, key)
+    elif eye is not None:
+        from taciturn.twin.control import picture_wire, read_eye
+
+        to = None if watch is None else parse_address("--watch", watch)
+        with picture_wire(policy, network, key, read_eye(eye), seen=seen, watch=to) as wire:
+            yield wire
+    else:
+        yield Wire(policy, network, key)
+
+
+def check_counts(counts: Mapping[str, int | None]) -> None:
     """Refuse options that count something and are not at least 1, or more loops than a packet can tell."""
     from taciturn._arrays import count, number
 
@@ -205,7 +258,7 @@ def _check_counts(counts: Mapping[str, int | None]) -> None:
     number("--loops", counts.get("--loops") or 1, high=65535, closed=True)
 
 
-def _length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
+def tick_length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
     """Return the real seconds of a tick; None in virtual time."""
     from taciturn._arrays import number
     from taciturn.errors import ProblemError
@@ -254,7 +307,7 @@ def _outage(text: str | None) -> tuple[int, int] | None:
 
 
 @contextmanager
-def _ended_as_interrupted() -> Generator[None]:
+def ended_as_interrupted() -> Generator[None]:
     """Let SIGTERM do what Ctrl-C does, so that no process, namespace or folder is left behind."""
 
     def interrupt(*_: object) -> None:

@@ -21,19 +21,17 @@ from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses
 
-COMMANDS = "taciturn.cli"
 PATIENCE = 60.0  # seconds until a process that starts must listen
 
 
 class Process:
-    """One process of this package.
+    """One process of the command line.
 
     Args:
-        arguments: of the command line.
+        arguments: of ``taciturn``.
         name: that it goes by in sentences.
         environment: variables beside those of this process.
         before: a command that runs it, as ``ip netns exec NAME``.
-        module: that has the command line.
     """
 
     def __init__(
@@ -42,10 +40,9 @@ class Process:
         name: str = "a process",
         environment: Mapping[str, str] | None = None,
         before: Sequence[str] = (),
-        module: str = COMMANDS,
     ) -> None:
         """Start it."""
-        command = [*before, sys.executable, "-m", module, *arguments]
+        command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
         self._name = name
         self._errors: list[str] = []
         self._listens = threading.Event()
@@ -138,7 +135,7 @@ class Processes:
         options: further options of every node.
         environment: variables of every process.
         namespaces: where the nodes run; omitted: on the loopback.
-        places: further processes, on the way from the sensor; whoever names them gives their commands.
+        through: a further process that the packets of a node go to first; whoever names it gives its command.
     """
 
     def __init__(
@@ -153,15 +150,16 @@ class Processes:
         options: Sequence[str] = (),
         environment: Mapping[str, str] | None = None,
         namespaces: Namespaces | None = None,
-        places: Sequence[str] = (),
+        through: Mapping[NodeName, str] | None = None,
     ) -> None:
         """Give everybody an address."""
         self.file, self.policy, self.folder = file, policy, folder or Path()
+        through = through or {}
         self._environment, self._namespaces = environment, namespaces
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []
-        names = [*self.roles, *(f"relay {link}" for link in relayed), *places, "plant"]
+        names = [*self.roles, *(f"relay {link}" for link in relayed), *through.values(), "plant"]
         if namespaces is None:
             found = (f"{host}:{port}" for host, port in free_addresses(len(names)))
             self.addresses = dict(zip(names, found, strict=True))
@@ -176,7 +174,7 @@ class Processes:
             ]  # fmt: skip
         for role in self.roles:
             arguments = ["node", role, file, "--bind", self.addresses[role], *pace, *options]
-            peer = self.peer(role)
+            peer = through.get(role, self.peer(role))
             arguments += ["--peer", self.addresses[peer]] if peer else []
             site = place_of(policy, role)
             arguments += ["--plant", self.addresses["plant"]] if {"sensor", "actuator"} & site else []
@@ -184,9 +182,8 @@ class Processes:
                 arguments += ["--log", str(folder / f"{role}.jsonl")]
                 arguments += ["--state", str(folder / f"{role}.json")] if keeps else []
             self.commands[role] = arguments
-        self.modules: dict[str, str] = {}  # of those that are no commands of taciturn
         self.running: dict[str, Process] = {}
-        flow = ["sensor", *places, "relay sensor", "controller", "relay actuator", "actuator"]
+        flow = ["sensor", through.get("sensor"), "relay sensor", "controller", "relay actuator", "actuator"]
         self._flow = [name for name in flow if name in names]
 
     @property
@@ -203,8 +200,7 @@ class Processes:
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
-            module = self.modules.get(name, COMMANDS)
-            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before, module)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before)
         for name in chosen:
             self.running[name].expect()
 
@@ -236,7 +232,7 @@ class Processes:
         return role_at(self.policy, ENDS[link])
 
     def peer(self, role: NodeName) -> str | None:
-        """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
+        """Return where the way of what a node sends goes on: a relay, the next node, or the sender where it only acknowledges."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:

@@ -199,7 +199,7 @@ def run_network(
             processes.kill()
             plant.close()
         costs = np.array(server.costs[0])
-        logs = {role: _logged(folder / f"{role}.jsonl") for role in processes.roles}
+        logs = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
     sends = {link: _sends(logs[processes.sender(link)], link, len(costs)) for link in processes.links}
     datagrams = {link: _datagrams(link, reports) for link in processes.links}
     for link, counts in seen.items():
@@ -225,12 +225,17 @@ def run_network(
     )
 
 
-def losses(network: Network, seed: int) -> dict[LinkName, Fate]:
-    """Return the links of a network as what befalls their packets."""
+def losses(
+    network: Network, seed: int, outages: Mapping[LinkName, tuple[int, int] | None] | None = None
+) -> dict[LinkName, Fate]:
+    """Return the links of a network as what befalls their packets; in an outage they are dead."""
     links: tuple[LinkName, ...] = ("actuator", "sensor")
     return {
         link: Fate(
-            seed=2 * seed + i, loss=0.0 if network.burst(link) else network.loss(link), burst=network.burst(link)
+            seed=2 * seed + i,
+            loss=0.0 if network.burst(link) else network.loss(link),
+            burst=network.burst(link),
+            outage=(outages or {}).get(link),
         )
         for i, link in enumerate(links)
     }
@@ -289,7 +294,7 @@ def _rate(sends: Array, skipped: int) -> Estimate:
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
 
 
-def _logged(log: Path) -> list[dict[str, Any]]:
+def logged_lines(log: Path) -> list[dict[str, Any]]:
     """Return what a node has logged."""
     lines: list[dict[str, Any]] = []
     for text in log.read_text(encoding="utf-8").splitlines():

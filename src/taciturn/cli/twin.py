@@ -1,0 +1,111 @@
+"""Commands that run the twin of a robot, and its camera."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from taciturn.cli.frame import File, Json, Plot, Seed, app, print_json, progress_bar
+from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength, check_counts, ended_as_interrupted, tick_length
+
+Robot = Annotated[str, typer.Argument(metavar="rover|omni", help="Which robot.")]
+Faults = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="NAME@START+SECONDS=SIZE",
+        help="What goes wrong, and when: camera, cover, light, actuator, kidnap, push, gain, controller.",
+    ),
+]
+
+
+@app.command()
+def twin(
+    robot: Robot,
+    file: Annotated[
+        str | None,
+        typer.Argument(metavar="[FILE]", help="A problem file with its policy. Default: the thesis's, for a model identified here."),
+    ] = None,
+    seed: Seed = 0,
+    runs: Annotated[int, typer.Option(help="Missions to run at once, with seeds one after the other.")] = 1,
+    price: Annotated[float | None, typer.Option(help="Of a send of the omni, of a question of the rover.")] = None,
+    theta: Annotated[float | None, typer.Option(help="Of the rover's policy.")] = None,
+    real_time: RealTime = False,
+    tick: TickLength = None,
+    namespaces: Annotated[
+        bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
+    ] = False,
+    fault: Faults = None,
+    wheels: Annotated[str | None, typer.Option(help="How the wheels are modelled: capsule or, of the omni, rollers.")] = None,
+    key: Key = None,
+    record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
+    video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first mission.")] = None,
+    plot: Plot = None,
+    as_json: Json = False,
+) -> None:
+    """Run a robot's twin: rigid bodies, a camera that is asked, image processing, and packets between processes."""
+    from taciturn import _print
+    from taciturn.runtime.packet import read_key
+    from taciturn.twin.catalogue import find_robot
+    from taciturn.twin.faults import parse_fault
+    from taciturn.twin.record import check_video, write_record, write_video
+    from taciturn.twin.run import run_twin
+
+    found = find_robot(robot)
+    check_counts({"--runs": runs, "--loops": runs})
+    given = {"zeta" if robot == "rover" else "price": price, "theta": theta}
+    parameters = {name: value for name, value in given.items() if value is not None}
+    check_video(video)
+    with progress_bar("driving") as progress, ended_as_interrupted():
+        done = run_twin(
+            robot, file=file, seed=seed, runs=runs, parameters=parameters,
+            tick=tick_length(found.tick, real_time, tick), namespaces=namespaces,
+            faults=[parse_fault(text) for text in fault or []], variant=wheels, key=read_key(key), progress=progress,
+        )  # fmt: skip
+        if record is not None:
+            write_record(done, record)
+        if video is not None:
+            write_video(done, video)
+        if plot is not None:
+            _print.save(done.plot(), plot)
+    if as_json:
+        print_json(done.document())
+    else:
+        _print.twin(done)
+
+
+@app.command()
+def camera(
+    robot: Robot,
+    file: File,
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Who gets the pictures.")],
+    bind: Bind = "127.0.0.1:0",
+    fault: Faults = None,
+    key: Key = None,
+    loops: Loops = 1,
+    seed: Seed = 0,
+) -> None:
+    """Render what a robot's camera sees, when it is asked, for a control unit that runs elsewhere."""
+    import taciturn
+    from taciturn.runtime.packet import read_key
+    from taciturn.runtime.service import say_where, until_stopped
+    from taciturn.runtime.udp import Endpoint, parse_address
+    from taciturn.twin.camera import Camera
+    from taciturn.twin.catalogue import find_robot
+    from taciturn.twin.faults import parse_fault
+    from taciturn.twin.serve import CameraServer
+    from taciturn.twin.wire import CameraWire
+
+    check_counts({"--loops": loops})
+    found, problem = find_robot(robot), taciturn.load(file)
+    wire = CameraWire(problem.design(), found.seen, problem.network, read_key(key))
+    to, faults = parse_address("--peer", peer), [parse_fault(text) for text in fault or []]
+    taken = Camera(found, seed)
+    with until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
+        server = CameraServer(taken, wire, endpoint, to, tick=found.tick, loops=loops, faults=faults)
+        say_where("camera", endpoint.address)
+        typer.echo(json.dumps(server.run(stopped)))
+    taken.close()

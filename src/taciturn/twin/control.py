@@ -1,0 +1,79 @@
+"""What a control unit needs to have a camera for a sensor: an eye, and somebody to tell what it sees."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from taciturn.errors import ProblemError
+from taciturn.model.network import Network
+from taciturn.model.policy import Policy
+from taciturn.runtime.packet import Packet
+from taciturn.runtime.service import logged
+from taciturn.runtime.udp import Address, Endpoint
+from taciturn.twin.calibration import Calibration
+from taciturn.twin.catalogue import find_robot
+from taciturn.twin.robot import Robot
+from taciturn.twin.vision import Eye
+from taciturn.twin.wire import PictureWire
+
+
+def write_calibration(path: Path, robot: Robot, calibration: Calibration) -> None:
+    """Write what an eye must know."""
+    path.write_text(json.dumps({"robot": robot.name, **calibration.document()}), encoding="utf-8")
+
+
+def read_eye(path: Path) -> Eye:
+    """Return the eye of a calibrated camera.
+
+    Raises:
+        ProblemError: no such file, or it holds no calibration.
+    """
+    try:
+        held: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        return Eye(find_robot(held.pop("robot")), Calibration.from_document(held))
+    except ProblemError:
+        raise
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ProblemError(
+            f"the calibration {path} cannot be read ({error!r}); expected what a camera's calibration has written"
+        ) from None
+
+
+@contextmanager
+def picture_wire(
+    policy: Policy,
+    network: Network,
+    key: bytes | None,
+    eye: Eye,
+    *,
+    seen: str | None = None,
+    watch: Address | None = None,
+) -> Generator[PictureWire]:
+    """Give a wire that reads pictures as measurements.
+
+    Args:
+        policy: whose controller reads.
+        network: how its packets are rounded.
+        key: that authenticates the packets.
+        eye: that sees.
+        seen: where a JSON line per picture goes, as ``taciturn.runtime.service.logged`` has it.
+        watch: who gets the pictures of the first loop, with what is seen drawn in.
+    """
+    with logged(seen) as told, Endpoint(("0.0.0.0", 0)) as watched:
+
+        def tell(packet: Packet, picture: bytes, values: Sequence[float] | None) -> None:
+            if told is not None:
+                line = {"tick": packet.tick, "loop": packet.loop, "sequence": packet.sequence}
+                told({**line, "seen": None if values is None else list(values)})
+            if watch is not None and packet.loop == 0:
+                watched.send(eye.draw(picture), watch)
+
+        def see(picture: bytes) -> Sequence[float] | None:
+            found = eye.see(picture)
+            return None if found is None else found.tolist()
+
+        yield PictureWire(policy, see, network, key, tell)

@@ -1,0 +1,202 @@
+"""What the runs of a twin did, put together from what its processes have told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.model.policy import LinkName
+from taciturn.problem import Problem
+from taciturn.runtime.namespaces import KernelLoss, predict_drops
+from taciturn.twin.world import TwinPlant
+
+ESTIMATE = "prior"  # what the policies call what they expect to see
+Lines = Sequence[Mapping[str, Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What the runs of a twin did under one policy.
+
+    Args:
+        problem: that was run.
+        poses: what a perfect camera would measure at each tick, (runs, ticks + 1, n).
+        inputs: that acted, (runs, ticks, m).
+        costs: of each tick, (runs, ticks).
+        totals: of each mission, with the final cost where it ended, (runs,).
+        estimates: of the controller, before the measurement of the tick has come, (runs, ticks, n).
+        values: of the trigger where it is silent, and where it sends: the smaller one decides, (runs, ticks, 2).
+        seen: by the camera, (runs, ticks, n); not a number where there is no picture, or nothing in it.
+        lights: all that could be seen at each tick, (runs, ticks + 1, coordinates).
+        sent: whether a packet was sent, by link, (runs, ticks): on the sensor link, whether the camera was asked.
+        arrived: whether it came, by link, (runs, ticks).
+        sequences: numbers of the packets that came, by link, of each run.
+        datagrams: sent, delivered and lost, by link, and ``unaccounted``.
+        reports: of each process, by name.
+        seconds: wall time.
+        notes: what the reader must know.
+    """
+
+    problem: Problem
+    poses: Array
+    inputs: Array
+    costs: Array
+    totals: Array
+    estimates: Array
+    values: Array
+    seen: Array
+    lights: Array
+    sent: Mapping[str, Array]
+    arrived: Mapping[str, Array]
+    sequences: Mapping[str, tuple[tuple[int, ...], ...]]
+    datagrams: Mapping[str, Any]
+    reports: Mapping[str, Mapping[str, Any]]
+    seconds: float
+    notes: tuple[str, ...]
+
+    @property
+    def vision(self) -> Array:
+        """How far off each picture was, (pictures, n)."""
+        off = self.seen - self.poses[:, :-1]
+        return off[np.isfinite(off).all(axis=2)]
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the processes of a trial have told.
+
+    Args:
+        lines: of each node, by role.
+        seen: of the eye.
+        reports: of each process, by name.
+        drops: what the kernel was to lose, by link; none where relays run.
+        dropped: datagrams that it dropped for that.
+    """
+
+    lines: Mapping[str, Lines]
+    seen: Lines
+    reports: Mapping[str, Mapping[str, Any]]
+    drops: Mapping[LinkName, KernelLoss]
+    dropped: int
+
+
+def put_together(
+    problem: Problem, plants: Sequence[TwinPlant], costs: Sequence[Sequence[float]], told: Told, seconds: float
+) -> Trial:
+    """Return what was done, up to the tick to which all robots went."""
+    runs, ticks = len(plants), min(map(len, costs))
+    horizon = problem.cost.horizon
+    paid = np.array([cost[:ticks] for cost in costs])
+    final = np.array([plant.final_cost() if ticks == horizon else 0.0 for plant in plants])
+    sender = {"sensor": "sensor", "actuator": "controller"}
+    sent = {link: _marked(told.lines[role], f"sent_{link}", runs, ticks) for link, role in sender.items()}
+    pictures, packets = told.seen, told.lines["actuator"]
+    came = {
+        "sensor": [(_loop(line), [line["sequence"]]) for line in pictures],
+        "actuator": [(_loop(line), line["arrived_actuator"]) for line in packets],
+    }
+    sequences = {link: tuple(_sequences(came[link], row, run) for run, row in enumerate(sent[link])) for link in sent}
+    lines = told.lines["controller"]
+    names = [name for name in (lines[0] if lines else {}) if name.startswith("option_")]
+    return Trial(
+        problem=problem,
+        poses=np.array([plant.poses[: ticks + 1] for plant in plants]),
+        inputs=np.array([plant.given[:ticks] for plant in plants]),
+        costs=paid,
+        totals=paid.sum(axis=1) + final,
+        estimates=_gathered(lines, lambda line: line["memory"][ESTIMATE], runs, ticks, problem.plant.states),
+        values=_gathered(lines, lambda line: [line[name] for name in names], runs, ticks, len(names)),
+        seen=_gathered(told.seen, lambda line: line["seen"], runs, ticks, problem.plant.outputs),
+        lights=np.array([plant.lights[: ticks + 1] for plant in plants]),
+        sent=sent,
+        arrived={link: _arrived(sent[link], sequences[link]) for link in sent},
+        sequences=sequences,
+        datagrams=_datagrams(told, sent, sequences),
+        reports=told.reports,
+        seconds=seconds,
+        notes=_notes(told),
+    )
+
+
+def _loop(line: Mapping[str, Any]) -> int:
+    return int(line.get("loop", 0))
+
+
+def _gathered(lines: Lines, read: Callable[[Mapping[str, Any]], Any], runs: int, ticks: int, size: int) -> Array:
+    """Return what lines tell of each run and tick, (runs, ticks, size); not a number where they tell nothing."""
+    found = np.full((runs, ticks, size), np.nan)
+    for line in lines:
+        value = read(line)
+        if line["tick"] < ticks and value is not None:
+            found[_loop(line), line["tick"]] = value
+    return found
+
+
+def _marked(lines: Lines, name: str, runs: int, ticks: int) -> Array:
+    return np.nan_to_num(_gathered(lines, lambda line: [line[name]], runs, ticks, 1)[..., 0])
+
+
+def _sequences(came: Iterable[tuple[int, Sequence[int]]], sent: Array, run: int) -> tuple[int, ...]:
+    """Return which packets of a run came, in order; one that was sent again in a recovery is one."""
+    numbers = (number for loop, some in came if loop == run for number in some)
+    return tuple(dict.fromkeys(number for number in numbers if number < sent.sum()))
+
+
+def _arrived(sent: Array, sequences: Sequence[Sequence[int]]) -> Array:
+    """Return whether the packet of each tick came: a sequence counts the sends before it."""
+    arrived = np.zeros_like(sent)
+    for run, numbers in enumerate(sequences):
+        ticks = np.flatnonzero(sent[run])
+        arrived[run, ticks[list(numbers)]] = 1.0
+    return arrived
+
+
+def _datagrams(
+    told: Told, sent: Mapping[str, Array], sequences: Mapping[str, Sequence[Sequence[int]]]
+) -> dict[str, Any]:
+    """Return what became of the packets of each link, and how many datagrams nobody can account for."""
+    reports = told.reports
+    camera = reports["camera"]["counters"]
+    asked = int(sent["sensor"].sum())
+    found: dict[str, Any] = {
+        "questions": {
+            "sent": asked,
+            "delivered": camera.get("questions", 0),
+            "lost": asked - camera.get("questions", 0),
+            "unanswered": camera.get("unanswered", 0),
+        }
+    }
+    for link, number in (("sensor", camera.get("pictures", 0)), ("actuator", int(sent["actuator"].sum()))):
+        delivered = sum(map(len, sequences[link]))
+        found[link] = {"sent": number, "delivered": delivered, "lost": number - delivered}
+    found["sensor"]["unseen"] = _unseen(told)
+    for link, drop in told.drops.items():
+        wanted = [
+            [k for k in range(int(row.sum())) if not predict_drops(drop.seed, drop.permille, [k])[0]]
+            for row in sent[link]
+        ]
+        found[link]["predicted"] = sum(int(row.sum()) for row in sent[link]) - sum(map(len, wanted))
+        found[link]["as_predicted"] = [list(row) for row in sequences[link]] == wanted
+    sockets = [report["datagrams"] for report in reports.values()]
+    found["dropped_by_full_buffers"] = sum(one["dropped_by_kernel"] or 0 for one in sockets)
+    lost = told.dropped + found["dropped_by_full_buffers"]
+    found["unaccounted"] = sum(one["sent"] - one["received"] for one in sockets) - lost
+    return found
+
+
+def _unseen(told: Told) -> int:
+    return len({(_loop(line), line["sequence"]) for line in told.seen if line["seen"] is None})
+
+
+def _notes(told: Told) -> tuple[str, ...]:
+    unseen = _unseen(told)
+    notes = (f"{unseen} pictures showed no marker: the estimator ran open loop",) if unseen else ()
+    return notes + tuple(
+        f"the {name} was degraded by {count} packets: {reason}"
+        for name, report in told.reports.items()
+        for reason, count in report.get("degraded", {}).items()
+    )

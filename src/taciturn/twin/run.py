@@ -1,0 +1,229 @@
+"""Runs a robot's twin: calibrates, identifies, and lets the policy meet the world, beside the one that always sends."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taciturn._arrays import Array, count
+from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
+from taciturn.model.policy import Policy
+from taciturn.problem import Problem, load
+from taciturn.simulation.sampling import Progress
+from taciturn.twin.calibration import Calibration, calibrate
+from taciturn.twin.catalogue import find_robot
+from taciturn.twin.faults import Fault
+from taciturn.twin.identification import Identification, identify
+from taciturn.twin.mission import all_time, check_mission, tables_of, write_toml
+from taciturn.twin.outcome import Trial
+from taciturn.twin.robot import Robot
+from taciturn.twin.trial import Setup, Watcher, run_trial
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A robot whose camera is calibrated and whose model is identified.
+
+    Args:
+        robot: which one.
+        calibration: of its camera.
+        model: what the experiment has found.
+        seed: of both.
+    """
+
+    robot: Robot
+    calibration: Calibration
+    model: Identification
+    seed: int
+
+    def problem(self, parameters: Mapping[str, float]) -> dict[str, Any]:
+        """Return the tables of its problem file, with parameters of the policy."""
+        return tables_of(self.robot, self.model, parameters)
+
+
+def prepare(name: str, seed: int = 0) -> Prepared:
+    """Calibrate the camera of a robot by what is known of its scene, then identify a model with it.
+
+    Args:
+        name: ``"rover"`` or ``"omni"``.
+        seed: of the camera's noise and of what disturbs the robot.
+
+    Raises:
+        ProblemError: no such robot, or an extra or a driver is missing.
+    """
+    robot = find_robot(name)
+    calibration = calibrate(robot, count("seed", seed, 0))
+    return Prepared(robot, calibration, identify(robot, calibration, seed), seed)
+
+
+@dataclass(frozen=True, eq=False)
+class TwinRun:
+    """What a policy did with a robot's twin, beside the one that sends at every step.
+
+    Args:
+        prepared: the robot, its camera and its model.
+        policy: that was run.
+        trial: its runs.
+        always: those of the policy that always sends, with the same seeds; None where they were not asked for.
+        faults: what went wrong in ``trial``.
+        seconds: wall time, calibration and identification included.
+    """
+
+    prepared: Prepared
+    policy: Policy
+    trial: Trial
+    always: Trial | None
+    faults: tuple[Fault, ...]
+    seconds: float
+
+    @property
+    def cost(self) -> Estimate:
+        """Mean of the missions' costs."""
+        return _mean(self.trial.totals)
+
+    @property
+    def rates(self) -> Mapping[str, Estimate]:
+        """Mean fraction of the steps with a question to the camera, and with a send to the robot."""
+        return {link: _mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
+
+    @property
+    def cost_bound(self) -> float | None:
+        """What theory says of the identified model; None where something goes wrong that it does not know."""
+        return None if self.faults or self.policy.guarantee is None else self.policy.guarantee.cost
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn twin --json``."""
+        trial, robot = self.trial, self.prepared.robot
+        return {
+            "robot": robot.name,
+            "policy": self.policy.kind,
+            "runs": len(trial.totals),
+            "rates": {link: _document(rate) for link, rate in self.rates.items()},
+            "cost": _document(self.cost),
+            "cost_all_time": None if self.always is None else float(self.always.totals.mean()),
+            "cost_all_time_standard_error": None if self.always is None else _document(_mean(self.always.totals))["standard_error"],
+            "cost_all_time_model": self.policy.cost_all_time,
+            "cost_bound": self.cost_bound,
+            "vision": vision(trial.vision, robot),
+            "datagrams": dict(trial.datagrams),
+            "seed": self.prepared.seed,
+            "seconds": round(self.seconds, 3),
+            "ticks": trial.costs.shape[1],
+            "calibration": self.prepared.calibration.document(),
+            "model": self.prepared.model.document(),
+            "faults": [str(fault) for fault in self.faults],
+            "processes": {name: dict(report) for name, report in trial.reports.items()},
+            "notes": list(trial.notes),
+        }
+
+
+def run_twin(
+    name: str,
+    *,
+    file: str | None = None,
+    seed: int = 0,
+    runs: int = 1,
+    parameters: Mapping[str, float] | None = None,
+    tick: float | None = None,
+    namespaces: bool = False,
+    faults: Sequence[Fault] = (),
+    variant: str | None = None,
+    key: bytes | None = None,
+    compare: bool = True,
+    prepared: Prepared | None = None,
+    progress: Progress | None = None,
+    watcher: Watcher | None = None,
+) -> TwinRun:
+    """Run a robot's twin as processes of this machine: rigid bodies, a camera, a control unit, a robot, and links.
+
+    Args:
+        name: ``"rover"`` or ``"omni"``.
+        file: a problem file with the policy to run; omitted: that of the thesis, for the model that is identified here.
+        seed: of all draws; run i has the seed ``seed`` + i of what disturbs its robot.
+        runs: missions, which are run at once.
+        parameters: of the policy, instead of those of the thesis.
+        tick: real seconds per tick; omitted: virtual time, in which the same seed gives the same run.
+        namespaces: in network namespaces, where the kernel loses packets.
+        faults: what goes wrong.
+        variant: how the wheels are modelled.
+        key: that authenticates the packets; omitted: none.
+        compare: also run the policy that always sends, without faults.
+        prepared: a robot that has been prepared; omitted: it is done here.
+        progress: called with the fraction done.
+        watcher: who looks on.
+
+    Returns:
+        What was done, and what it cost.
+
+    Raises:
+        ProblemError: data that do not fit, an extra, a driver or a right that is missing, a process that has ended.
+    """
+    began = time.monotonic()
+    count("runs", runs)
+    if file is not None and parameters:
+        raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
+    found = prepare(name, seed) if prepared is None else prepared
+    robot = found.robot
+    if variant is not None and variant not in robot.variants:
+        raise ProblemError(f"the variant is {variant!r}; expected one of {', '.join(robot.variants)}")
+    setup = Setup(robot, found.calibration, runs, seed, tick, namespaces, tuple(faults), key, variant)
+    report = progress or (lambda fraction: None)
+    with tempfile.TemporaryDirectory(prefix="taciturn-") as folder:
+        chosen = Path(folder) / f"{robot.name}.toml"
+        if file is None:
+            chosen.write_text(write_toml(found.problem(parameters or {})), encoding="utf-8")
+            problem = load(chosen)
+        else:
+            problem = load(file)
+            tables = problem.source
+            assert tables is not None
+            chosen.write_text(write_toml(tables), encoding="utf-8")
+        policy = check_mission(robot, problem, file or "the mission")
+        share = 0.5 if compare else 1.0
+        trial = run_trial(setup, chosen, _scaled(report, 0.0, share), watcher)
+        always = None
+        if compare:
+            other = Path(folder) / "all-time.toml"
+            tables = all_time(problem).source
+            assert tables is not None
+            other.write_text(write_toml(tables), encoding="utf-8")
+            always = run_trial(replace(setup, faults=()), other, _scaled(report, share, 1.0))
+    return TwinRun(found, policy, trial, always, tuple(faults), time.monotonic() - began)
+
+
+def vision(off: Array, robot: Robot) -> dict[str, Any]:
+    """Return bias and standard deviation of what the camera says, in millimetres and degrees."""
+    scale = np.array([1e3, 1e3, np.degrees(1.0)])[: off.shape[1]]
+    units = ("mm", "mm", "deg")
+    if not len(off):
+        return {"pictures": 0}
+    return {
+        "pictures": len(off),
+        **{
+            state.split(" ")[0]: {f"bias_{unit}": float(bias), f"standard_deviation_{unit}": float(spread)}
+            for state, unit, bias, spread in zip(
+                robot.states, units, off.mean(axis=0) * scale, off.std(axis=0) * scale, strict=False
+            )
+        },
+    }
+
+
+def _mean(values: Array) -> Estimate:
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
+
+
+def _document(estimate: Estimate) -> dict[str, Any]:
+    error = None if estimate.method == "exact" else estimate.standard_error
+    return {"value": estimate.value, "standard_error": error, "method": "simulation"}
+
+
+def _scaled(progress: Callable[[float], None], low: float, high: float) -> Callable[[float], None]:
+    return lambda fraction: progress(low + (high - low) * fraction)

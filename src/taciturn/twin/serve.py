@@ -1,0 +1,121 @@
+"""The camera as a process: light and questions in, pictures out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from taciturn.runtime.packet import Packet
+from taciturn.runtime.relay import of_loop
+from taciturn.runtime.serve import IDLE, QUIET
+from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.window import Window
+from taciturn.twin.camera import Camera
+from taciturn.twin.faults import Fault
+from taciturn.twin.wire import CameraWire
+
+KEPT = 8  # ticks whose light is kept: a question may come when the plant is ahead
+PATIENT = 256  # questions and marks of a loop that wait for their light
+
+
+class CameraServer:
+    """Answers questions with pictures: it renders nothing that nobody asks for.
+
+    Args:
+        camera: that takes the pictures.
+        wire: that reads questions and light, and writes pictures.
+        endpoint: where they arrive.
+        peer: who gets the pictures.
+        tick: seconds of a tick, as faults count them.
+        loops: how many robots share the camera's process.
+        faults: of the camera; the others are none of its business.
+    """
+
+    def __init__(
+        self,
+        camera: Camera,
+        wire: CameraWire,
+        endpoint: Endpoint,
+        peer: Address,
+        *,
+        tick: float,
+        loops: int = 1,
+        faults: Sequence[Fault] = (),
+    ) -> None:
+        """Nothing has been asked."""
+        self.camera, self.wire, self.endpoint, self.peer = camera, wire, endpoint, peer
+        self._faults = [(fault.name, fault.ticks(tick), fault.size) for fault in faults]
+        self._light: list[dict[int, Packet]] = [{} for _ in range(loops)]  # the newest of each tick
+        self._waiting: list[list[Packet]] = [[] for _ in range(loops)]
+        self._asked = [Window() for _ in range(loops)]
+        self.counters: Counter[str] = Counter()
+        self.refused: Counter[str] = Counter()
+
+    def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
+        """Answer until stopped, then what is still on its way, and return the report."""
+        while not stopped():
+            self._take(self.endpoint.receive(time.monotonic() + IDLE))
+        while found := self.endpoint.receive(time.monotonic() + QUIET):
+            self._take(found)
+        return self.report()
+
+    def report(self) -> dict[str, Any]:
+        """Return what has been counted so far."""
+        return {
+            "role": "camera",
+            "counters": dict(self.counters),
+            "refused": dict(self.refused),
+            "waiting": sum(map(len, self._waiting)),
+            "datagrams": self.endpoint.counted,
+        }
+
+    def _take(self, datagrams: Sequence[bytes]) -> None:
+        for datagram in datagrams:
+            packet = self.wire.decode(datagram)
+            if isinstance(packet, str):
+                self.refused[packet] += 1
+            elif packet.loop >= len(self._light):
+                self.refused["misdirected"] += 1
+            else:
+                self._sort(packet)
+                self._go_on(packet.loop)
+
+    def _sort(self, packet: Packet) -> None:
+        light, waiting = self._light[packet.loop], self._waiting[packet.loop]
+        if packet.kind == "measurement":
+            self.counters["light"] += 1
+            known = light.get(packet.tick)
+            if known is None or (packet.epoch, packet.sequence) > (known.epoch, known.sequence):
+                light[packet.tick] = packet
+            while len(light) > KEPT:
+                del light[min(light)]
+        elif packet.link != "sensor" or packet.kind not in ("data", "mark") or len(waiting) >= PATIENT:
+            self.refused["misplaced"] += 1
+        else:
+            waiting.append(packet)
+
+    def _go_on(self, loop: int) -> None:
+        """Answer what can be answered, in order: a mark says that all before it has been answered."""
+        light, waiting = self._light[loop], self._waiting[loop]
+        while waiting and (waiting[0].kind == "mark" or light and waiting[0].tick <= max(light)):
+            packet = waiting.pop(0)
+            if packet.kind == "mark":
+                self.counters["marks"] += 1
+                self.endpoint.send(self.wire.encode(packet), self.peer)
+            else:
+                self._answer(packet, light[min(light, key=lambda tick: abs(tick - packet.tick))])
+
+    def _answer(self, question: Packet, light: Packet) -> None:
+        news = self._asked[question.loop].admit(question.epoch, question.sequence)
+        self.counters["questions" if news == "new" else "questions again"] += 1
+        faults = {name: size for name, (first, end), size in self._faults if first <= question.tick < end}
+        if "camera" in faults:
+            self.counters["unanswered"] += news == "new"
+            return
+        self.camera.covered = "cover" in faults
+        self.camera.lighting = faults.get("light", (1.0,))[0]
+        picture = self.camera.take(light.values, of_loop(question.tick, question.loop))
+        self.counters["pictures" if news == "new" else "pictures again"] += 1
+        self.endpoint.send(self.wire.encode_picture(question, picture), self.peer)

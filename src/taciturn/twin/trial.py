@@ -1,0 +1,200 @@
+"""One launch of a twin: its processes run a mission under one policy, and all that they tell is put together."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Thread
+from typing import Any
+
+from taciturn.errors import ProblemError
+from taciturn.problem import load
+from taciturn.runtime.namespaces import Namespaces
+from taciturn.runtime.packet import KEY, Wire
+from taciturn.runtime.processes import Processes
+from taciturn.runtime.udp import Endpoint, parse_address
+from taciturn.simulation.sampling import Progress
+from taciturn.study.network import kernel_losses, logged_lines, losses
+from taciturn.twin.body import Body
+from taciturn.twin.calibration import Calibration
+from taciturn.twin.control import write_calibration
+from taciturn.twin.faults import Fault, window
+from taciturn.twin.outcome import Told, Trial, put_together
+from taciturn.twin.robot import Robot
+from taciturn.twin.wire import CameraWire
+from taciturn.twin.world import TwinPlant, World
+
+
+@dataclass(frozen=True)
+class Setup:
+    """How a twin runs.
+
+    Args:
+        robot: which one.
+        calibration: of its camera.
+        runs: robots that run at once, with seeds one after the other.
+        seed: of the first.
+        tick: real seconds per tick; omitted: lockstep.
+        namespaces: in network namespaces, where the kernel loses packets.
+        faults: what goes wrong.
+        key: that authenticates the packets.
+        variant: how the wheels are modelled.
+    """
+
+    robot: Robot
+    calibration: Calibration
+    runs: int = 1
+    seed: int = 0
+    tick: float | None = None
+    namespaces: bool = False
+    faults: tuple[Fault, ...] = ()
+    key: bytes | None = None
+    variant: str | None = None
+
+    def body(self, run: int) -> Body:
+        """Return the body of a run."""
+        gain = sum(fault.size[0] for fault in self.faults if fault.name == "gain")
+        variant = self.variant or self.robot.variants[0]
+        return Body(self.robot, self.seed + run, gain_error=gain, variant=variant)
+
+
+@dataclass
+class Watcher:
+    """Who looks on, and may take part.
+
+    Args:
+        before: called before each tick with its number and the plants.
+        options: of the controller's process, so that it tells what it sees.
+        told: called with what happened in each tick.
+        stopped: whether to end before the mission has ended.
+    """
+
+    before: Callable[[int, Sequence[TwinPlant]], None] = lambda tick, plants: None
+    options: Sequence[str] = ()
+    told: Callable[[Mapping[str, Any]], None] = lambda line: None
+    stopped: Callable[[], bool] = lambda: False
+
+
+def run_trial(
+    setup: Setup, file: Path, progress: Progress | None = None, watcher: Watcher | None = None
+) -> Trial:
+    """Run the mission of a problem file as processes of this machine: a camera, a control unit and robots.
+
+    Args:
+        setup: how.
+        file: the problem file.
+        progress: called with the fraction done.
+        watcher: who looks on.
+
+    Raises:
+        ProblemError: a process has ended, or what is asked for cannot be had here.
+    """
+    began, watcher = time.monotonic(), watcher or Watcher()
+    problem = load(file)
+    policy, robot, horizon = problem.design(), setup.robot, problem.cost.horizon
+    assert horizon is not None
+    outage = window(setup.faults, "actuator", robot.tick)
+    if setup.namespaces and outage is not None:
+        raise ProblemError("a dead actuator link is asked for with namespaces, where no relay runs; expected one of them")
+    drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
+    with (
+        tempfile.TemporaryDirectory(prefix="taciturn-") as name,
+        Namespaces(policy, drops, ["camera"]) if setup.namespaces else nullcontext() as spaces,
+    ):
+        folder = Path(name)
+        calibration = folder / "calibration.json"
+        write_calibration(calibration, robot, setup.calibration)
+        fates = losses(problem.network, setup.seed, {"actuator": outage})
+        shared = ["--seed", str(setup.seed), "--loops", str(setup.runs)]
+        processes = Processes(
+            str(file), policy, fates, tick=setup.tick, folder=folder, options=shared,
+            keeps=any(fault.name == "controller" for fault in setup.faults),
+            environment={KEY: "" if setup.key is None else setup.key.hex()}, namespaces=spaces,
+            through={"sensor": "camera"},
+        )  # fmt: skip
+        onward = processes.peer("sensor")
+        assert onward is not None
+        processes.commands["camera"] = [
+            "camera", robot.name, str(file), "--bind", processes.addresses["camera"],
+            "--peer", processes.addresses[onward], *shared,
+            *(part for fault in setup.faults if fault.name in ("camera", "cover", "light") for part in ("--fault", str(fault))),
+        ]  # fmt: skip
+        processes.commands["sensor"] += ["--questions"]
+        processes.commands["controller"] += [
+            "--eye", str(calibration), "--seen", str(folder / "seen.jsonl"), *watcher.options,
+        ]  # fmt: skip
+        if setup.tick is not None:  # whoever expects nothing of this tick need not wait for it
+            processes.commands["controller"] += ["--wait", "0"]
+            processes.commands["actuator"] += ["--wait", "0.15"]
+        with nullcontext() if spaces is None else spaces.visit("plant"):
+            endpoint = Endpoint(parse_address("the plant", processes.addresses["plant"]))
+        plants = [TwinPlant(problem, setup.body(run)) for run in range(setup.runs)]
+        key = setup.key
+        world = World(
+            plants,
+            Wire(policy, problem.network, key),
+            endpoint,
+            parse_address("the sensor", processes.addresses["sensor"]),
+            parse_address("the camera", processes.addresses["camera"]),
+            CameraWire(policy, robot.seen, problem.network, key),
+            tick=setup.tick,
+            told=watcher.told,
+            before=_Before(setup, processes, plants, watcher, progress, horizon),
+        )
+        try:
+            processes.start()
+            world.run(horizon, lambda: processes.ended() or watcher.stopped())
+            if processes.ended():
+                raise ProblemError(processes.sentence())
+            reports = {**processes.stop(), "world": world.finish()}
+        finally:
+            processes.kill()
+            endpoint.close()
+        lines = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
+        dropped = 0 if spaces is None else sum(spaces.counted(link).dropped for link in processes.links)
+        told = Told(lines, logged_lines(folder / "seen.jsonl"), reports, drops, dropped)
+    return put_together(problem, plants, world.costs, told, time.monotonic() - began)
+
+
+class _Before:
+    """What happens before a tick: what goes wrong there does."""
+
+    def __init__(
+        self,
+        setup: Setup,
+        processes: Processes,
+        plants: Sequence[TwinPlant],
+        watcher: Watcher,
+        progress: Progress | None,
+        ticks: int,
+    ) -> None:
+        self._due: dict[int, list[Fault]] = {}
+        for fault in setup.faults:
+            self._due.setdefault(fault.ticks(setup.robot.tick)[0], []).append(fault)
+        self._processes, self._plants, self._watcher = processes, plants, watcher
+        self._progress, self._ticks = progress, ticks
+
+    def __call__(self, tick: int) -> None:
+        for fault in self._due.get(tick, []):
+            if fault.name == "controller":
+                self._processes.running["controller"].kill()
+                Thread(target=self._processes.start, args=("controller",)).start()
+            for plant in self._plants:
+                happen(fault, plant.body, plant.problem.plant.states)
+        if self._progress is not None:
+            self._progress(tick / self._ticks)
+        self._watcher.before(tick, self._plants)
+
+
+def happen(fault: Fault, body: Body, states: int) -> None:
+    """Let a fault happen to a robot, if it is one of the body."""
+    if fault.name == "kidnap":
+        body.kidnap([*fault.size, 0.0, 0.0][:states])
+    elif fault.name == "push":
+        newtons, degrees = (*fault.size, 0.0)[:2]
+        body.push(newtons, fault.lasts, math.radians(degrees))
