@@ -55,7 +55,8 @@ def find_outlines(mask: Pixels) -> list[Array]:
 
 def convex_hull(points: Array) -> Array:
     """Return the corners of the convex hull of points (points, 2), in their order around it."""
-    return np.asarray(_cv2().convexHull(points.astype(np.float32)), dtype=np.float64).reshape(-1, 2)
+    around = _cv2().convexHull(points.astype(np.float32), returnPoints=False)  # which knows no double precision
+    return points[np.asarray(around).ravel()]
 
 
 def draw_tag(number: int, size: int) -> Pixels:
@@ -69,7 +70,9 @@ def find_tags(picture: Pixels) -> dict[int, Array]:
     corners, numbers, _ = _tag_detector().detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
     if numbers is None:
         return {}
-    return {int(k): np.asarray(c, dtype=np.float64).reshape(4, 2) for k, c in zip(numbers.ravel(), corners, strict=True)}
+    return {
+        int(k): np.asarray(c, dtype=np.float64).reshape(4, 2) for k, c in zip(numbers.ravel(), corners, strict=True)
+    }
 
 
 class Board:
@@ -144,6 +147,11 @@ def unproject(seen: Array, K: Array, distortion: Array) -> Array:
 def rotation_matrix(rotation: Array) -> Array:
     """Return the matrix (3, 3) of a rotation vector (3,)."""
     return np.asarray(_cv2().Rodrigues(rotation)[0], np.float64)
+
+
+def rotation_vector(matrix: Array) -> Array:
+    """Return the vector (3,) of a rotation matrix (3, 3), or of the one that is nearest."""
+    return np.asarray(_cv2().Rodrigues(matrix)[0], np.float64).ravel()
 
 
 class Bend:

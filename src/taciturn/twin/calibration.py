@@ -2,14 +2,42 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taciturn._arrays import Array, array, number
-from taciturn._cv2 import project, rotation_matrix, unproject
+from taciturn._cv2 import (
+    Board,
+    Pixels,
+    calibrate_lens,
+    convex_hull,
+    find_colour,
+    find_outlines,
+    find_tags,
+    project,
+    read_picture,
+    rotation_matrix,
+    rotation_vector,
+    solve_pose,
+    unproject,
+    write_png,
+)
+from taciturn._mujoco import Scene
+from taciturn._scipy import least_squares
 from taciturn.errors import ProblemError
+from taciturn.twin.body import Body
+from taciturn.twin.camera import Camera, Optics
+from taciturn.twin.polygons import measure_outside, measure_polygon
+from taciturn.twin.robot import HEIGHT, WIDTH, Cube, Robot, Tag
+from taciturn.twin.scenery import placed_sheet, printed_sheet
+
+VIEWS = 14  # of the board
+AVERAGED = 8  # pictures of the landmarks, whose noise is averaged
+SQUARE, PIXELS = 0.04, 100  # side of a square of the board, in metres and in pixels of its texture
+_SHAPES = {"K": (3, 3), "distortion": (4,), "rotation": (3,), "translation": (3,)}
 
 
 @dataclass(frozen=True)
@@ -71,4 +99,149 @@ class Calibration:
         return cls(**{name: document[name] for name in (*_SHAPES, "error")})  # type: ignore[arg-type]
 
 
-_SHAPES = {"K": (3, 3), "distortion": (4,), "rotation": (3,), "translation": (3,)}
+def calibrate(robot: Robot, seed: int = 0) -> Calibration:
+    """Calibrate the camera of a robot from its pictures alone.
+
+    A ChArUco board held before it in ``VIEWS`` poses gives the lens. Landmarks at known places give where the camera
+    is: tags by their corners; cubes by their outlines, from where the tape says that the camera is.
+
+    Args:
+        robot: whose camera it is.
+        seed: of poses and noise.
+
+    Raises:
+        ProblemError: a landmark is not found, MuJoCo or OpenCV is missing, or there is nothing to draw with.
+
+    Example:
+        >>> from taciturn.twin.catalogue import ROBOTS
+        >>> calibrate(ROBOTS["omni"]).error < 0.3
+        True
+    """
+    K, distortion = _calibrate_lens(robot, seed)
+    picture = _still(robot, seed)
+    if isinstance(robot.landmarks[0], Tag):
+        return _place_by_tags(picture, [one for one in robot.landmarks if isinstance(one, Tag)], K, distortion)
+    right, down = (np.array(axis) for axis in robot.taped[1:])
+    turn = rotation_vector(np.array([right, down, np.cross(right, down)]))
+    guess = Calibration(K, distortion, turn, -rotation_matrix(turn) @ np.array(robot.taped[0]), 0.0)
+    return _place_by_cubes(picture, [one for one in robot.landmarks if isinstance(one, Cube)], guess)
+
+
+def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
+    """Show the board in many poses: near, turned, and all over the picture."""
+    board, random = Board(SQUARE), np.random.default_rng((seed, 0))
+    wide, high = (side * SQUARE for side in board.SHAPE)
+    focal = robot.lens.focal
+    scene = Scene(
+        _STUDIO.format(
+            sheet=printed_sheet("board", wide, high),
+            board=placed_sheet("board", (0.0, 0.0, 0.0)),
+            fovy=2 * math.degrees(math.atan(HEIGHT / 2 / (_WIDER * focal))),
+        ),
+        {"board.png": write_png(board.draw(PIXELS))},
+    )
+    optics = Optics(scene, robot.lens, seed)
+    points: list[Array] = []
+    seen: list[Array] = []
+    for number in range(4 * VIEWS):
+        away = focal * wide / (WIDTH * random.uniform(0.45, 0.75))
+        beside = random.uniform(-0.25, 0.25, 2) * (WIDTH, HEIGHT) * away / focal
+        turn = np.array([*random.uniform(-0.5, 0.5, 2), random.uniform(-0.3, 0.3)])
+        angle = float(np.linalg.norm(turn))
+        pose = [*beside, -away, math.cos(angle / 2), *(math.sin(angle / 2) * turn / angle)]
+        picture = read_picture(optics.take(pose, number))
+        found = None if picture is None else board.find(picture)
+        if found is not None:
+            points.append(found[0])
+            seen.append(found[1])
+        if len(points) == VIEWS:
+            break
+    optics.painter.close()
+    if len(points) < VIEWS:
+        raise ProblemError(f"the board was found in {len(points)} pictures; expected {VIEWS}: is there light?")
+    K, distortion, _ = calibrate_lens(points, seen, WIDTH, HEIGHT)
+    return K, distortion
+
+
+def _still(robot: Robot, seed: int) -> Pixels:
+    """Return the mean of some pictures of a robot at its start."""
+    camera, at_rest = Camera(robot, seed), Body(robot, disturbance=0.0).snapshot
+    taken = [read_picture(camera.take(at_rest, number)) for number in range(AVERAGED)]
+    camera.close()
+    return np.rint(np.mean([one for one in taken if one is not None], axis=0)).astype(np.uint8)
+
+
+def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array) -> Calibration:
+    found = find_tags(picture)
+    missing = [tag.number for tag in tags if tag.number not in found]
+    if missing:
+        raise ProblemError(f"the tags {missing} are not seen; expected all {len(tags)} of the field: clear the view")
+    points, seen = np.concatenate([t.corners for t in tags]), np.concatenate([found[t.number] for t in tags])
+    rotation, translation = solve_pose(points, seen, K, distortion)
+    off = project(points, rotation, translation, K, distortion) - seen
+    return Calibration(K, distortion, rotation, translation, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+
+
+def _place_by_cubes(picture: Pixels, cubes: list[Cube], guess: Calibration) -> Calibration:
+    """Move the camera until the cubes are where they are seen, and then until they have the outlines that are seen.
+
+    The outlines may all be a margin larger or smaller: a mask ends at a threshold of colour, not at the edge, which is to
+    move the camera nowhere.
+    """
+    outlines = [_outline(picture, cube, guess) for cube in cubes]
+
+    def at(pose: Array) -> Calibration:
+        return Calibration(guess.K, guess.distortion, pose[:3], pose[3:6], 0.0)
+
+    def shapes(pose: Array) -> list[Array]:
+        camera = at(pose)
+        return [convex_hull(camera.see(cube.corners)) for cube in cubes]
+
+    def away(pose: Array) -> Array:
+        return np.concatenate([measure_polygon(shape)[1] for shape in shapes(pose)]) - centres
+
+    def misfit(pose: Array) -> Array:
+        pairs = zip(outlines, shapes(pose), strict=True)
+        return np.concatenate([measure_outside(outline, shape) for outline, shape in pairs]) - pose[6]
+
+    centres = np.concatenate([measure_polygon(convex_hull(outline))[1] for outline in outlines])
+    pose = least_squares(away, np.array([*guess.rotation, *guess.translation]))
+    pose = least_squares(misfit, np.array([*pose, 0.0]))
+    return replace(at(pose), error=float(np.sqrt(np.mean(misfit(pose) ** 2))))
+
+
+def _outline(picture: Pixels, cube: Cube, guess: Calibration) -> Array:
+    """Return the outline that has the colour and about the size of a cube, and is nearest to where it should be."""
+    area, centre = measure_polygon(convex_hull(guess.see(cube.corners)))
+    best, nearest = None, math.inf
+    for outline in find_outlines(find_colour(picture, cube.colour)):
+        if len(outline) < 3:
+            continue
+        size, place = measure_polygon(outline)
+        away = float(np.linalg.norm(place - centre))
+        if _SIZES[0] < size / area < _SIZES[1] and away < nearest:
+            best, nearest = outline, away
+    if best is None:
+        raise ProblemError(
+            f"the cube at {cube.centre} is not seen; expected all of them: clear the view, or turn on the light"
+        )
+    return best
+
+
+_SIZES = (0.6, 1.6)  # area of a cube in the picture, as a share of what the tape says
+_WIDER = 0.92  # focal length of what is drawn, as a share of the lens's, which sees less
+_STUDIO = """
+<mujoco model="studio">
+  <visual>
+    <quality shadowsize="0" offsamples="4"/>
+    <headlight ambient=".5 .5 .5" diffuse=".4 .4 .4" specular="0 0 0"/>
+    <global offwidth="640" offheight="480"/>
+  </visual>
+  <statistic extent="1"/>
+  <asset>{sheet}</asset>
+  <worldbody>
+    <camera name="webcam" pos="0 0 0" xyaxes="1 0 0 0 1 0" fovy="{fovy}"/>
+    <body><freejoint/>{board}<geom size=".001" mass="1" rgba="0 0 0 0"/></body>
+  </worldbody>
+</mujoco>
+"""

@@ -22,7 +22,7 @@ SIDE = 0.27  # of the tag's black square
 _FIELD_TAGS = tuple(
     Tag(k, 0.21, (x, y, 0.002)) for k, (x, y) in enumerate((x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.4, 1.4))
 )
-_MARKER = Tag(7, SIDE, (0.0, 0.0, PLATE + RADIUS))
+_MARKER = Tag(7, SIDE, (0.0, 0.0, PLATE + RADIUS - 0.0002))  # the tyres give
 
 
 def build_omni(variant: str) -> Scene:
@@ -106,13 +106,14 @@ _MOTOR = (
     '<velocity joint="wheel{k}" kv=".6" forcerange="-2.5 2.5" ctrlrange="-{fastest} {fastest}" ctrllimited="true"/>'
 )
 _CAPSULE = """
-        <geom name="tyre{k}" class="look" type="capsule" size="{radius} .004" euler="0 90 0" mass=".25"/>"""
+        <geom name="tyre{k}" class="look" type="capsule" size="{radius} .004" euler="0 90 0" mass=".25" rgba=".4 .4 .42 1"/>"""
 _HUB = """
-        <geom class="look" type="cylinder" size="{radius} .014" euler="0 90 0" mass=".122"/>"""
+        <geom class="look" type="cylinder" size="{radius} .014" euler="0 90 0" mass=".122" rgba=".4 .4 .42 1"/>"""
 _ROLLER = """
         <body pos="{x} {y} {z}" quat="{w} {i} 0 0">
           <joint type="hinge" axis="0 1 0" damping="1e-5" armature="1e-6"/>
-          <geom type="capsule" size="{thick} {half}" euler="90 0 0" mass=".008" condim="3" friction=".9 .005 .0001"/>
+          <geom type="capsule" size="{thick} {half}" euler="90 0 0" mass=".008" condim="3" friction=".9 .005 .0001"
+              rgba=".4 .4 .42 1"/>
         </body>"""
 _SCENE = """
 <mujoco model="omni">
@@ -123,7 +124,7 @@ _SCENE = """
     <global offwidth="640" offheight="480"/>
   </visual>
   <default>
-    <geom contype="0" conaffinity="1" rgba=".4 .4 .42 1"/>
+    <geom contype="0" conaffinity="1"/>
     <default class="look"><geom contype="0" conaffinity="0"/></default>
   </default>
   <asset>{sheets}
@@ -137,7 +138,7 @@ _SCENE = """
     <body name="robot" pos="0 0 {radius}">
       <freejoint/>
       <geom class="look" type="cylinder" size=".17 .05" pos="0 0 .06" mass="6" rgba=".15 .15 .18 1"/>
-      <geom class="look" type="cylinder" size=".04 .05" pos="0 0 .15" mass=".3"/>
+      <geom class="look" type="cylinder" size=".04 .05" pos="0 0 .15" mass=".3" rgba=".3 .3 .3 1"/>
       <geom class="look" type="box" size=".19 .19 .002" pos="0 0 .2" mass=".3" rgba=".8 .8 .8 1"/>
       {tag}
       <geom name="cover" class="look" type="box" size=".16 .16 .002" pos="0 0 {cover}" mass="0" rgba=".55 .5 .4 0"/>

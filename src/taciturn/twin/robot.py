@@ -141,4 +141,3 @@ class Robot:
     def B(self) -> Array:
         """B of x⁺ = x + B u per tick as the data sheet would have it, (states, inputs)."""
         return frozen(self.tick * np.array(self.rate))
-

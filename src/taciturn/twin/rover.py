@@ -13,7 +13,7 @@ from taciturn.twin.robot import Cube, Disc, Lens, Robot
 WHEELS = 6
 RADIUS = 0.04  # of a wheel, in metres
 RATE = 0.0023  # metres per second and percent, as identified in the thesis
-HEIGHT = 0.1044  # of the marker above the floor, by the caliper
+HEIGHT = 0.0989  # of the marker above the floor, by the caliper
 
 _PINK = ((152, 80, 40), (175, 255, 255))
 _CUBES = (

@@ -30,9 +30,7 @@ def printed_sheet(name: str, width: float, height: float) -> str:
 def placed_sheet(name: str, place: tuple[float, float, float]) -> str:
     """Return the shape of a sheet at a place, in metres; nothing touches it."""
     x, y, z = place
-    return (
-        f'<geom type="mesh" mesh="{name}" material="{name}" pos="{x} {y} {z}" mass="0" contype="0" conaffinity="0"/>'
-    )
+    return f'<geom type="mesh" mesh="{name}" material="{name}" pos="{x} {y} {z}" mass="0" contype="0" conaffinity="0"/>'
 
 
 def tag_picture(number: int) -> bytes:

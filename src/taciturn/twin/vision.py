@@ -19,6 +19,7 @@ from taciturn._cv2 import (
     write_jpeg,
 )
 from taciturn.twin.calibration import Calibration
+from taciturn.twin.polygons import measure_polygon
 from taciturn.twin.robot import HEIGHT, WIDTH, Disc, Robot, Tag
 
 AREA = (0.6, 1.5)  # of a disc in the picture, as a share of what it should be
@@ -82,11 +83,11 @@ class Eye:
             if len(outline) < 3:
                 continue
             hull = convex_hull(outline)  # a highlight or a hole does not pull its centre
-            area, centre = _moments(hull)
+            area, centre = measure_polygon(hull)
             if area <= 0.0:
                 continue
             x, y = self._calibration.meet(centre[None], disc.height)[0]
-            expected = _moments(self._circle(x, y, disc))[0]
+            expected = measure_polygon(self._circle(x, y, disc))[0]
             width, height = np.ptp(hull, axis=0) + 1
             fits = AREA[0] < area / expected < AREA[1] and area > FILL * math.pi / 4 * (width - 1) * (height - 1)
             if fits and disc.strip[0] < y < disc.strip[1]:
@@ -114,15 +115,3 @@ class Eye:
 def _pixels(picture: bytes) -> Pixels | None:
     found = read_picture(picture)
     return found if found is not None and found.shape == (HEIGHT, WIDTH, 3) else None
-
-
-def _moments(polygon: Array) -> tuple[float, Array]:
-    """Return area and centroid of a polygon."""
-    x, y = polygon.T
-    following = np.roll(polygon, -1, axis=0)
-    cross = x * following[:, 1] - following[:, 0] * y
-    area = cross.sum() / 2
-    if area == 0.0:
-        return 0.0, polygon.mean(axis=0)
-    centre = ((polygon + following) * cross[:, None]).sum(axis=0) / (6 * area)
-    return abs(float(area)), centre
