@@ -99,11 +99,15 @@ def node(
         bool, typer.Option("--questions", help="The sensor is a camera: ask it, where a measurement would be sent.")
     ] = False,
     eye: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="The calibration of a camera: read its pictures as measurements.")
+        Path | None,
+        typer.Option(metavar="PATH", help="The calibration of a camera: read its pictures as measurements."),
     ] = None,
-    seen: Annotated[str | None, typer.Option(metavar="OUT", help="With --eye: a JSON line per picture, as --log.")] = None,
+    seen: Annotated[
+        str | None, typer.Option(metavar="OUT", help="With --eye: a JSON line per picture, as --log.")
+    ] = None,
     watch: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="With --eye: who gets the pictures, with what is seen in them.")
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="With --eye: who gets the pictures, with what is seen in them."),
     ] = None,
 ) -> None:
     """Run one node of a problem: it meets its peers over UDP until it is interrupted, and prints what it counted."""
@@ -229,7 +233,7 @@ def _wire(
     from taciturn.runtime.packet import Wire
     from taciturn.runtime.udp import parse_address
 
-    if questions and role != "sensor" or eye is not None and role != "controller":
+    if (questions and role != "sensor") or (eye is not None and role != "controller"):
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
         raise ProblemError(f"{option} is given for the {role}; expected it for the {where}")
     if eye is None and (seen is not None or watch is not None):

@@ -27,7 +27,9 @@ def twin(
     robot: Robot,
     file: Annotated[
         str | None,
-        typer.Argument(metavar="[FILE]", help="A problem file with its policy. Default: the thesis's, for a model identified here."),
+        typer.Argument(
+            metavar="[FILE]", help="A problem file with its policy. Default: the thesis's, for a model identified here."
+        ),
     ] = None,
     seed: Seed = 0,
     runs: Annotated[int, typer.Option(help="Missions to run at once, with seeds one after the other.")] = 1,
@@ -39,10 +41,14 @@ def twin(
         bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
     ] = False,
     fault: Faults = None,
-    wheels: Annotated[str | None, typer.Option(help="How the wheels are modelled: capsule or, of the omni, rollers.")] = None,
+    wheels: Annotated[
+        str | None, typer.Option(help="How the wheels are modelled: capsule or, of the omni, rollers.")
+    ] = None,
     key: Key = None,
     record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
-    video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first mission.")] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first mission.")
+    ] = None,
     plot: Plot = None,
     as_json: Json = False,
 ) -> None:

@@ -204,9 +204,14 @@ class Processes:
         for name in chosen:
             self.running[name].expect()
 
+    def restart(self, name: str) -> None:
+        """Kill a process, and start it again; it may be called in a thread of its own."""
+        self.running.pop(name).kill()
+        self.start(name)
+
     def ended(self) -> bool:
         """Tell whether a process has ended by itself."""
-        return any(not process.alive for process in self.running.values())
+        return any(not process.alive for process in list(self.running.values()))
 
     def sentence(self) -> str:
         """Return what a process said that has ended by itself."""

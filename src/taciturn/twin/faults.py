@@ -82,7 +82,7 @@ def parse_fault(text: str) -> Fault:
             f"the fault is {text!r}; expected NAME@START+SECONDS=SIZE, as light@6+2=0.4, with one of {', '.join(KINDS)}"
         )
     kind = KINDS[found["name"]]
-    if found["lasts"] and not kind.lasts or found["size"] and not kind.size:
+    if (found["lasts"] and not kind.lasts) or (found["size"] and not kind.size):
         wrong = "+SECONDS" if found["lasts"] and not kind.lasts else "=SIZE"
         raise ProblemError(f"the fault is {text!r}, and {found['name']} has no {wrong}; expected it left out")
     if (found["name"] == "gain") == bool(found["start"]):

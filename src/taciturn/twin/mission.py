@@ -123,12 +123,17 @@ def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
             f"{n} outputs and dt = {robot.tick:g}"
         )
     if not np.array_equal(plant.C, np.eye(n)):
-        raise ProblemError(f"{name} has a C that is not I; expected none: the camera measures {', '.join(robot.states)}")
+        raise ProblemError(
+            f"{name} has a C that is not I; expected none: the camera measures {', '.join(robot.states)}"
+        )
     if problem.cost.horizon is None:
         raise ProblemError(f"{name} has no cost.horizon; expected one: the mission of a robot ends")
     all_time(problem)
     policy = problem.design()
-    if len(roles(policy)) < 3 or {step.link for step in policy.steps if isinstance(step, Send)} != {"sensor", "actuator"}:
+    if len(roles(policy)) < 3 or {step.link for step in policy.steps if isinstance(step, Send)} != {
+        "sensor",
+        "actuator",
+    }:
         raise ProblemError(
             f"the policy of {name} has two of its nodes in one place, or a link that it does not use; expected sensor, "
             "controller and actuator apart: a camera, a control unit and a robot"

@@ -196,7 +196,7 @@ def _notes(told: Told) -> tuple[str, ...]:
     unseen = _unseen(told)
     notes = (f"{unseen} pictures showed no marker: the estimator ran open loop",) if unseen else ()
     return notes + tuple(
-        f"the {name} was degraded by {count} packets: {reason}"
+        f"the {name} met what its theory does not know, {count} times: {reason}"
         for name, report in told.reports.items()
         for reason, count in report.get("degraded", {}).items()
     )

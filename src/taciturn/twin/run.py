@@ -15,7 +15,7 @@ from taciturn._arrays import Array, count
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
-from taciturn.problem import Problem, load
+from taciturn.problem import load
 from taciturn.simulation.sampling import Progress
 from taciturn.twin.calibration import Calibration, calibrate
 from taciturn.twin.catalogue import find_robot
@@ -108,7 +108,9 @@ class TwinRun:
             "rates": {link: _document(rate) for link, rate in self.rates.items()},
             "cost": _document(self.cost),
             "cost_all_time": None if self.always is None else float(self.always.totals.mean()),
-            "cost_all_time_standard_error": None if self.always is None else _document(_mean(self.always.totals))["standard_error"],
+            "cost_all_time_standard_error": None
+            if self.always is None
+            else _document(_mean(self.always.totals))["standard_error"],
             "cost_all_time_model": self.policy.cost_all_time,
             "cost_bound": self.cost_bound,
             "vision": vision(trial.vision, robot),

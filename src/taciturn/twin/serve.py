@@ -99,7 +99,7 @@ class CameraServer:
     def _go_on(self, loop: int) -> None:
         """Answer what can be answered, in order: a mark says that all before it has been answered."""
         light, waiting = self._light[loop], self._waiting[loop]
-        while waiting and (waiting[0].kind == "mark" or light and waiting[0].tick <= max(light)):
+        while waiting and (waiting[0].kind == "mark" or (light and waiting[0].tick <= max(light))):
             packet = waiting.pop(0)
             if packet.kind == "mark":
                 self.counters["marks"] += 1

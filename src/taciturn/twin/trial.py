@@ -6,10 +6,10 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from taciturn.errors import ProblemError
@@ -80,9 +80,7 @@ class Watcher:
     stopped: Callable[[], bool] = lambda: False
 
 
-def run_trial(
-    setup: Setup, file: Path, progress: Progress | None = None, watcher: Watcher | None = None
-) -> Trial:
+def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watcher: Watcher | None = None) -> Trial:
     """Run the mission of a problem file as processes of this machine: a camera, a control unit and robots.
 
     Args:
@@ -100,7 +98,9 @@ def run_trial(
     assert horizon is not None
     outage = window(setup.faults, "actuator", robot.tick)
     if setup.namespaces and outage is not None:
-        raise ProblemError("a dead actuator link is asked for with namespaces, where no relay runs; expected one of them")
+        raise ProblemError(
+            "a dead actuator link is asked for with namespaces, where no relay runs; expected one of them"
+        )
     drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
     with (
         tempfile.TemporaryDirectory(prefix="taciturn-") as name,
@@ -177,15 +177,24 @@ class _Before:
         for fault in setup.faults:
             self._due.setdefault(fault.ticks(setup.robot.tick)[0], []).append(fault)
         self._processes, self._plants, self._watcher = processes, plants, watcher
-        self._progress, self._ticks = progress, ticks
+        self._progress, self._ticks, self._lockstep = progress, ticks, setup.tick is None
+        self._pool = ThreadPoolExecutor(1)
+
+    def _restart(self, name: str) -> None:
+        """Kill a process and start it again; in real time the world goes on meanwhile."""
+        started = self._pool.submit(self._processes.restart, name)
+        if self._lockstep:
+            started.result()
+        else:
+            started.add_done_callback(lambda done: done.result())
 
     def __call__(self, tick: int) -> None:
         for fault in self._due.get(tick, []):
             if fault.name == "controller":
-                self._processes.running["controller"].kill()
-                Thread(target=self._processes.start, args=("controller",)).start()
+                self._restart(fault.name)
             for plant in self._plants:
                 happen(fault, plant.body, plant.problem.plant.states)
+                plant.look()
         if self._progress is not None:
             self._progress(tick / self._ticks)
         self._watcher.before(tick, self._plants)

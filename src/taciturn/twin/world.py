@@ -49,6 +49,10 @@ class TwinPlant:
         """What a perfect camera would measure, (n,)."""
         return self.body.pose
 
+    def look(self) -> None:
+        """Take what can be seen now for what can be seen at this tick: something has moved the body meanwhile."""
+        self.poses[-1], self.lights[-1] = self.body.pose, self.body.snapshot
+
     def flow(self, inputs: Sequence[float], share: float) -> None:
         """Let time pass, up to a share of the present tick."""
         self.body.act(inputs)

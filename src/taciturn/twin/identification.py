@@ -1,0 +1,5 @@
+class Identification:
+    pass
+
+
+def identify(*a): ...
