@@ -11,8 +11,6 @@ import secrets
 import threading
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from taciturn._arrays import choice, number
 from taciturn.errors import ProblemError
 
@@ -178,8 +176,7 @@ def encode(name: str, value: object) -> str:
         raise ProblemError(f"{name} cannot be sent ({error}); expected numbers, texts, lists and mappings") from None
 
 
-def _plain(value: object) -> object:
-    if isinstance(value, np.ndarray | np.generic):
-        plain: Any = value
-        return plain.tolist()
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):  # an array, or one of its numbers
+        return value.tolist()
     raise TypeError(f"it holds a {type(value).__name__}")
