@@ -26,7 +26,13 @@ PULSE = 2.0  # seconds of silence after which a reader hears that the run is the
 PATIENCE = 10.0  # seconds that a client may take to send a request, or to read an answer
 FAREWELL = 1.0  # seconds for the readers to hear that the run has ended
 LARGEST = 256  # bytes of a request's body
-_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml", ".LICENSE": "text/plain"}
+_TYPES = {
+    ".html": "text/html",
+    ".css": "text/css",
+    ".js": "text/javascript",
+    ".svg": "image/svg+xml",
+    ".LICENSE": "text/plain",
+}
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",

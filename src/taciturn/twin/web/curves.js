@@ -69,7 +69,7 @@ export class Curves {
         y: log ? { distr: 3, range: (plot, least, most) => [least ?? 0.1, (most ?? 1) * 1.6] }
           : { range: range(lower, upper, include) },
       },
-      axes: [{ ...axis, size: 22, values: ticks }, { ...axis, size: width, values: ticks, space: 26, ...(log && { splits: decades }) }],
+      axes: [{ ...axis, size: 22, values: ticks }, { ...axis, size: width, values: ticks, space: 26, ...(log && { splits: decades, filter: (plot, splits) => splits }) }],
       series: [{}, ...series.map((one) => this.line(one))],
       legend: { show: false },
       cursor: { y: false, drag: { x: false, y: false }, sync: { key: "time" }, points: { size: 6 } },

@@ -1,0 +1,458 @@
+"""The page of a run without a browser: what readers are told, what people ask, and who may."""
+
+from __future__ import annotations
+
+import hashlib
+import http.client
+import json
+import re
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from twin.feeds import OMNI, ROVER, picture, rows
+
+from taciturn.errors import ProblemError
+from taciturn.twin import feed, server
+from taciturn.twin.page import Page
+
+ROOT = Path(__file__).parents[2]
+ROWS = rows(ROVER, 30)
+JSON = {"Content-Type": "application/json"}
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    """Return a page of a round that has begun, on the loopback and without a token."""
+    with Page(("127.0.0.1", 0)) as page:
+        page.begin(ROVER)
+        yield page
+
+
+class Reader:
+    """Follows the events of a page."""
+
+    def __init__(self, page: Page, last: str = "") -> None:
+        """Ask for the events that follow the last one."""
+        self._connection = http.client.HTTPConnection(*page.address, timeout=10)
+        _, mark, query = page.url.partition("?")
+        headers = {"Last-Event-ID": last} if last else {}
+        self._connection.request("GET", f"/events{mark}{query}", headers=headers)
+        self._answer = self._connection.getresponse()
+        assert self._answer.headers["Content-Type"] == "text/event-stream; charset=utf-8"
+        self.last = ""
+
+    def next(self) -> tuple[str, Any]:
+        """Return kind and data of the next event; ("", None) where the stream has ended."""
+        fields: dict[str, str] = {}
+        while (line := self._answer.readline().decode().rstrip("\n")) or "event" not in fields:
+            if not line and self._answer.isclosed():
+                return "", None
+            name, _, value = line.partition(": ")
+            fields[name] = value
+        self.last = fields.get("id", self.last)
+        return fields["event"], json.loads(fields["data"])
+
+    def take(self, count: int) -> list[tuple[str, Any]]:
+        """Return so many events."""
+        return [self.next() for _ in range(count)]
+
+    def close(self) -> None:
+        """Go away."""
+        self._answer.close()
+        self._connection.close()
+
+
+def call(
+    page: Page, method: str, path: str, body: bytes | str | None = None, headers: dict[str, str] | None = None
+) -> tuple[int, bytes]:
+    """Return status and body of an answer; every answer must have the headers that protect the page."""
+    connection = http.client.HTTPConnection(*page.address, timeout=10)
+    try:
+        connection.request(method, path, body, headers or {})
+        answer = connection.getresponse()
+        assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.headers["Access-Control-Allow-Origin"] is None
+        return answer.status, answer.read()
+    finally:
+        connection.close()
+
+
+def ask(page: Page, what: str, value: object, headers: dict[str, str] | None = None) -> int:
+    """Ask the run for something; return the status."""
+    return call(page, "POST", "/ask", json.dumps({"ask": what, "value": value}), {**JSON, **(headers or {})})[0]
+
+
+def test_a_reader_is_told_the_round_row_by_row(page: Page) -> None:
+    """What is said of the round, a row as it was put, arrays as lists, and a note."""
+    reader = Reader(page)
+    kind, about = reader.next()
+    assert (kind, about["robot"], about["knob"]) == ("begin", "rover", ["price", 0.0, 0.1])
+    page.put(ROWS[0])
+    assert reader.next() == ("tick", ROWS[0])
+    page.put({**ROWS[1], "state": np.array([0.5]), "cost": np.float32(0.25), "tick": np.int64(1)})
+    kind, row = reader.next()
+    assert (row["state"], row["cost"], row["tick"]) == ([0.5], 0.25, 1)
+    page.note("camera: no marker seen")
+    assert reader.next() == ("note", "camera: no marker seen")
+
+
+def test_a_page_that_joins_late_is_told_the_whole_round(page: Page) -> None:
+    """All of this round, nothing of the one before; before any round it is told to wait."""
+    for row in ROWS:
+        page.put(row)
+    page.begin(replace(ROVER, round=2))
+    for row in ROWS[:7]:
+        page.put(row)
+    told = Reader(page).take(8)
+    assert told[0][1]["round"] == 2
+    assert [row for _, row in told[1:]] == ROWS[:7]
+    with Page(("127.0.0.1", 0)) as early:
+        assert Reader(early).next() == ("wait", None)
+
+
+def test_a_reader_that_comes_back_is_told_what_it_missed(page: Page) -> None:
+    """By the number of its last event; one of another run, of an older round or made up gets the round as a whole."""
+    reader = Reader(page)
+    page.put(ROWS[0])
+    reader.take(2)
+    reader.close()
+    page.put(ROWS[1])
+    assert Reader(page, reader.last).next() == ("tick", ROWS[1])
+    run, _, number = reader.last.rpartition(".")
+    for strange in (f"other.{number}", f"{run}.999", f"{run}.-1", f"{run}.{'9' * 30}", "nonsense"):
+        assert Reader(page, strange).next()[0] == "begin"
+    page.begin(replace(ROVER, round=2))
+    assert Reader(page, reader.last).next()[1]["round"] == 2
+
+
+def test_a_slow_reader_holds_nothing_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It reads nothing, another one gets every row meanwhile; the slow one is dropped when its time is up."""
+    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    slow = socket.socket()
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    slow.connect(page.address)
+    slow.sendall(b"GET /events HTTP/1.0\r\nHost: localhost\r\n\r\n")
+    reader, size, padded = Reader(page), 6000, {**ROWS[0], "state": [0.1234567890123]}
+    got: list[int] = []
+    follow = threading.Thread(target=lambda: got.extend(row["tick"] for _, row in reader.take(size + 1)[1:]))
+    follow.start()
+    for k in range(size):
+        page.put({**padded, "tick": k, "text": "x" * 2000})
+    follow.join(20)
+    assert got == list(range(size))
+    slow.settimeout(10)
+    read = 0
+    try:
+        time.sleep(0.6)
+        while chunk := slow.recv(1 << 16):
+            read += len(chunk)
+    except ConnectionResetError:
+        pass
+    assert 0 < read < 2000 * size
+    slow.close()
+
+
+def test_what_is_kept_is_bounded(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an endless round the latest rows are kept; who joins late gets its beginning and these."""
+    monkeypatch.setattr(feed, "HELD", 100)
+    for k in range(1050):
+        page.put({**ROWS[0], "tick": k})
+    assert len(page._feed._events) < 200
+    reader = Reader(page)
+    assert reader.next()[0] == "begin"
+    first = reader.next()[1]["tick"]
+    assert 1050 - 200 < first <= 1050 - 100
+    assert [row["tick"] for _, row in reader.take(1049 - first)] == list(range(first + 1, 1050))
+
+
+def test_a_silent_run_is_heard_to_be_there(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between events a pulse tells a run that waits from one that is gone."""
+    monkeypatch.setattr(server, "PULSE", 0.05)
+    assert [kind for kind, _ in Reader(page).take(3)] == ["begin", "alive", "alive"]
+
+
+def test_the_newest_picture_is_served(page: Page) -> None:
+    """None at first; then the readers hear its number, and the page fetches the last one shown."""
+    assert call(page, "GET", "/picture")[0] == 404
+    reader = Reader(page)
+    assert reader.next()[0] == "begin"
+    pictures = [picture(ROVER, row) for row in (ROWS[0], ROWS[20])]
+    page.show(pictures[0])
+    assert reader.next() == ("picture", 1)
+    page.show(pictures[1])
+    assert reader.next() == ("picture", 2)
+    assert call(page, "GET", "/picture?n=2") == (200, pictures[1])
+    with pytest.raises(ProblemError, match="picture begins with b'GIF8'; expected a JPEG"):
+        page.show(b"GIF89a")
+
+
+def test_what_people_ask_reaches_the_run_and_all_pages(page: Page) -> None:
+    """Once, in order; a pause outlives the round."""
+    reader = Reader(page)
+    assert reader.next()[0] == "begin"
+    asked = [("pause", 1.0), ("value", 0.02), ("push", 1.0)]
+    assert [ask(page, *one) for one in asked] == [200] * 3
+    assert page.asked() == asked
+    assert page.asked() == []
+    assert reader.take(3) == [("asked", {"ask": what, "value": value}) for what, value in asked]
+    page.begin(ROVER)
+    assert reader.take(2)[1] == ("asked", {"ask": "pause", "value": 1.0})
+    assert ask(page, "pause", 0) == 200
+    page.begin(ROVER)
+    page.put(ROWS[0])
+    assert [kind for kind, _ in reader.take(3)] == ["asked", "begin", "tick"]
+
+
+@pytest.mark.parametrize(
+    ("body", "status", "says"),
+    [
+        ('{"ask": "value", "value": 0.2}', 400, "price is 0.2; expected 0 ≤ price ≤ 0.1"),
+        ('{"ask": "value", "value": NaN}', 400, "price is nan; expected a finite number"),
+        ('{"ask": "value", "value": "1"}', 400, "price is '1'; expected a finite number"),
+        ('{"ask": "push", "value": 7}', 400, "value of 'push' is 7; expected 0 or 1"),
+        ('{"ask": "stop", "value": 1}', 400, "ask is 'stop'; expected one of 'pause', 'value', 'push'"),
+        ("[1]", 400, "expected JSON as"),
+        ("[" * 250, 400, "expected JSON as"),
+        (b"\xff\xfe", 400, "expected JSON as"),
+        (b" " * 300, 413, "the request has 300 bytes; expected at most 256"),
+    ],
+)
+def test_a_request_that_makes_no_sense_is_one_sentence(page: Page, body: str | bytes, status: int, says: str) -> None:
+    """And the run hears nothing of it."""
+    found, text = call(page, "POST", "/ask", body, JSON)
+    assert (found, says in text.decode()) == (status, True), text
+    assert page.asked() == []
+
+
+def test_requests_wait_for_a_round_and_do_not_pile_up(page: Page) -> None:
+    """Nothing is asked of a run that has not begun, and only so much of one that takes nothing."""
+    with Page(("127.0.0.1", 0)) as early:
+        assert ask(early, "push", 1) == 400
+    assert [ask(page, "push", 1) for _ in range(feed.WAITING + 1)] == [200] * feed.WAITING + [400]
+    assert len(page.asked()) == feed.WAITING
+    assert ask(page, "push", 1) == 200
+
+
+@pytest.mark.parametrize(
+    ("headers", "sees", "acts"),
+    [
+        ({}, True, True),
+        ({"Host": "localhost"}, True, True),
+        ({"Host": "[::1]:80", "Origin": "http://[::1]:80"}, True, True),
+        ({"Host": "localhost:7", "Origin": "http://localhost:7"}, True, True),  # a tunnel of ssh
+        ({"Host": "evil.example"}, False, False),  # DNS rebinding
+        ({"Host": "localhost.evil.example"}, False, False),
+        ({"Host": "127.0.0.1.evil.example:80"}, False, False),
+        ({"Host": ""}, False, False),
+        ({"Origin": "http://evil.example"}, True, False),  # a page elsewhere
+        ({"Origin": "http://localhost:1"}, True, False),  # another server of this machine
+        ({"Origin": "null"}, True, False),
+        ({"Content-Type": "text/plain"}, True, False),  # what a form may send unasked
+        ({"Content-Type": "application/x-www-form-urlencoded"}, True, False),
+    ],
+)
+def test_without_a_token_only_this_machine_sees_and_acts(
+    page: Page, headers: dict[str, str], sees: bool, acts: bool
+) -> None:
+    """By Host, Origin and the type of the content, which other pages cannot forge."""
+    page.show(picture(ROVER, ROWS[0]))
+    assert [call(page, "GET", path, None, headers)[0] for path in ("/", "/picture")] == [200 if sees else 403] * 2
+    assert sees or call(page, "GET", "/events", None, headers)[0] == 403
+    assert ask(page, "push", 1, headers) == (200 if acts else 403)
+    assert page.asked() == ([("push", 1.0)] if acts else [])
+
+
+def test_two_hosts_are_none(page: Page) -> None:
+    """A request that names this machine and another one is refused."""
+    with socket.create_connection(page.address, 10) as connection:
+        connection.sendall(b"GET / HTTP/1.0\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
+        assert connection.makefile("rb").readline().split()[1] == b"403"
+
+
+def test_with_a_token_nobody_sees_or_acts_without_it() -> None:
+    """To see it stands in the address, to act in a header; an address alone does not act."""
+    with Page(("0.0.0.0", 0), token="a+b/c&d") as page:
+        page.begin(ROVER)
+        page.show(picture(ROVER, ROWS[0]))
+        query = f"?{page.url.partition('?')[2]}"
+        assert query == "?token=a%2Bb%2Fc%26d"
+        for path in ("/", "/picture"):
+            for given, status in ((query, 200), ("", 403), ("?token=", 403), ("?token=a", 403), (2 * query, 403)):
+                assert call(page, "GET", path + given)[0] == status, path + given
+        assert call(page, "GET", "/events?token=wrong")[0] == 403
+        assert Reader(page).next()[0] == "begin"
+        for given in ({}, {"Authorization": "Bearer a"}, {"Authorization": "Bearer "}, {"Authorization": "Bearer ä"}):
+            assert ask(page, "push", 1, given) == 403
+        body = json.dumps({"ask": "push", "value": 1})
+        assert call(page, "POST", "/ask" + query, body, JSON)[0] == 404
+        own = {"Authorization": "Bearer a+b/c&d"}
+        assert ask(page, "push", 1, {**own, "Content-Type": "text/plain"}) == 403
+        assert page.asked() == []
+        assert ask(page, "push", 1, {**own, "Host": "robot.example"}) == 200
+        assert page.asked() == [("push", 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("bind", "token", "says"),
+    [
+        (("0.0.0.0", 0), None, "is to listen on 0.0.0.0 without a token; expected a loopback address"),
+        (("", 0), None, "is to listen on every address without a token"),
+        (("192.0.2.1", 0), None, "is to listen on 192.0.2.1 without a token"),
+        (("192.0.2.1", 0), "secret", r"192.0.2.1:0 cannot serve the page \(.*\); expected a free port"),
+        (("127.0.0.1", 0), "", "token is ''; expected one or more ASCII"),
+        (("127.0.0.1", 0), "two words", "token is 'two words'; expected"),
+        (("127.0.0.1", 0), "schlüssel", "token is 'schlüssel'; expected"),
+    ],
+)
+def test_a_door_that_would_stand_open_is_refused(bind: tuple[str, int], token: str | None, says: str) -> None:
+    """Nobody outside reaches a page without a token, and a token must fit into a header."""
+    with pytest.raises(ProblemError, match=says):
+        Page(bind, token)
+
+
+def test_a_port_in_use_is_one_sentence(page: Page) -> None:
+    """It says which, and what to do; a port that is closed can be used again."""
+    port = page.address[1]
+    with pytest.raises(ProblemError, match=rf"^127.0.0.1:{port} cannot serve .* in use\); expected .* or 0 for any$"):
+        Page(("127.0.0.1", port))
+    reader = Reader(page)
+    page.close()
+    page.close()
+    assert [kind for kind, _ in reader.take(3)] == ["begin", "end", ""]
+    with Page(("127.0.0.1", port)) as again:
+        assert again.url == f"http://127.0.0.1:{port}/"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/ask",
+        "/nothing",
+        "/web/page.js",
+        "/../page.py",
+        "/%2e%2e/page.py",
+        "//etc/passwd",
+        "/page.js/../../door.py",
+        "/[",
+    ],
+)
+def test_other_paths_are_not_there(page: Page, path: str) -> None:
+    """Only the files of the page are served, by their names."""
+    assert call(page, "GET", path)[0] == 404
+    assert call(page, "POST", path if path != "/ask" else "/", "{}", JSON)[0] == 404
+    assert call(page, "PUT", path)[0] == 501
+
+
+def test_the_files_of_the_page_are_served_and_name_no_other_server(page: Page) -> None:
+    """Everything that the page loads is there; only licences and the namespace of SVG have addresses."""
+    document = call(page, "GET", "/")[1].decode()
+    loaded = re.findall(r'(?:src|href)="([^"]+)"', document)
+    assert {"page.js", "page.css", "uPlot.iife.min.js", "uPlot.min.css", "uPlot.LICENSE"} <= set(loaded)
+    for name in (*loaded, "curves.js", "drawings.js"):
+        status, body = call(page, "GET", f"/{name}")
+        assert (status, len(body) > 100) == (200, True)
+        found = re.findall(rb"https?://[\w./]+", body)
+        assert set(found) <= {b"http://www.w3.org/2000/svg", b"https://github.com/leeoniya/uPlot"}, name
+    assert not re.search(r"<script(?![^>]*src)|\son\w+=|style=", document)  # nothing that the policy would block
+
+
+def test_what_is_vendored_is_what_the_list_says() -> None:
+    """Every file by its digest, with version and licence."""
+    text = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
+    listed = dict(re.findall(r"`(src/[^`]+)` \| `(\w{64})`", text))
+    assert set(listed) == {str(path.relative_to(ROOT)) for path in ROOT.glob("src/taciturn/twin/web/uPlot*")}
+    for name, digest in listed.items():
+        assert hashlib.sha256((ROOT / name).read_bytes()).hexdigest() == digest, name
+    version = re.search(r"\(v([\d.]+)\)", (ROOT / "src/taciturn/twin/web/uPlot.iife.min.js").read_text("utf-8")[:300])
+    assert version is not None
+    assert f"uPlot {version[1]}" in text
+
+
+def test_clients_that_go_away_leave_no_trace(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
+    """In the middle of a stream, of a request, or before they say anything: no traceback, and the run goes on."""
+    for said in (
+        b"GET /events HTTP/1.0\r\nHost: localhost\r\n\r\n",
+        b"POST /ask HTTP/1.0\r\nContent-Le",
+        b"",
+        b"\xff\n\n",
+    ):
+        client = socket.create_connection(page.address, 10)
+        client.sendall(said)
+        time.sleep(0.05)
+        client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))  # a reset, not a farewell
+        client.close()
+    for row in ROWS:
+        page.put(row)
+    assert len(Reader(page).take(31)) == 31
+    page.close()
+    assert capfd.readouterr() == ("", "")
+
+
+def test_seats_are_limited_and_become_free(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever comes when all are taken is sent away at once."""
+    monkeypatch.setattr(server, "SEATS", 2)
+    monkeypatch.setattr(server, "PULSE", 0.05)
+    readers = [Reader(page), Reader(page)]
+    assert [reader.next()[0] for reader in readers] == ["begin", "begin"]
+    with pytest.raises((http.client.RemoteDisconnected, ConnectionResetError)):
+        call(page, "GET", "/")
+    readers[0].close()
+    for _ in range(100):
+        try:
+            assert call(page, "GET", "/")[0] == 200
+            break
+        except (http.client.RemoteDisconnected, ConnectionResetError):
+            time.sleep(0.02)
+    else:
+        pytest.fail("the seat is still taken")
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"state": [1.0, 2.0]}, r"state of a row has 2 numbers; expected 1: x \[m\]"),
+        ({"estimate": []}, "estimate of a row has 0 numbers; expected 1"),
+        ({"sent": {"sensor": 1}}, "sent of a row lacks the link 'actuator'"),
+        ({"cost": float("nan")}, "the row of tick 0 holds a number that is not finite; expected None"),
+        ({"input": np.array([np.inf])}, "holds a number that is not finite"),
+        ({"cost": 1j}, r"cannot be sent \(it holds a complex\)"),
+    ],
+)
+def test_a_row_that_could_not_be_drawn_is_refused(page: Page, change: dict[str, Any], says: str) -> None:
+    """With one sentence, and no page hears of it."""
+    with pytest.raises(ProblemError, match=says):
+        page.put({**ROWS[0], **change})
+    with pytest.raises(ProblemError, match="a row lacks 'rate', 'degraded'; expected the keys tick, time"):
+        page.put({key: value for key, value in ROWS[0].items() if key not in ("rate", "degraded")})
+    page.put(ROWS[1])
+    assert Reader(page).take(2)[1] == ("tick", ROWS[1])
+
+
+@pytest.mark.parametrize(
+    ("build", "says"),
+    [
+        (lambda: replace(ROVER, tick=0.0), "tick is 0; expected 0 < tick"),
+        (lambda: replace(ROVER, ticks=0), "ticks is 0; expected a whole number, at least 1"),
+        (lambda: replace(ROVER, value=0.2), "price is 0.2; expected 0 ≤ price ≤ 0.1"),
+        (lambda: replace(ROVER, knob=("price", -1.0, 1.0)), "the least price is -1; expected 0 ≤"),
+        (lambda: replace(ROVER, knob=("price", 1.0, 1.0)), "the largest price is 1; expected 1 <"),
+        (lambda: replace(ROVER, bound=float("inf")), "bound is inf; expected a finite number"),
+        (lambda: replace(OMNI, states=("x [m]",)), "states has 1 names; expected at least 2 of the robot 'omni'"),
+        (lambda: replace(OMNI, reference=((1.0,),)), "reference holds a state of 1 numbers; expected 2 to 3"),
+    ],
+)
+def test_a_round_that_could_not_be_shown_is_refused(build: Callable[[], object], says: str) -> None:
+    """Where it is told, before a page hears of it; and a row needs a round."""
+    with pytest.raises(ProblemError, match=says):
+        build()
+    with Page(("127.0.0.1", 0)) as page, pytest.raises(ProblemError, match="a row is put before a round; expected"):
+        page.put(ROWS[0])
