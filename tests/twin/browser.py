@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -44,9 +45,17 @@ def browse() -> Iterator[Any]:
             browser.close()
 
 
-def await_ticks(tab: Any, count: int, patience: float = 10.0) -> None:
+def await_true(tab: Any, expression: str, patience: float = 8.0) -> None:
+    """Wait until an expression holds on a page; ``wait_for_function`` would need a page that permits ``eval``."""
+    end = time.monotonic() + patience
+    while not tab.evaluate(expression):
+        assert time.monotonic() < end, f"{expression} does not hold"
+        tab.wait_for_timeout(20)
+
+
+def await_ticks(tab: Any, count: int, patience: float = 8.0) -> None:
     """Wait until a page has drawn so many ticks of a round."""
-    tab.wait_for_function("count => +document.body.dataset.rows >= count", arg=count, timeout=1000 * patience)
+    await_true(tab, f"+document.body?.dataset.rows >= {count}", patience)
 
 
 def main() -> None:

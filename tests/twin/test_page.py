@@ -1,10 +1,9 @@
-"""The page of a run without a browser: what readers are told, what people ask, and who may."""
+"""The page of a run without a browser: what readers are told, and what people ask."""
 
 from __future__ import annotations
 
 import hashlib
 import http.client
-import json
 import re
 import socket
 import struct
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from twin.feeds import OMNI, ROVER, picture, rows
+from twin.readers import JSON, Reader, ask, call
 
 from taciturn.errors import ProblemError
 from taciturn.twin import feed, server
@@ -25,7 +25,6 @@ from taciturn.twin.page import Page
 
 ROOT = Path(__file__).parents[2]
 ROWS = rows(ROVER, 30)
-JSON = {"Content-Type": "application/json"}
 
 
 @pytest.fixture
@@ -34,61 +33,6 @@ def page() -> Iterator[Page]:
     with Page(("127.0.0.1", 0)) as page:
         page.begin(ROVER)
         yield page
-
-
-class Reader:
-    """Follows the events of a page."""
-
-    def __init__(self, page: Page, last: str = "") -> None:
-        """Ask for the events that follow the last one."""
-        self._connection = http.client.HTTPConnection(*page.address, timeout=10)
-        _, mark, query = page.url.partition("?")
-        headers = {"Last-Event-ID": last} if last else {}
-        self._connection.request("GET", f"/events{mark}{query}", headers=headers)
-        self._answer = self._connection.getresponse()
-        assert self._answer.headers["Content-Type"] == "text/event-stream; charset=utf-8"
-        self.last = ""
-
-    def next(self) -> tuple[str, Any]:
-        """Return kind and data of the next event; ("", None) where the stream has ended."""
-        fields: dict[str, str] = {}
-        while (line := self._answer.readline().decode().rstrip("\n")) or "event" not in fields:
-            if not line and self._answer.isclosed():
-                return "", None
-            name, _, value = line.partition(": ")
-            fields[name] = value
-        self.last = fields.get("id", self.last)
-        return fields["event"], json.loads(fields["data"])
-
-    def take(self, count: int) -> list[tuple[str, Any]]:
-        """Return so many events."""
-        return [self.next() for _ in range(count)]
-
-    def close(self) -> None:
-        """Go away."""
-        self._answer.close()
-        self._connection.close()
-
-
-def call(
-    page: Page, method: str, path: str, body: bytes | str | None = None, headers: dict[str, str] | None = None
-) -> tuple[int, bytes]:
-    """Return status and body of an answer; every answer must have the headers that protect the page."""
-    connection = http.client.HTTPConnection(*page.address, timeout=10)
-    try:
-        connection.request(method, path, body, headers or {})
-        answer = connection.getresponse()
-        assert "default-src 'self'" in answer.headers["Content-Security-Policy"]
-        assert answer.headers["X-Content-Type-Options"] == "nosniff"
-        assert answer.headers["Access-Control-Allow-Origin"] is None
-        return answer.status, answer.read()
-    finally:
-        connection.close()
-
-
-def ask(page: Page, what: str, value: object, headers: dict[str, str] | None = None) -> int:
-    """Ask the run for something; return the status."""
-    return call(page, "POST", "/ask", json.dumps({"ask": what, "value": value}), {**JSON, **(headers or {})})[0]
 
 
 def test_a_reader_is_told_the_round_row_by_row(page: Page) -> None:
@@ -242,83 +186,6 @@ def test_requests_wait_for_a_round_and_do_not_pile_up(page: Page) -> None:
     assert ask(page, "push", 1) == 200
 
 
-@pytest.mark.parametrize(
-    ("headers", "sees", "acts"),
-    [
-        ({}, True, True),
-        ({"Host": "localhost"}, True, True),
-        ({"Host": "[::1]:80", "Origin": "http://[::1]:80"}, True, True),
-        ({"Host": "localhost:7", "Origin": "http://localhost:7"}, True, True),  # a tunnel of ssh
-        ({"Host": "evil.example"}, False, False),  # DNS rebinding
-        ({"Host": "localhost.evil.example"}, False, False),
-        ({"Host": "127.0.0.1.evil.example:80"}, False, False),
-        ({"Host": ""}, False, False),
-        ({"Origin": "http://evil.example"}, True, False),  # a page elsewhere
-        ({"Origin": "http://localhost:1"}, True, False),  # another server of this machine
-        ({"Origin": "null"}, True, False),
-        ({"Content-Type": "text/plain"}, True, False),  # what a form may send unasked
-        ({"Content-Type": "application/x-www-form-urlencoded"}, True, False),
-    ],
-)
-def test_without_a_token_only_this_machine_sees_and_acts(
-    page: Page, headers: dict[str, str], sees: bool, acts: bool
-) -> None:
-    """By Host, Origin and the type of the content, which other pages cannot forge."""
-    page.show(picture(ROVER, ROWS[0]))
-    assert [call(page, "GET", path, None, headers)[0] for path in ("/", "/picture")] == [200 if sees else 403] * 2
-    assert sees or call(page, "GET", "/events", None, headers)[0] == 403
-    assert ask(page, "push", 1, headers) == (200 if acts else 403)
-    assert page.asked() == ([("push", 1.0)] if acts else [])
-
-
-def test_two_hosts_are_none(page: Page) -> None:
-    """A request that names this machine and another one is refused."""
-    with socket.create_connection(page.address, 10) as connection:
-        connection.sendall(b"GET / HTTP/1.0\r\nHost: localhost\r\nHost: evil.example\r\n\r\n")
-        assert connection.makefile("rb").readline().split()[1] == b"403"
-
-
-def test_with_a_token_nobody_sees_or_acts_without_it() -> None:
-    """To see it stands in the address, to act in a header; an address alone does not act."""
-    with Page(("0.0.0.0", 0), token="a+b/c&d") as page:
-        page.begin(ROVER)
-        page.show(picture(ROVER, ROWS[0]))
-        query = f"?{page.url.partition('?')[2]}"
-        assert query == "?token=a%2Bb%2Fc%26d"
-        for path in ("/", "/picture"):
-            for given, status in ((query, 200), ("", 403), ("?token=", 403), ("?token=a", 403), (2 * query, 403)):
-                assert call(page, "GET", path + given)[0] == status, path + given
-        assert call(page, "GET", "/events?token=wrong")[0] == 403
-        assert Reader(page).next()[0] == "begin"
-        for given in ({}, {"Authorization": "Bearer a"}, {"Authorization": "Bearer "}, {"Authorization": "Bearer ä"}):
-            assert ask(page, "push", 1, given) == 403
-        body = json.dumps({"ask": "push", "value": 1})
-        assert call(page, "POST", "/ask" + query, body, JSON)[0] == 404
-        own = {"Authorization": "Bearer a+b/c&d"}
-        assert ask(page, "push", 1, {**own, "Content-Type": "text/plain"}) == 403
-        assert page.asked() == []
-        assert ask(page, "push", 1, {**own, "Host": "robot.example"}) == 200
-        assert page.asked() == [("push", 1.0)]
-
-
-@pytest.mark.parametrize(
-    ("bind", "token", "says"),
-    [
-        (("0.0.0.0", 0), None, "is to listen on 0.0.0.0 without a token; expected a loopback address"),
-        (("", 0), None, "is to listen on every address without a token"),
-        (("192.0.2.1", 0), None, "is to listen on 192.0.2.1 without a token"),
-        (("192.0.2.1", 0), "secret", r"192.0.2.1:0 cannot serve the page \(.*\); expected a free port"),
-        (("127.0.0.1", 0), "", "token is ''; expected one or more ASCII"),
-        (("127.0.0.1", 0), "two words", "token is 'two words'; expected"),
-        (("127.0.0.1", 0), "schlüssel", "token is 'schlüssel'; expected"),
-    ],
-)
-def test_a_door_that_would_stand_open_is_refused(bind: tuple[str, int], token: str | None, says: str) -> None:
-    """Nobody outside reaches a page without a token, and a token must fit into a header."""
-    with pytest.raises(ProblemError, match=says):
-        Page(bind, token)
-
-
 def test_a_port_in_use_is_one_sentence(page: Page) -> None:
     """It says which, and what to do; a port that is closed can be used again."""
     port = page.address[1]
@@ -330,26 +197,6 @@ def test_a_port_in_use_is_one_sentence(page: Page) -> None:
     assert [kind for kind, _ in reader.take(3)] == ["begin", "end", ""]
     with Page(("127.0.0.1", port)) as again:
         assert again.url == f"http://127.0.0.1:{port}/"
-
-
-@pytest.mark.parametrize(
-    "path",
-    [
-        "/ask",
-        "/nothing",
-        "/web/page.js",
-        "/../page.py",
-        "/%2e%2e/page.py",
-        "//etc/passwd",
-        "/page.js/../../door.py",
-        "/[",
-    ],
-)
-def test_other_paths_are_not_there(page: Page, path: str) -> None:
-    """Only the files of the page are served, by their names."""
-    assert call(page, "GET", path)[0] == 404
-    assert call(page, "POST", path if path != "/ask" else "/", "{}", JSON)[0] == 404
-    assert call(page, "PUT", path)[0] == 501
 
 
 def test_the_files_of_the_page_are_served_and_name_no_other_server(page: Page) -> None:

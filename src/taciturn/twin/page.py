@@ -70,7 +70,9 @@ class About:
             number("bound", self.bound)
         needed = 2 if self.robot == "omni" else 1
         if len(self.states) < needed:
-            raise ProblemError(f"states has {len(self.states)} names; expected at least {needed} of the robot {self.robot!r}")
+            raise ProblemError(
+                f"states has {len(self.states)} names; expected at least {needed} of the robot {self.robot!r}"
+            )
         for state in self.reference:
             if not needed <= len(state) <= len(self.states):
                 raise ProblemError(

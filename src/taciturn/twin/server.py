@@ -66,7 +66,7 @@ class Server(ThreadingHTTPServer):
                 f"{bind[0]}:{bind[1]} cannot serve the page ({error.strerror}); expected a free port of this machine: "
                 "choose another one, or 0 for any"
             ) from None
-        self._thread = threading.Thread(target=self.serve_forever, args=(0.1,), daemon=True)
+        self._thread = threading.Thread(target=self.serve_forever, args=(0.03,), daemon=True)
         self._thread.start()
 
     @property

@@ -1,0 +1,264 @@
+"""The page of a run in a headless Chromium: what it shows moves, and what people do with it reaches the run."""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from twin.browser import await_ticks, await_true, browse, missing
+from twin.feeds import OMNI, ROVER, picture, rows
+
+from taciturn.twin.page import Page
+
+WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+ROWS = rows(ROVER, 40)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Return a browser; skip, so that nobody overlooks it, where there is none."""
+    if lacks := missing():
+        pytest.skip(f"NOT SHOWN: the page in a browser; {lacks}")
+    with browse() as browser:
+        yield browser
+
+
+@pytest.fixture
+def page() -> Iterator[Page]:
+    """Return a page on which a round of the rover has begun."""
+    with Page(("127.0.0.1", 0)) as page:
+        page.begin(ROVER)
+        yield page
+
+
+class Tabs:
+    """Opens pages and keeps what their consoles complain of."""
+
+    def __init__(self, browser: Any) -> None:
+        """None is open."""
+        self._browser, self._open, self.errors = browser, list[Any](), list[str]()
+
+    def open(self, url: str, size: dict[str, int] = WIDE) -> Any:
+        """Open one and wait until it listens."""
+        tab = self._browser.new_page(viewport=size)
+        self._open.append(tab)
+        tab.set_default_timeout(8000)
+        tab.on("console", lambda message: message.type in ("error", "warning") and self.errors.append(message.text))
+        tab.on("pageerror", lambda error: self.errors.append(str(error)))
+        tab.goto(url, wait_until="commit")
+        tab.wait_for_selector("#status[data-state=connected], #status[data-state=waiting], #status[data-state=paused]")
+        return tab
+
+    def close(self) -> None:
+        """Close all."""
+        for tab in self._open:
+            tab.close()
+
+
+@pytest.fixture
+def tabs(browser: Any) -> Iterator[Tabs]:
+    """Return an opener of pages; their consoles must have stayed silent."""
+    tabs = Tabs(browser)
+    yield tabs
+    tabs.close()
+    assert tabs.errors == []
+
+
+def await_asked(page: Page, count: int = 1) -> list[tuple[str, float]]:
+    """Return what is asked, once so much has come."""
+    found: list[tuple[str, float]] = []
+    end = time.monotonic() + 8
+    while len(found) < count and time.monotonic() < end:
+        found += page.asked()
+        time.sleep(0.01)
+    return found
+
+
+def drawn(tab: Any, panel: str) -> str:
+    """Return what is drawn in a panel, as text."""
+    return tab.evaluate(f"document.querySelector('#{panel} canvas').toDataURL()")
+
+
+@pytest.mark.parametrize("about", [ROVER, OMNI], ids=["rover", "omni"])
+def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about: Any) -> None:
+    """Every panel is drawn anew, the numbers are those of the latest row, and the next round starts anew."""
+    if about is OMNI:
+        page.begin(OMNI)
+    tab, told = tabs.open(page.url), rows(about, 40)
+    panels = ("path", "input", "trigger", "raster", "cost", "rate")
+    for row in told[:2]:
+        page.put(row)
+    await_ticks(tab, 2)
+    before = {panel: drawn(tab, panel) for panel in panels}
+    for row in told[2:]:
+        page.put(row)
+    await_ticks(tab, 40)
+    assert [panel for panel in panels if drawn(tab, panel) == before[panel]] == []
+    now = [float(cell) for cell in tab.locator("#now tbody tr").first.locator("td").all_text_contents()]
+    assert now == pytest.approx([told[39]["state"][0], told[39]["estimate"][0]], rel=5e-4)
+    assert float(tab.locator("#cost .legend").inner_text().split()[1]) == pytest.approx(told[39]["cost"], rel=5e-4)
+    assert ("guaranteed" in tab.inner_text("#cost")) == (about.bound is not None)
+    assert f"tick 40 of {about.ticks}" in tab.inner_text("#progress")
+    page.begin(replace(about, round=9))
+    page.put(told[0])
+    await_true(tab, "document.body.dataset.rows === '1'")
+    assert "round 9, tick 1 of" in tab.inner_text("#progress")
+
+
+def test_a_tab_that_joins_late_shows_the_same(tabs: Tabs, page: Page) -> None:
+    """The whole round, the picture and the notes."""
+    for row in ROWS:
+        page.put(row)
+    page.show(picture(ROVER, ROWS[-1]))
+    page.note("camera: <b>no marker</b> seen")
+    both = [tabs.open(page.url), tabs.open(page.url)]
+    for tab in both:
+        await_ticks(tab, 40)
+        await_true(tab, "document.getElementById('picture').naturalWidth === 320")
+        assert tab.is_visible("#picture")
+        assert "camera: <b>no marker</b> seen" in tab.inner_text("#log")  # as text
+    assert both[0].inner_text("#now") == both[1].inner_text("#now")
+
+
+def test_the_picture_is_the_newest(tabs: Tabs, page: Page) -> None:
+    """However fast they come, the last one is shown."""
+    tab = tabs.open(page.url)
+    assert tab.is_visible("#blind")
+    for k in range(30):
+        page.show(picture(ROVER, ROWS[0], (64 + k, 48)))
+    await_true(tab, "document.getElementById('picture').naturalWidth === 93")
+    assert not tab.is_visible("#blind")
+
+
+def test_the_slider_acts_when_it_is_released(tabs: Tabs, page: Page) -> None:
+    """Its ends are the least (here 0) and the largest value; while it is held nothing is asked."""
+    tab = tabs.open(page.url)
+    tab.wait_for_selector("#knob:enabled")
+    assert tab.inner_text("#knob-value") == "0.01"
+    for key, value in (("End", 0.1), ("Home", 0.0)):
+        tab.focus("#knob")
+        tab.keyboard.press(key)
+        assert await_asked(page) == [("value", value)]
+    box = tab.locator("#knob").bounding_box()
+    tab.mouse.move(box["x"] + 9, box["y"] + box["height"] / 2)
+    tab.mouse.down()
+    tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=5)
+    await_true(tab, "!document.getElementById('knob-value').textContent.endsWith('→ 0')")
+    assert page.asked() == []
+    tab.mouse.up()
+    [(what, value)] = await_asked(page)
+    assert what == "value"
+    assert 0.0008 < value < 0.00125  # half way up four decades: 0.001, by a pixel
+    page.begin(replace(ROVER, value=0.05))
+    await_true(tab, "document.getElementById('knob-value').textContent === '0.05'")
+    page.begin(replace(OMNI, value=0.1))  # above 0 the middle is the geometric mean: 0.1² = 0.001 · 10
+    await_true(tab, "document.getElementById('knob-name').textContent === 'theta'")
+    assert tab.input_value("#knob") == "500"
+
+
+def test_pause_and_push_reach_the_run_and_the_other_tabs(tabs: Tabs, page: Page) -> None:
+    """A pause on one page is one on all, and any page ends it."""
+    first, second = tabs.open(page.url), tabs.open(page.url)
+    for tab in (first, second):
+        tab.wait_for_selector("#push:enabled")
+    first.click("#push")
+    assert await_asked(page) == [("push", 1.0)]
+    first.click("#pause")
+    assert await_asked(page) == [("pause", 1.0)]
+    second.wait_for_selector("#status[data-state=paused]")
+    assert second.inner_text("#pause") == "Go on"
+    second.click("#pause")
+    assert await_asked(page) == [("pause", 0.0)]
+    first.wait_for_selector("#status[data-state=connected]")
+
+
+def test_a_page_with_a_token_shows_and_acts(tabs: Tabs) -> None:
+    """By the address that the run prints."""
+    with Page(("0.0.0.0", 0), token="a+b/c&d") as page:
+        page.begin(ROVER)
+        page.put(ROWS[0])
+        page.show(picture(ROVER, ROWS[0]))
+        tab = tabs.open(page.url)
+        await_ticks(tab, 1)
+        await_true(tab, "document.getElementById('picture').naturalWidth === 320")
+        tab.click("#push")
+        assert await_asked(page) == [("push", 1.0)]
+
+
+def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs, page: Page) -> None:
+    """The page says that it has ended, and shows the next run at the same address without being touched."""
+    page.put(ROWS[0])
+    tab = tabs.open(page.url)
+    await_ticks(tab, 1)
+    page.close()
+    tab.wait_for_selector("#status[data-state=ended]")
+    assert tab.is_disabled("#push")
+    with Page(page.address) as again:
+        again.begin(OMNI)
+        for row in rows(OMNI, 5):
+            again.put(row)
+        await_ticks(tab, 5)
+        tab.wait_for_selector("#status[data-state=connected]")
+        assert "omni, lossy-lqg" in tab.inner_text("header")
+        tab.close()
+    assert [text for text in tabs.errors if "ERR_CONNECTION_REFUSED" not in text] == []
+    tabs.errors.clear()  # what the browser itself says of a server that is gone
+
+
+def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
+    """Zeros are put at the bottom; values below zero, or of like size, are drawn as they are."""
+    tab = tabs.open(page.url)
+    title = "document.querySelector('#trigger h2').textContent"
+    log = "trigger (log; 0 at the bottom)"
+    cases = ((0.0, 1e-6, 0.1), log), ((-1.0, 1e-6, 0.1), "trigger"), ((0.0, 1e-6, 0.1), log), ((0.0,) * 3, "trigger")
+    for values, says in (*cases, ((None,) * 3, "trigger"), ((1.0, 2.0, 0.0), "trigger")):
+        page.begin(ROVER)
+        for row, value in zip(ROWS, values, strict=False):
+            page.put({**row, "trigger": value, "threshold": None if value is None else 0.05})
+        await_true(tab, f"document.body.dataset.rows === '3' && {title} === '{says}'")
+
+
+def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None:
+    """Arrived, lost and silent are drawn by different strokes, whatever their colours."""
+    shapes = tabs.open(page.url).evaluate(
+        """async () => { const { drawRaster } = await import("./drawings.js");
+        return [[1, 1], [1, 0], [0, 0]].map(([sent, arrived]) => {
+          const marks = [], draw = (_, name) => (...numbers) => marks.push([name, ...numbers]);
+          const row = { tick: 1, sent: { a: sent }, arrived: { a: arrived }, degraded: 0 };
+          const pen = new Proxy({}, { set: () => true, get: draw });
+          drawRaster(pen, 400, 100, { about: { links: ["a"] }, rows: [row] });
+          return JSON.stringify(marks); }); }"""
+    )
+    assert len(set(shapes)) == 3
+
+
+@pytest.mark.parametrize(("about", "size"), [(ROVER, WIDE), (OMNI, WIDE), (OMNI, PHONE)])
+def test_it_fits_a_screen_and_a_phone(tabs: Tabs, page: Page, about: Any, size: dict[str, int]) -> None:
+    """At 1280 by 800 nothing needs scrolling; on a phone nothing is wider than it, and buttons fit a thumb."""
+    page.begin(about)
+    for row in rows(about, 40):
+        page.put(row)
+    tab = tabs.open(page.url, size)
+    await_ticks(tab, 40)
+    width, height = tab.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
+    assert width <= size["width"]
+    assert size is PHONE or height <= size["height"]
+    assert size is WIDE or tab.locator("#push").bounding_box()["height"] >= 44
+    overlaps = tab.evaluate(
+        """() => { const all = [...document.querySelectorAll("header, section")];
+        const boxes = all.map((element) => element.getBoundingClientRect());
+        return boxes.flatMap((a, i) => boxes.slice(i + 1).filter((b) => a.left < b.right - 1
+          && b.left < a.right - 1 && a.top < b.bottom - 1 && b.top < a.bottom - 1)).length; }"""
+    )
+    assert overlaps == 0
+
+
+def test_a_missing_browser_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The reason to skip says what to install."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert re.search(r"expected .*: (apt-get install chromium|pip install playwright)$", missing())
