@@ -8,7 +8,8 @@ export function format(value) {
   if (value === null || value === undefined) return "–";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  return size < 1e-3 || size >= 1e5 ? value.toExponential(2).replace(/\.?0+e/, "e") : String(Number(value.toPrecision(4)));
+  if (size < 1e-3 || size >= 1e5) return value.toExponential(2).replace(/\.?0+e/, "e");
+  return String(Number(value.toPrecision(4)));
 }
 
 // What the lines of a legend look like, also without colour.
@@ -60,7 +61,7 @@ export class Curves {
       stroke: () => color("dim"), font: FONT, gap: 3,
       grid: { stroke: () => color("line"), width: 1 }, ticks: { stroke: () => color("line"), width: 1, size: 4 },
     };
-    const width = (plot, labels) => 14 + 6.5 * Math.max(3, ...(labels ?? []).map((label) => String(label ?? "").length));
+    const width = (plot, labels) => 14 + 6.5 * Math.max(3, ...(labels ?? []).map((label) => label.length));
     const ticks = (plot, splits) => splits.map((value) => (value === null ? "" : format(value)));
     this.plot = new uPlot({
       width: this.host.clientWidth, height: this.host.clientHeight, padding: [8, 10, 0, 0],
@@ -69,13 +70,18 @@ export class Curves {
         y: log ? { distr: 3, range: (plot, least, most) => [least ?? 0.1, (most ?? 1) * 1.6] }
           : { range: range(lower, upper, include) },
       },
-      axes: [{ ...axis, size: 22, values: ticks }, { ...axis, size: width, values: ticks, space: 26, ...(log && { splits: decades, filter: (plot, splits) => splits }) }],
+      axes: [
+        { ...axis, size: 22, values: ticks },
+        { ...axis, size: width, values: ticks, space: 26, ...(log && { splits: decades, filter: (_, all) => all }) },
+      ],
       series: [{}, ...series.map((one) => this.line(one))],
       legend: { show: false },
       cursor: { y: false, drag: { x: false, y: false }, sync: { key: "time" }, points: { size: 6 } },
       hooks: { setCursor: [() => this.tell()] },
     }, [[], ...series.map(() => [])], this.host);
-    this.watch = new ResizeObserver(() => this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight }));
+    this.watch = new ResizeObserver(() => {
+      this.plot.setSize({ width: this.host.clientWidth, height: this.host.clientHeight });
+    });
     this.watch.observe(this.host);
   }
 
@@ -83,7 +89,8 @@ export class Curves {
     const stroke = () => color(name);
     if (look === "disc" || look === "ring") {
       const fill = look === "disc" ? stroke : () => color("panel");
-      return { stroke, paths: () => null, points: { show: true, size: look === "disc" ? 6 : 9, width: 1.5, stroke, fill } };
+      const points = { show: true, size: look === "disc" ? 6 : 9, width: 1.5, stroke, fill };
+      return { stroke, paths: () => null, points };
     }
     return {
       stroke, width: 1.6, dash: DASHES[look], points: { show: false },

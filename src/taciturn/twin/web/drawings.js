@@ -56,20 +56,22 @@ export function drawPlane(pen, width, height, { about, rows }) {
   const truth = rows.map((row) => row.state), estimate = rows.map((row) => row.estimate);
   const [left, bottom, room] = [46, 32, 10];
   const ranges = [0, 1].map((i) => extent([truth, estimate, about.reference], i));
-  const unit = 1.08 * Math.max(
-    (ranges[0][1] - ranges[0][0]) / (width - left - room), (ranges[1][1] - ranges[1][0]) / (height - bottom - room), 1e-6);
+  const [wide, high] = [width - left - room, height - bottom - room];
+  const unit = 1.08 * Math.max((ranges[0][1] - ranges[0][0]) / wide, (ranges[1][1] - ranges[1][0]) / high, 1e-6);
   const middle = ranges.map(([low, high]) => (low + high) / 2);
-  const across = (x) => left + (width - left - room) / 2 + (x - middle[0]) / unit;
-  const up = (y) => room + (height - bottom - room) / 2 - (y - middle[1]) / unit;
+  const across = (x) => left + wide / 2 + (x - middle[0]) / unit;
+  const up = (y) => room + high / 2 - (y - middle[1]) / unit;
 
   pen.lineWidth = 1;
   pen.strokeStyle = color("line");
   pen.fillStyle = color("dim");
-  const step = stepOf(Math.min(width - left, height - bottom) * unit, 5);
-  const grid = (low, high, draw) => {
-    for (let k = Math.ceil(low / step); k * step <= high; k++) draw(k * step, format(Number((k * step).toPrecision(6))));
+  const step = stepOf(Math.min(wide, high) * unit, 5);
+  const grid = (low, most, draw) => {
+    for (let k = Math.ceil(low / step); k * step <= most; k++) {
+      draw(k * step, format(Number((k * step).toPrecision(6))));
+    }
   };
-  const span = [(width - left - room) / 2 * unit, (height - bottom - room) / 2 * unit];
+  const span = [wide / 2 * unit, high / 2 * unit];
   pen.textAlign = "center";
   grid(middle[0] - span[0], middle[0] + span[0], (x, label) => {
     stroke(pen, [[across(x), room], [across(x), height - bottom]]);

@@ -1,4 +1,5 @@
-// The page of a run: hears the events, keeps the rows of the round, draws them at most ten times a second.
+// The page of a run: hears the events, keeps the rows of the round, and draws them at most ten times a second and for
+// at most a fifth of the time.
 
 import { Curves, format, legend } from "./curves.js";
 import { Drawing, drawPlane, drawRaster } from "./drawings.js";
@@ -8,10 +9,11 @@ const token = new URLSearchParams(location.search).get("token");
 const at = (path, query = {}) => `${path}?${new URLSearchParams({ ...query, ...(token && { token }) })}`;
 const SILENCE = 6000; // milliseconds without a word after which the run counts as lost; it speaks every two seconds
 const LINES = 200; // of the log
+const KEPT = 50000; // rows of an endless round
 
 let round = null; // {about, rows}
 let panels = {};
-let link = "lost", paused = false, dirty = false, drawn = 0;
+let link = "lost", paused = false, dirty = false, next = 0;
 
 // Listening.
 
@@ -21,12 +23,20 @@ function connect() {
   source?.close();
   source = new EventSource(at("events"));
   heard = Date.now();
-  const on = (kind, act) => source.addEventListener(kind, (event) => { heard = Date.now(); act(JSON.parse(event.data)); });
-  source.onopen = () => setLink("connected");
+  const on = (kind, act) => source.addEventListener(kind, (event) => {
+    heard = Date.now();
+    act(JSON.parse(event.data));
+  });
+  let anew = true; // then all is told again; when the browser reconnects by itself, only what was missed
+  source.onopen = () => {
+    if (anew) $("log").querySelector("ol").replaceChildren();
+    anew = false;
+    setLink("connected");
+  };
   source.onerror = () => { if (link !== "ended") setLink("lost"); };
   on("wait", () => { clear(); round = null; paused = false; showStatus(); });
   on("begin", begin);
-  on("tick", (row) => { round.rows.push(row); plan(); });
+  on("tick", (row) => { if (round.rows.push(row) > 2 * KEPT) round.rows.splice(0, KEPT); plan(); });
   on("picture", (newest) => { camera.wanted = newest; camera.load(); });
   on("note", note);
   on("asked", hear);
@@ -89,12 +99,12 @@ function begin(about) {
   clear();
   round = { about, rows: [] };
   paused = false;
-  const links = about.links.map((name, i) => ({ name, color: ["third", "ink"][i] ?? "bound", look: i ? "disc" : "ring" }));
+  const sends = about.links.map((name, i) => (
+    { name: `${name} sends`, color: ["third", "ink"][i] ?? "bound", look: i ? "disc" : "ring" }));
   const path = [
     { name: "true", color: "true", look: "solid" }, { name: "estimate", color: "estimate", look: "dashed" },
     ...(about.reference.length ? [{ name: "reference", color: "reference", look: "dotted" }] : []),
   ];
-  const sends = links.map((one) => ({ ...one, name: `${one.name} sends` }));
   const looks = [["true", "solid"], ["estimate", "dashed"], ["third", "dotted"]];
   const styled = (names) => names.map((name, i) => ({ name, color: looks[i % 3][0], look: looks[i % 3][1] }));
   if (about.robot === "omni") {
@@ -103,7 +113,8 @@ function begin(about) {
   } else {
     panels.path = new Curves($("path"), [...path, ...sends]);
   }
-  $("path").querySelector("h2").textContent = about.robot === "omni" ? "path" : `path: ${about.states[0]} over time [s]`;
+  const title = about.robot === "omni" ? "path" : `path: ${about.states[0]} over time [s]`;
+  $("path").querySelector("h2").textContent = title;
   panels.input = new Curves($("input"), styled(about.inputs).map((one) => ({ ...one, steps: true })));
   panels.cost = new Curves($("cost"), [
     { name: "cost", color: "true", look: "solid" },
@@ -122,7 +133,8 @@ function begin(about) {
 function newTrigger(log) {
   panels.trigger?.close();
   panels.trigger = new Curves($("trigger"), [
-    { name: "value", color: "true", look: "solid", steps: true }, { name: "threshold", color: "lost", look: "dashed", steps: true },
+    { name: "value", color: "true", look: "solid", steps: true },
+    { name: "threshold", color: "lost", look: "dashed", steps: true },
   ], { log });
   $("trigger").querySelector("h2").textContent = log ? "trigger (log; 0 at the bottom)" : "trigger";
 }
@@ -146,14 +158,16 @@ function scaled(values) {
 function plan() {
   if (dirty) return;
   dirty = true;
-  setTimeout(() => { dirty = false; if (!document.hidden) draw(); }, Math.max(0, drawn + 100 - Date.now()));
+  setTimeout(() => { dirty = false; if (!document.hidden) draw(); }, Math.max(0, next - Date.now()));
 }
 document.addEventListener("visibilitychange", plan);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => Object.values(panels).forEach((panel) => panel.redraw()));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const panel of Object.values(panels)) panel.redraw();
+});
 
 function draw() {
   if (!round) return;
-  const { about, rows } = round;
+  const { about, rows } = round, began = performance.now();
   const time = rows.map((row) => row.time), of = (pick) => rows.map(pick), last = rows.at(-1);
   if (about.robot === "omni") panels.path.set(round);
   else {
@@ -170,10 +184,11 @@ function draw() {
   const [log, values] = scaled([of((row) => row.trigger), of((row) => row.threshold)]);
   if (log !== panels.trigger.log) newTrigger(log);
   panels.trigger.set([time, ...values]);
-  $("progress").textContent = `round ${about.round}` + (last ? `, tick ${last.tick + 1} of ${about.ticks}, ${format(last.time)} s` : "");
+  const reached = last ? `, tick ${last.tick + 1} of ${about.ticks}, ${format(last.time)} s` : "";
+  $("progress").textContent = `round ${about.round}${reached}`;
   if (last) showNow(about, last);
   showStatus();
-  drawn = Date.now();
+  next = Date.now() + Math.max(100, 4 * (performance.now() - began)); // a long round leaves time for everything else
   document.body.dataset.rows = rows.length;
 }
 
@@ -210,7 +225,8 @@ const knob = {
     const between = (step) => foot * (largest / foot) ** ((step - span) / (1000 - span));
     const rounded = (step) => Math.min(Math.max(Number(between(step).toPrecision(3)), least), largest);
     this.read = (step) => step <= 0 ? least : step >= 1000 ? largest : rounded(step);
-    this.write = (known) => known < foot ? 0 : Math.round(span + (1000 - span) * Math.log(known / foot) / Math.log(largest / foot));
+    const share = (known) => Math.log(known / foot) / Math.log(largest / foot);
+    this.write = (known) => known < foot ? 0 : Math.round(span + (1000 - span) * share(known));
     this.value = value;
     $("knob-name").textContent = name;
     if (!this.held) $("knob").value = this.write(value);
@@ -221,8 +237,14 @@ const knob = {
     $("knob").setAttribute("aria-valuetext", text);
   },
 };
-$("knob").oninput = () => { knob.held = true; knob.say(`${format(knob.value)} → ${format(knob.read(+$("knob").value))}`); };
-$("knob").onchange = () => { knob.held = false; ask("value", knob.read(+$("knob").value)); };
+$("knob").oninput = () => {
+  knob.held = true;
+  knob.say(`${format(knob.value)} → ${format(knob.read(+$("knob").value))}`);
+};
+$("knob").onchange = () => {
+  knob.held = false;
+  ask("value", knob.read(+$("knob").value));
+};
 $("pause").onclick = () => ask("pause", paused ? 0 : 1);
 $("push").onclick = () => ask("push", 1);
 $("controls").onsubmit = (event) => event.preventDefault();
@@ -244,7 +266,8 @@ function hear({ ask: what, value }) {
     $("knob").value = knob.write(value);
     knob.say(value === knob.value ? format(value) : `${format(knob.value)} → ${format(value)}`);
   }
-  note({ pause: value ? "pause" : "go on", push: "push", value: `${$("knob-name").textContent} ${format(value)}` }[what]);
+  const name = $("knob-name").textContent;
+  note({ pause: value ? "pause" : "go on", push: "push", value: `${name} ${format(value)}` }[what]);
   showStatus();
 }
 
