@@ -61,19 +61,19 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
     return figure
 
 
-def check_format(path: str | Path) -> Path:
+def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
     """Return the path if its ending is one of ours.
 
     Raises:
         ProblemError: another ending, or a folder that does not exist.
     """
     path = Path(path)
-    if path.suffix.lower() not in FORMATS:
-        raise ProblemError(f"the picture {str(path)!r} ends in {path.suffix!r}; expected one of {', '.join(FORMATS)}")
+    if path.suffix.lower() not in formats:
+        raise ProblemError(f"the {what} {str(path)!r} ends in {path.suffix!r}; expected one of {', '.join(formats)}")
     if path.is_dir():
-        raise ProblemError(f"the picture {str(path)!r} is a folder; expected the name of a file")
+        raise ProblemError(f"the {what} {str(path)!r} is a folder; expected the name of a file")
     if not path.parent.is_dir():
-        raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the picture to")
+        raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the {what} to")
     if not os.access(path.parent, os.W_OK):
         raise ProblemError(f"the folder {str(path.parent)!r} cannot be written to; expected one that can")
     return path

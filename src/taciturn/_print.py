@@ -10,6 +10,7 @@ import typer
 from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     import xarray
@@ -45,8 +46,14 @@ def network(found: NetworkRun) -> None:
             shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
             lines.append(("lateness, ms", f"{name}: {shown}"))
     lines += [("note", note) for note in found.notes]
+    pairs(lines)
+
+
+def pairs(lines: Sequence[tuple[str, str]]) -> None:
+    """Print names and what stands behind them, one under the other."""
+    width = max(14, *(len(name) for name, _ in lines))
     for name, text in lines:
-        typer.echo(f"{name:14s} {text}")
+        typer.echo(f"{name:{width}s} {text}")
 
 
 def evaluation(found: Evaluation) -> None:

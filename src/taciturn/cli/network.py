@@ -106,8 +106,7 @@ def node(
         str | None, typer.Option(metavar="OUT", help="With --eye: a JSON line per picture, as --log.")
     ] = None,
     watch: Annotated[
-        str | None,
-        typer.Option(metavar="HOST:PORT", help="With --eye: who gets the pictures, with what is seen in them."),
+        Path | None, typer.Option(metavar="PATH", help="With --eye: keeps the newest picture, with what is seen in it.")
     ] = None,
 ) -> None:
     """Run one node of a problem: it meets its peers over UDP until it is interrupted, and prints what it counted."""
@@ -226,12 +225,11 @@ def _wire(
     questions: bool,
     eye: Path | None,
     seen: str | None,
-    watch: str | None,
+    watch: Path | None,
 ) -> Generator[Wire]:
     """Give what writes and reads the packets of a node; where the sensor is a camera, questions and pictures too."""
     from taciturn.errors import ProblemError
     from taciturn.runtime.packet import Wire
-    from taciturn.runtime.udp import parse_address
 
     if (questions and role != "sensor") or (eye is not None and role != "controller"):
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
@@ -245,8 +243,7 @@ def _wire(
     elif eye is not None:
         from taciturn.twin.control import picture_wire, read_eye
 
-        to = None if watch is None else parse_address("--watch", watch)
-        with picture_wire(policy, network, key, read_eye(eye), seen=seen, watch=to) as wire:
+        with picture_wire(policy, network, key, read_eye(eye), seen=seen, watch=watch) as wire:
             yield wire
     else:
         yield Wire(policy, network, key)

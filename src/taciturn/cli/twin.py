@@ -27,9 +27,7 @@ def twin(
     robot: Robot,
     file: Annotated[
         str | None,
-        typer.Argument(
-            metavar="[FILE]", help="A problem file with its policy. Default: the thesis's, for a model identified here."
-        ),
+        typer.Argument(metavar="[FILE]", help="Its policy is run. Default: the thesis's, for a model identified here."),
     ] = None,
     seed: Seed = 0,
     runs: Annotated[int, typer.Option(help="Missions to run at once, with seeds one after the other.")] = 1,
@@ -41,46 +39,56 @@ def twin(
         bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
     ] = False,
     fault: Faults = None,
-    wheels: Annotated[
-        str | None, typer.Option(help="How the wheels are modelled: capsule or, of the omni, rollers.")
-    ] = None,
+    wheels: Annotated[str | None, typer.Option(help="capsule or, of the omni, rollers: how they are modelled.")] = None,
     key: Key = None,
     record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
-    video: Annotated[
-        Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first mission.")
-    ] = None,
+    video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first.")] = None,
     plot: Plot = None,
+    live: Annotated[bool, typer.Option("--live", help="Serve a page to watch, round after round, until ended.")] = False,
+    bind: Annotated[str, typer.Option(metavar="HOST:PORT", help="With --live: where the page is.")] = "127.0.0.1:8000",
+    token: Annotated[
+        str | None, typer.Option(help="With --live: what others must know; needed where they can reach the page.")
+    ] = None,
+    speed: Annotated[float, typer.Option(help="With --live, in virtual time: how fast; 0: as fast as may be.")] = 1.0,
+    rounds: Annotated[int | None, typer.Option(help="With --live: how many. Default: until interrupted.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a robot's twin: rigid bodies, a camera that is asked, image processing, and packets between processes."""
     from taciturn import _print
+    from taciturn._figure import check_format, save
     from taciturn.runtime.packet import read_key
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
-    from taciturn.twin.record import check_video, write_record, write_video
+    from taciturn.twin.live import serve_twin
+    from taciturn.twin.record import check_record, check_video, write_record, write_video
+    from taciturn.twin.report import document_of, lines_of
     from taciturn.twin.run import run_twin
 
     found = find_robot(robot)
-    check_counts({"--runs": runs, "--loops": runs})
+    check_counts({"--runs": runs, "--loops": runs, "--rounds": rounds})
     given = {"zeta" if robot == "rover" else "price": price, "theta": theta}
     parameters = {name: value for name, value in given.items() if value is not None}
-    check_video(video)
-    with progress_bar("driving") as progress, ended_as_interrupted():
-        done = run_twin(
-            robot, file=file, seed=seed, runs=runs, parameters=parameters,
-            tick=tick_length(found.tick, real_time, tick), namespaces=namespaces,
-            faults=[parse_fault(text) for text in fault or []], variant=wheels, key=read_key(key), progress=progress,
-        )  # fmt: skip
-        if record is not None:
-            write_record(done, record)
-        if video is not None:
-            write_video(done, video)
-        if plot is not None:
-            _print.save(done.plot(), plot)
-    if as_json:
-        print_json(done.document())
+    length, faults = tick_length(found.tick, real_time, tick), [parse_fault(text) for text in fault or []]
+    for wanted, check in ((plot, check_format), (record, check_record), (video, check_video)):
+        if wanted is not None:
+            check(wanted)
+    how = Asked(file, seed, runs, parameters, length, namespaces, tuple(faults), wheels, read_key(key))
+    if live:
+        with until_stopped() as stopped:
+            done = watch_twin(robot, how, parse_address("--bind", bind), token, speed, rounds, stopped)
     else:
-        _print.twin(done)
+        with progress_bar("driving") as progress, ended_as_interrupted():
+            done = run_twin(robot, how, progress=progress)
+    if as_json:
+        print_json(document_of(done))
+    else:
+        _print.pairs(lines_of(done))
+    if record is not None:
+        write_record(done, record)
+    if video is not None:
+        write_video(done, video)
+    if plot is not None:
+        save(done.plot(), plot)
 
 
 @app.command()

@@ -237,7 +237,7 @@ class Processes:
         return role_at(self.policy, ENDS[link])
 
     def peer(self, role: NodeName) -> str | None:
-        """Return where the way of what a node sends goes on: a relay, the next node, or the sender where it only acknowledges."""
+        """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:

@@ -98,6 +98,7 @@ class PlantServer:
                 self._wait(zero + (tick + 1) * self._tick)
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
+                before = plant.state.tolist()
                 self.held += self._given[loop] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
                 self.largest = max(self.largest, float(np.abs(plant.state).max()))
@@ -108,7 +109,7 @@ class PlantServer:
                         "role": "plant",
                         "loop": loop,
                     }
-                    line |= {"x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
+                    line |= {"from": before, "x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
                     self._told(line)
         return self.report()
 

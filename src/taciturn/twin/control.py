@@ -8,12 +8,12 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.service import logged
-from taciturn.runtime.udp import Address, Endpoint
 from taciturn.twin.calibration import Calibration
 from taciturn.twin.catalogue import find_robot
 from taciturn.twin.robot import Robot
@@ -51,7 +51,7 @@ def picture_wire(
     eye: Eye,
     *,
     seen: str | None = None,
-    watch: Address | None = None,
+    watch: Path | None = None,
 ) -> Generator[PictureWire]:
     """Give a wire that reads pictures as measurements.
 
@@ -61,16 +61,16 @@ def picture_wire(
         key: that authenticates the packets.
         eye: that sees.
         seen: where a JSON line per picture goes, as ``taciturn.runtime.service.logged`` has it.
-        watch: who gets the pictures of the first loop, with what is seen drawn in.
+        watch: where the newest picture of the first loop is kept, with what is seen drawn in.
     """
-    with logged(seen) as told, Endpoint(("0.0.0.0", 0)) as watched:
+    with logged(seen) as told:
 
         def tell(packet: Packet, picture: bytes, values: Sequence[float] | None) -> None:
             if told is not None:
                 line = {"tick": packet.tick, "loop": packet.loop, "sequence": packet.sequence}
                 told({**line, "seen": None if values is None else list(values)})
             if watch is not None and packet.loop == 0:
-                watched.send(eye.draw(picture), watch)
+                write_whole(watch, eye.draw(picture))
 
         def see(picture: bytes) -> Sequence[float] | None:
             found = eye.see(picture)

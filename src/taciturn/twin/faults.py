@@ -35,6 +35,7 @@ KINDS = {
     "gain": Kind("the motors are stronger by this share, from the beginning on", 0.0, (0.1,)),
     "controller": Kind("the controller's process is killed and started again", 0.0),
 }
+CAMERA = ("camera", "cover", "light")  # those of the camera's process
 _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<start>[^+=@]+))?(\+(?P<lasts>[^+=@]+))?(=(?P<size>[^+=@]+))?")
 
 

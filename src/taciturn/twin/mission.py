@@ -1,4 +1,4 @@
-"""What the robots are to do, as problem files: a model that an experiment has identified, a cost, a network, a policy."""
+"""What the robots are to do, as problem files: a model that was identified, a cost, a network, a policy."""
 
 from __future__ import annotations
 
@@ -39,6 +39,10 @@ class Mission:
     knob: tuple[str, float, float]
 
 
+THESIS: Mapping[str, tuple[str, ...]] = {  # what it prints of its experiments
+    "rover": ("80 % and 90 % less; cost 127.85 against 116.47 all-time (simulated there: 113.15 against 103.66)",),
+    "omni": ("a picture without numbers: J below J_all at λ of 0, 0.001, 0.002 and 0.01",),
+}
 _UNIT = np.eye(3).tolist()
 MISSIONS: Mapping[str, Mission] = {
     "rover": Mission(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,11 +20,16 @@ from taciturn.simulation.sampling import Progress
 from taciturn.twin.calibration import Calibration, calibrate
 from taciturn.twin.catalogue import find_robot
 from taciturn.twin.faults import Fault
+from taciturn.twin.figures import figure_of
 from taciturn.twin.identification import Identification, identify
 from taciturn.twin.mission import all_time, check_mission, tables_of, write_toml
 from taciturn.twin.outcome import Trial
 from taciturn.twin.robot import Robot
 from taciturn.twin.trial import Setup, Watcher, run_trial
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,44 +91,34 @@ class TwinRun:
     @property
     def cost(self) -> Estimate:
         """Mean of the missions' costs."""
-        return _mean(self.trial.totals)
+        return mean(self.trial.totals)
 
     @property
     def rates(self) -> Mapping[str, Estimate]:
         """Mean fraction of the steps with a question to the camera, and with a send to the robot."""
-        return {link: _mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
+        return {link: mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
 
     @property
     def cost_bound(self) -> float | None:
         """What theory says of the identified model; None where something goes wrong that it does not know."""
         return None if self.faults or self.policy.guarantee is None else self.policy.guarantee.cost
 
+    def plot(self) -> Figure:
+        """Return a figure of the first run, beside that of the policy that always sends."""
+        trials = {"event-triggered": self.trial} | ({} if self.always is None else {"all-time": self.always})
+        return figure_of(self.prepared.robot, trials)
+
+    def to_dataset(self) -> xarray.Dataset:
+        """Return all that happened, labelled: see ``taciturn.twin.record.to_dataset``."""
+        from taciturn.twin.record import to_dataset
+
+        return to_dataset(self)
+
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn twin --json``."""
-        trial, robot = self.trial, self.prepared.robot
-        return {
-            "robot": robot.name,
-            "policy": self.policy.kind,
-            "runs": len(trial.totals),
-            "rates": {link: _document(rate) for link, rate in self.rates.items()},
-            "cost": _document(self.cost),
-            "cost_all_time": None if self.always is None else float(self.always.totals.mean()),
-            "cost_all_time_standard_error": None
-            if self.always is None
-            else _document(_mean(self.always.totals))["standard_error"],
-            "cost_all_time_model": self.policy.cost_all_time,
-            "cost_bound": self.cost_bound,
-            "vision": vision(trial.vision, robot),
-            "datagrams": dict(trial.datagrams),
-            "seed": self.prepared.seed,
-            "seconds": round(self.seconds, 3),
-            "ticks": trial.costs.shape[1],
-            "calibration": self.prepared.calibration.document(),
-            "model": self.prepared.model.document(),
-            "faults": [str(fault) for fault in self.faults],
-            "processes": {name: dict(report) for name, report in trial.reports.items()},
-            "notes": list(trial.notes),
-        }
+        from taciturn.twin.report import document_of
+
+        return document_of(self)
 
 
 def run_twin(
@@ -189,43 +184,23 @@ def run_twin(
             chosen.write_text(write_toml(tables), encoding="utf-8")
         policy = check_mission(robot, problem, file or "the mission")
         share = 0.5 if compare else 1.0
-        trial = run_trial(setup, chosen, _scaled(report, 0.0, share), watcher)
+        trial = run_trial(setup, chosen, scaled(report, 0.0, share), watcher)
         always = None
         if compare:
             other = Path(folder) / "all-time.toml"
             tables = all_time(problem).source
             assert tables is not None
             other.write_text(write_toml(tables), encoding="utf-8")
-            always = run_trial(replace(setup, faults=()), other, _scaled(report, share, 1.0))
+            always = run_trial(replace(setup, faults=()), other, scaled(report, share, 1.0))
     return TwinRun(found, policy, trial, always, tuple(faults), time.monotonic() - began)
 
 
-def vision(off: Array, robot: Robot) -> dict[str, Any]:
-    """Return bias and standard deviation of what the camera says, in millimetres and degrees."""
-    scale = np.array([1e3, 1e3, np.degrees(1.0)])[: off.shape[1]]
-    units = ("mm", "mm", "deg")
-    if not len(off):
-        return {"pictures": 0}
-    return {
-        "pictures": len(off),
-        **{
-            state.split(" ")[0]: {f"bias_{unit}": float(bias), f"standard_deviation_{unit}": float(spread)}
-            for state, unit, bias, spread in zip(
-                robot.states, units, off.mean(axis=0) * scale, off.std(axis=0) * scale, strict=False
-            )
-        },
-    }
-
-
-def _mean(values: Array) -> Estimate:
+def mean(values: Array) -> Estimate:
+    """Return the mean of independent runs, with its standard error where there are two or more."""
     error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
     return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
 
 
-def _document(estimate: Estimate) -> dict[str, Any]:
-    error = None if estimate.method == "exact" else estimate.standard_error
-    return {"value": estimate.value, "standard_error": error, "method": "simulation"}
-
-
-def _scaled(progress: Callable[[float], None], low: float, high: float) -> Callable[[float], None]:
+def scaled(progress: Progress, low: float, high: float) -> Progress:
+    """Return what tells a part of a whole how far it has come."""
     return lambda fraction: progress(low + (high - low) * fraction)

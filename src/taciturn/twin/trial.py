@@ -23,7 +23,7 @@ from taciturn.study.network import kernel_losses, logged_lines, losses
 from taciturn.twin.body import Body
 from taciturn.twin.calibration import Calibration
 from taciturn.twin.control import write_calibration
-from taciturn.twin.faults import Fault, window
+from taciturn.twin.faults import CAMERA, Fault, window
 from taciturn.twin.outcome import Told, Trial, put_together
 from taciturn.twin.robot import Robot
 from taciturn.twin.wire import CameraWire
@@ -69,15 +69,17 @@ class Watcher:
 
     Args:
         before: called before each tick with its number and the plants.
-        options: of the controller's process, so that it tells what it sees.
         told: called with what happened in each tick.
         stopped: whether to end before the mission has ended.
+        start: called with the folder in which the processes log.
+        pictures: whether the newest picture is to be there, as ``picture.jpg``, with what is seen drawn in.
     """
 
     before: Callable[[int, Sequence[TwinPlant]], None] = lambda tick, plants: None
-    options: Sequence[str] = ()
     told: Callable[[Mapping[str, Any]], None] = lambda line: None
     stopped: Callable[[], bool] = lambda: False
+    start: Callable[[Path], None] = lambda folder: None
+    pictures: bool = False
 
 
 def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watcher: Watcher | None = None) -> Trial:
@@ -98,9 +100,7 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
     assert horizon is not None
     outage = window(setup.faults, "actuator", robot.tick)
     if setup.namespaces and outage is not None:
-        raise ProblemError(
-            "a dead actuator link is asked for with namespaces, where no relay runs; expected one of them"
-        )
+        raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
     drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
     with (
         tempfile.TemporaryDirectory(prefix="taciturn-") as name,
@@ -122,11 +122,12 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
         processes.commands["camera"] = [
             "camera", robot.name, str(file), "--bind", processes.addresses["camera"],
             "--peer", processes.addresses[onward], *shared,
-            *(part for fault in setup.faults if fault.name in ("camera", "cover", "light") for part in ("--fault", str(fault))),
+            *(f"--fault={fault}" for fault in setup.faults if fault.name in CAMERA),
         ]  # fmt: skip
         processes.commands["sensor"] += ["--questions"]
         processes.commands["controller"] += [
-            "--eye", str(calibration), "--seen", str(folder / "seen.jsonl"), *watcher.options,
+            "--eye", str(calibration), "--seen", str(folder / "seen.jsonl"),
+            *(["--watch", str(folder / "picture.jpg")] if watcher.pictures else []),
         ]  # fmt: skip
         if setup.tick is not None:  # whoever expects nothing of this tick need not wait for it
             processes.commands["controller"] += ["--wait", "0"]
@@ -146,6 +147,7 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
             told=watcher.told,
             before=_Before(setup, processes, plants, watcher, progress, horizon),
         )
+        watcher.start(folder)
         try:
             processes.start()
             world.run(horizon, lambda: processes.ended() or watcher.stopped())

@@ -1,0 +1,159 @@
+"""The experiments of chapters 6 and 7 of the thesis, done with twins: printed beside computed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn._figure import Panel, Series, draw
+from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
+from taciturn.simulation.sampling import Progress
+from taciturn.study.reproduction import Reproduction, Row, Table
+from taciturn.twin.figures import inputs, path, positions, running_costs, sends
+from taciturn.twin.run import TwinRun, mean, prepare, run_twin, scaled
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RUNS, ROUNDS = 10, 5  # experiments with the rover, rounds of the omni-directional robot
+PRICES = (0.01, 0.002, 0.001, 0.0)  # λ of Figure 7.6
+EXPERIMENT = {  # section 6.6
+    "all-time": {"J": 116.47, "sensor %": 100.0, "actuator %": 100.0},
+    "event-triggered": {"J": 127.85, "sensor %": 20.0, "actuator %": 10.0},
+}
+
+
+def reproduce_with_twin(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
+    """Do the experiments of a chapter of the thesis with a twin.
+
+    Args:
+        name: ``"chapter6"`` or ``"chapter7"``.
+        seed: of all draws.
+        progress: called with the fraction done.
+
+    Returns:
+        The tables, printed beside computed, and the pictures.
+
+    Raises:
+        ProblemError: a chapter without experiments; an extra or a driver is missing.
+
+    Source: khashooei2017
+    """
+    if name not in CHAPTERS:
+        raise ProblemError(f"{name!r} has no experiment with a robot; expected {' or '.join(CHAPTERS)} with --twin")
+    return CHAPTERS[name](seed, progress or (lambda fraction: None))
+
+
+def _chapter6(seed: int, progress: Progress) -> Reproduction:
+    run = run_twin("rover", seed=seed, runs=RUNS, progress=progress)
+    assert run.always is not None
+    schedule = run.policy.schedule
+    assert schedule is not None
+    trials = {"event-triggered": run.trial, "all-time": run.always}
+    rows = tuple(
+        Row(
+            {"policy": name},
+            EXPERIMENT[name],
+            {
+                "J": mean(trial.totals),
+                "sensor %": _percent(trial.sent["sensor"]),
+                "actuator %": _percent(trial.sent["actuator"]),
+            },
+        )
+        for name, trial in trials.items()
+    )
+    ticks = [float(k) for k in range(len(schedule.queries))]
+    values = [
+        Series(ticks, schedule.value.tolist(), "value of a question, h", color=0),
+        Series([0.0, ticks[-1]], [schedule.price] * 2, "price, ζ", "dotted", color=7),
+    ]
+    figure = draw(
+        [
+            Panel(running_costs(trials), ylabel="running cost", title=f"Figures 6.5 and 6.8: mean of {RUNS} runs"),
+            Panel(inputs(trials), ylabel="input (%)", title="Figures 6.6 and 6.9: one run"),
+            Panel(sends(run.trial), ylabel="sent"),
+            Panel(values, ylabel="cost", title="Figure 6.7: when the camera is asked"),
+            Panel(positions(trials), "step", "x (m)", "Figure 6.10: position, and what it is taken for"),
+        ],
+        height=14.0,
+    )
+    notes = (
+        f"{RUNS} runs from x_0 = 0.7 m with a model that was identified in the twin: its cost when sending always is "
+        f"{run.policy.cost_all_time:.4g} in theory, and the guarantee {run.cost_bound:.5g}",
+        "the thesis: 103.66 and 113.15 in simulation, with 80 % and 90 % less on the two links",
+        *run.trial.notes,
+    )
+    return Reproduction("chapter6-twin", (Table("Section 6.6: the experiment", rows, notes),), {"chapter6-twin": figure})
+
+
+def _chapter7(seed: int, progress: Progress) -> Reproduction:
+    prepared = prepare("omni", seed)
+    runs: dict[float, TwinRun] = {}
+    for i, price in enumerate(PRICES):
+        runs[price] = run_twin(
+            "omni", seed=seed, runs=ROUNDS, parameters={"price": price}, prepared=prepared, compare=False,
+            progress=scaled(progress, i / len(PRICES), (i + 1) / len(PRICES)),
+        )  # fmt: skip
+    rows: list[Row] = []
+    for price in sorted(PRICES):
+        run, guarantee = runs[price], runs[price].policy.guarantee
+        assert guarantee is not None
+        rate, exact = run.rates["actuator"], "bound"
+        rows.append(
+            Row(
+                {"λ": price},
+                {},
+                {
+                    "R_t": rate,
+                    "J": run.cost,
+                    "J_all": Estimate(run.policy.cost_all_time, 0.0, "exact"),
+                    "J_all + λN": Estimate(guarantee.cost, 0.0, exact),
+                    "J_all + λN(1−R_t)": Estimate(guarantee.at_rate(rate.value), 0.0, exact),
+                    "path off, mm": _off(run),
+                },
+            )
+        )
+    notes = (
+        f"{ROUNDS} rounds each, with a model that was identified in the twin, from which J_all is computed",
+        "the thesis prints a picture of an experiment with a robot, no numbers",
+        "path off: root mean square distance from the reference, over a round",
+        *(note for run in runs.values() for note in run.trial.notes[:1]),
+    )
+    pictures = {"chapter7-twin-path": _path(runs[0.01]), "chapter7-twin-cost": _costs(rows)}
+    return Reproduction("chapter7-twin", (Table("Figure 7.6: the experiment", tuple(rows), notes),), pictures)
+
+
+def _path(run: TwinRun) -> Figure:
+    panel = Panel(path({"twin": run.trial}), "x (m)", "y (m)", "Figure 7.5: one round at λ = 0.01")
+    figure = draw([panel])
+    figure.axes[0].set_aspect("equal")
+    return figure
+
+
+def _costs(rows: list[Row]) -> Figure:
+    prices = [float(row.setting["λ"]) for row in rows]
+    found = {name: [row.computed[name] for row in rows] for name in ("J", "J_all + λN", "J_all")}
+    styles = {"J": "line", "J_all + λN": "dotted", "J_all": "dashed"}
+    series = [
+        Series(prices, [e.value for e in column], name, styles[name], [e.standard_error for e in column], color)  # type: ignore[arg-type]
+        for color, (name, column) in enumerate(found.items())
+    ]
+    return draw([Panel(series, "price of a send, λ", "cost", "Figure 7.6: two circles")])
+
+
+def _off(run: TwinRun) -> Estimate:
+    reference = run.trial.problem.reference
+    assert reference is not None
+    off = run.trial.poses[..., :2] - reference.states[:, :2]
+    return mean(1e3 * np.sqrt((off**2).sum(axis=2).mean(axis=1)))
+
+
+def _percent(sent: Array) -> Estimate:
+    return mean(100 * sent.mean(axis=1))
+
+
+CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {"chapter6": _chapter6, "chapter7": _chapter7}
