@@ -222,5 +222,5 @@ def _tag_detector() -> Any:
     aruco = _cv2().aruco
     wanted = aruco.DetectorParameters()
     wanted.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    wanted.cornerRefinementWinSize = 3
+    wanted.relativeCornerRefinmentWinSize = 0.6  # of a cell: within 1 pixel, as by default, noise decides
     return aruco.ArucoDetector(_dictionary(), wanted)

@@ -82,7 +82,7 @@ class Calibration:
         place = self.place
         return (place + rays * ((height - place[2]) / rays[:, 2])[:, None])[:, :2]
 
-    def document(self) -> dict[str, object]:
+    def document(self) -> Mapping[str, object]:
         """Return it as JSON takes it."""
         return {name: getattr(self, name).tolist() for name in _SHAPES} | {"error": self.error}
 
@@ -143,13 +143,13 @@ def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
     optics = Optics(scene, robot.lens, seed)
     points: list[Array] = []
     seen: list[Array] = []
-    for number in range(4 * VIEWS):
+    for view in range(4 * VIEWS):
         away = focal * wide / (WIDTH * random.uniform(0.45, 0.75))
         beside = random.uniform(-0.25, 0.25, 2) * (WIDTH, HEIGHT) * away / focal
         turn = np.array([*random.uniform(-0.5, 0.5, 2), random.uniform(-0.3, 0.3)])
         angle = float(np.linalg.norm(turn))
         pose = [*beside, -away, math.cos(angle / 2), *(math.sin(angle / 2) * turn / angle)]
-        picture = read_picture(optics.take(pose, number))
+        picture = read_picture(optics.take(pose, view))
         found = None if picture is None else board.find(picture)
         if found is not None:
             points.append(found[0])
@@ -166,9 +166,13 @@ def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
 def _still(robot: Robot, seed: int) -> Pixels:
     """Return the mean of some pictures of a robot at its start."""
     camera, at_rest = Camera(robot, seed), Body(robot, disturbance=0.0).snapshot
-    taken = [read_picture(camera.take(at_rest, number)) for number in range(AVERAGED)]
+    total = np.zeros((HEIGHT, WIDTH, 3))
+    for k in range(AVERAGED):
+        picture = read_picture(camera.take(at_rest, k))
+        assert picture is not None
+        total += picture
     camera.close()
-    return np.rint(np.mean([one for one in taken if one is not None], axis=0)).astype(np.uint8)
+    return np.rint(total / AVERAGED).astype(np.uint8)
 
 
 def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array) -> Calibration:
@@ -185,8 +189,8 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
 def _place_by_cubes(picture: Pixels, cubes: list[Cube], guess: Calibration) -> Calibration:
     """Move the camera until the cubes are where they are seen, and then until they have the outlines that are seen.
 
-    The outlines may all be a margin larger or smaller: a mask ends at a threshold of colour, not at the edge, which is to
-    move the camera nowhere.
+    The outlines may all be a margin larger or smaller: a mask ends at a threshold of colour, not at the edge, and that
+    is not to move the camera.
     """
     outlines = [_outline(picture, cube, guess) for cube in cubes]
 

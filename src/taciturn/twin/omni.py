@@ -106,7 +106,8 @@ _MOTOR = (
     '<velocity joint="wheel{k}" kv=".6" forcerange="-2.5 2.5" ctrlrange="-{fastest} {fastest}" ctrllimited="true"/>'
 )
 _CAPSULE = """
-        <geom name="tyre{k}" class="look" type="capsule" size="{radius} .004" euler="0 90 0" mass=".25" rgba=".4 .4 .42 1"/>"""
+        <geom name="tyre{k}" class="look" type="capsule" size="{radius} .004"
+              euler="0 90 0" mass=".25" rgba=".4 .4 .42 1"/>"""
 _HUB = """
         <geom class="look" type="cylinder" size="{radius} .014" euler="0 90 0" mass=".122" rgba=".4 .4 .42 1"/>"""
 _ROLLER = """
