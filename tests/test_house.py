@@ -32,6 +32,7 @@ MEETINGS = {
     ("_modes", "_scipy"), ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
+    ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
     ("study", "problem"), ("cli", ""), ("cli", "_print"), ("cli", "twin"), ("renewal", "program"),
 }  # fmt: skip
 

@@ -208,18 +208,26 @@ def reproduce(
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
     seed: Seed = 0,
+    twin: Annotated[
+        bool, typer.Option("--twin", help="The experiments of chapters 6 and 7, with twins of the robots.")
+    ] = False,
 ) -> None:
     """The thesis's tables and figures, printed beside computed."""
-    import taciturn
     from taciturn._figure import save
     from taciturn.errors import ProblemError
     from taciturn.study.reproduce import CHAPTERS
+    from taciturn.study.reproduce import reproduce as compute
 
-    chosen = list(CHAPTERS) if not names or "all" in names else names
-    unknown = [name for name in chosen if name not in CHAPTERS]
+    known, make = list(CHAPTERS), compute
+    if twin:
+        from taciturn.twin.reproduction import EXPERIMENTS, reproduce_with_twin
+
+        known, make = list(EXPERIMENTS), reproduce_with_twin
+    chosen = known if not names or "all" in names else names
+    unknown = [name for name in chosen if name not in known]
     if unknown:
         raise ProblemError(
-            f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(CHAPTERS)}, or all"
+            f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(known)}, or all"
         )
     folder = out or Path()
     try:
@@ -232,7 +240,7 @@ def reproduce(
     pictures: dict[Path, Figure] = {}
     for name in chosen:
         with progress_bar(name) as progress:
-            found = taciturn.reproduce(name, seed=seed, progress=progress)
+            found = make(name, seed=seed, progress=progress)
         documents.append(found.document())
         pictures |= {folder / f"{file}.svg": picture for file, picture in found.pictures.items()}
         if not as_json:

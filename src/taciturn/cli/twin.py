@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from taciturn.cli.frame import File, Json, Plot, Seed, app, print_json, progress_bar
 from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength, check_counts, ended_as_interrupted, tick_length
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from taciturn.twin.run import TwinRun
+    from taciturn.twin.trial import Setup
 
 Robot = Annotated[str, typer.Argument(metavar="rover|omni", help="Which robot.")]
 Faults = Annotated[
@@ -44,7 +50,9 @@ def twin(
     record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
     video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first.")] = None,
     plot: Plot = None,
-    live: Annotated[bool, typer.Option("--live", help="Serve a page to watch, round after round, until ended.")] = False,
+    live: Annotated[
+        bool, typer.Option("--live", help="Serve a page to watch, round after round, until ended.")
+    ] = False,
     bind: Annotated[str, typer.Option(metavar="HOST:PORT", help="With --live: where the page is.")] = "127.0.0.1:8000",
     token: Annotated[
         str | None, typer.Option(help="With --live: what others must know; needed where they can reach the page.")
@@ -59,26 +67,25 @@ def twin(
     from taciturn.runtime.packet import read_key
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
-    from taciturn.twin.live import serve_twin
     from taciturn.twin.record import check_record, check_video, write_record, write_video
     from taciturn.twin.report import document_of, lines_of
     from taciturn.twin.run import run_twin
+    from taciturn.twin.trial import Setup
 
     found = find_robot(robot)
     check_counts({"--runs": runs, "--loops": runs, "--rounds": rounds})
     given = {"zeta" if robot == "rover" else "price": price, "theta": theta}
     parameters = {name: value for name, value in given.items() if value is not None}
-    length, faults = tick_length(found.tick, real_time, tick), [parse_fault(text) for text in fault or []]
+    length, faults = tick_length(found.tick, real_time, tick), tuple(parse_fault(text) for text in fault or [])
     for wanted, check in ((plot, check_format), (record, check_record), (video, check_video)):
         if wanted is not None:
             check(wanted)
-    how = Asked(file, seed, runs, parameters, length, namespaces, tuple(faults), wheels, read_key(key))
+    setup = Setup(runs, seed, length, namespaces, faults, read_key(key), wheels)
     if live:
-        with until_stopped() as stopped:
-            done = watch_twin(robot, how, parse_address("--bind", bind), token, speed, rounds, stopped)
+        done = _live(robot, setup, file, parameters, page=(bind, token), speed=speed, rounds=rounds)
     else:
         with progress_bar("driving") as progress, ended_as_interrupted():
-            done = run_twin(robot, how, progress=progress)
+            done = run_twin(robot, setup, file=file, parameters=parameters, progress=progress)
     if as_json:
         print_json(document_of(done))
     else:
@@ -89,6 +96,38 @@ def twin(
         write_video(done, video)
     if plot is not None:
         save(done.plot(), plot)
+
+
+def _live(
+    robot: str,
+    setup: Setup,
+    file: str | None,
+    parameters: Mapping[str, float],
+    *,
+    page: tuple[str, str | None],
+    speed: float,
+    rounds: int | None,
+) -> TwinRun:
+    """Serve the page of a twin until it is interrupted, and return the last mission that was whole."""
+    from taciturn.errors import ProblemError
+    from taciturn.runtime.service import until_stopped
+    from taciturn.runtime.udp import parse_address
+    from taciturn.twin.live import watch_twin
+    from taciturn.twin.page import Page
+    from taciturn.twin.prepared import prepare
+
+    if file is not None or setup.runs > 1:
+        option = "a problem file" if file is not None else f"--runs {setup.runs}"
+        raise ProblemError(f"{option} is given with --live, which runs the thesis's mission; expected neither of them")
+    bind, token = page
+    with Page(parse_address("--bind", bind), token) as shown, until_stopped() as stopped:
+        typer.echo(f"taciturn: the page is {shown.url}", err=True)
+        found = watch_twin(
+            prepare(robot, setup.seed), shown, setup, parameters=parameters, speed=speed, rounds=rounds, stopped=stopped
+        )
+    if found is None:
+        raise ProblemError("no mission has come to its end; expected at least one: let it run for longer")
+    return found
 
 
 @app.command()

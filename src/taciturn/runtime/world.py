@@ -109,7 +109,12 @@ class PlantServer:
                         "role": "plant",
                         "loop": loop,
                     }
-                    line |= {"from": before, "x": plant.state.tolist(), "u": list(self.inputs[loop]), "cost": self.costs[loop][-1]}
+                    line |= {
+                        "from": before,
+                        "x": plant.state.tolist(),
+                        "u": list(self.inputs[loop]),
+                        "cost": self.costs[loop][-1],
+                    }
                     self._told(line)
         return self.report()
 

@@ -94,7 +94,7 @@ class Body:
         """All that a camera sees: coordinates of the body and of its wheels, `Robot.seen` of them."""
         return tuple(float(self._motion.position[k]) for k in self._kept)
 
-    def act(self, inputs: Sequence[float]) -> None:
+    def act(self, inputs: Sequence[float] | Array) -> None:
         """Hold an input from now on, (m,), clipped at the robot's limits.
 
         Raises:

@@ -183,7 +183,7 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
     points, seen = np.concatenate([t.corners for t in tags]), np.concatenate([found[t.number] for t in tags])
     rotation, translation = solve_pose(points, seen, K, distortion)
     off = project(points, rotation, translation, K, distortion) - seen
-    return Calibration(K, distortion, rotation, translation, float(np.sqrt(np.mean(np.sum(off**2, axis=1)))))
+    return Calibration(K, distortion, rotation, translation, float(np.sqrt(np.square(off).sum() / len(off))))
 
 
 def _place_by_cubes(picture: Pixels, cubes: list[Cube], guess: Calibration) -> Calibration:

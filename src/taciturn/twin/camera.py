@@ -98,6 +98,7 @@ class Camera:
 
     @lighting.setter
     def lighting(self, share: float) -> None:
+        """Turn the lights down or up."""
         self._lighting = number("lighting", share, 0.0, 10.0, closed=True)
         self._optics.painter.light(self._lighting)
 
@@ -108,6 +109,7 @@ class Camera:
 
     @covered.setter
     def covered(self, covered: bool) -> None:
+        """Lay something over the marker, or take it away."""
         self._covered = covered
         self._optics.painter.show("cover", covered)
 

@@ -1,5 +1,198 @@
+"""The model of a robot as an experiment finds it: inputs that are known, positions that the camera measures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import Array, count, symmetrised
+from taciturn.errors import ProblemError
+from taciturn.twin.body import Body
+from taciturn.twin.calibration import Calibration
+from taciturn.twin.camera import Camera
+from taciturn.twin.robot import Robot
+from taciturn.twin.vision import Eye
+
+RUNS, HELD_OUT = 16, 4  # runs that the model is fitted to, and that it is tried on
+TICKS, HOLD = 16, 4  # of a run, and for which an input is held
+PLACES, REPEATS = 8, 8  # at which the robot rests, and pictures of it there
+MARGIN = 0.15  # of the workspace, that the experiment leaves free on either side
+_SEEN = 0.9  # share of the pictures that must show the marker
+
+
+@dataclass(frozen=True)
 class Identification:
-    pass
+    """A model x⁺ = x + B u + w, y = x + v of a robot, per tick, with its errors; all matrices in m, rad and inputs.
+
+    Standard errors are those of independent runs: within a run, what disturbs one tick disturbs the next as well.
+
+    Args:
+        robot: its name.
+        samples: ticks that were fitted.
+        B: with A = I, (n, m).
+        B_standard_error: of each entry of B, (n, m).
+        B_nominal: what the data sheet says, (n, m).
+        A_free: A where it is fitted together with B, (n, n); it shows what A = I leaves out.
+        A_free_standard_error: of its entries, (n, n).
+        W: covariance of w, from the residuals less what the measurement contributes, (n, n).
+        V: covariance of v, from pictures of a robot at rest, (n, n).
+        held_out: standard deviation of x⁺ - x - B u over runs that were not fitted, (n,); it has w and twice v.
+    """
+
+    robot: str
+    samples: int
+    B: Array
+    B_standard_error: Array
+    B_nominal: Array
+    A_free: Array
+    A_free_standard_error: Array
+    W: Array
+    V: Array
+    held_out: Array
+
+    def document(self) -> Mapping[str, object]:
+        """Return it as JSON takes it."""
+        return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
 
-def identify(*a): ...
+def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identification:
+    """Identify a robot by an experiment in open loop, seen through its camera.
+
+    In each run it starts at rest somewhere in the workspace, and gets random inputs that are held for some ticks and
+    would keep it in the workspace if it did what the data sheet says. B minimises Σ|x⁺ - x - B u|².
+
+    Args:
+        robot: which one.
+        calibration: of its camera.
+        seed: of inputs, disturbance and noise.
+
+    Raises:
+        ProblemError: the marker is not seen in a tenth of the pictures, the residuals are smaller than what the
+            measurement explains, MuJoCo or OpenCV is missing, or there is nothing to draw with.
+    """
+    random = np.random.default_rng((count("seed", seed, 0), 1))
+    watch = _Watch(robot, calibration, seed)
+    V = _rest(robot, watch, random)
+    runs = [_run(robot, watch, random) for _ in range(RUNS + HELD_OUT)]
+    watch.close()
+    if watch.missed > (1 - _SEEN) * watch.taken:
+        raise ProblemError(
+            f"the marker is not seen in {watch.missed} of {watch.taken} pictures; expected it in {_SEEN:.0%} of them: "
+            "calibrate this camera, or clear its view"
+        )
+    fitted, kept = runs[:RUNS], runs[RUNS:]
+    B, B_error = _fit([(u, step) for _, u, step in fitted])
+    both, both_error = _fit([(np.column_stack([x, u]), x + step) for x, u, step in fitted])
+    n = len(robot.states)
+    residuals = np.concatenate([step - u @ B.T for _, u, step in fitted])
+    W = symmetrised(residuals.T @ residuals / (len(residuals) - B.shape[1]) - 2 * V)
+    if np.linalg.eigvalsh(W)[0] <= 0.0:
+        raise ProblemError("the residuals are smaller than what the measurement explains; expected a disturbance")
+    left = np.concatenate([step - u @ B.T for _, u, step in kept])
+    return Identification(
+        robot=robot.name,
+        samples=len(residuals),
+        B=B,
+        B_standard_error=B_error,
+        B_nominal=robot.B,
+        A_free=both[:, :n],
+        A_free_standard_error=both_error[:, :n],
+        W=W,
+        V=V,
+        held_out=np.sqrt((left**2).mean(axis=0)),
+    )
+
+
+class _Watch:
+    """A camera and an eye, and how often they see nothing."""
+
+    def __init__(self, robot: Robot, calibration: Calibration, seed: int) -> None:
+        self._camera, self._eye = Camera(robot, seed), Eye(robot, calibration)
+        self.taken = self.missed = 0
+
+    def measure(self, body: Body) -> Array | None:
+        found = self._eye.see(self._camera.take(body.snapshot, self.taken))
+        self.taken += 1
+        self.missed += found is None
+        return found
+
+    def close(self) -> None:
+        self._camera.close()
+
+
+def _rest(robot: Robot, watch: _Watch, random: np.random.Generator) -> Array:
+    """Return the covariance of measurements of a robot that does not move, within each place."""
+    off: list[Array] = []
+    places = 0
+    for _ in range(PLACES):
+        body = Body(robot, start=_somewhere(robot, random), disturbance=0.0)
+        found = [one for one in (watch.measure(body) for _ in range(REPEATS)) if one is not None]
+        if found:
+            turned = np.array([_difference(robot, one, found[0]) for one in found])
+            off.extend(turned - turned.mean(axis=0))
+            places += 1
+    if len(off) < places + len(robot.states) + 1:
+        raise ProblemError("the marker is hardly ever seen at rest; expected it in most pictures: calibrate the camera")
+    spread = np.array(off)
+    return symmetrised(spread.T @ spread / (len(spread) - places))
+
+
+def _run(robot: Robot, watch: _Watch, random: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Return states, inputs and steps x⁺ - x of a run, where both ends of a step were seen."""
+    start = _somewhere(robot, random)
+    inputs = _excite(robot, start, random)
+    body = Body(robot, int(random.integers(2**32)), start=start)
+    seen = [watch.measure(body)]
+    for k, u in enumerate(inputs, 1):
+        body.act(u)
+        body.flow(k * robot.tick)
+        seen.append(watch.measure(body))
+    pairs = [
+        (x, u, _difference(robot, after, x))
+        for x, u, after in zip(seen[:-1], inputs, seen[1:], strict=True)
+        if x is not None and after is not None
+    ]
+    n, m = len(robot.states), len(robot.inputs)
+    states, acts, steps = (np.array([pair[part] for pair in pairs]) for part in range(3))
+    return states.reshape(-1, n), acts.reshape(-1, m), steps.reshape(-1, n)
+
+
+def _excite(robot: Robot, start: Array, random: np.random.Generator) -> list[Array]:
+    """Return random inputs that keep the nominal robot in the workspace."""
+    low, high = _inside(robot)
+    largest, where = np.array(robot.excitation), start
+    inputs: list[Array] = []
+    while len(inputs) < TICKS:
+        u = random.uniform(-largest, largest)
+        ahead = where + HOLD * robot.B @ u
+        if (ahead >= low).all() and (ahead <= high).all():
+            inputs += [u] * HOLD
+            where = ahead
+    return inputs
+
+
+def _somewhere(robot: Robot, random: np.random.Generator) -> Array:
+    return random.uniform(*_inside(robot))
+
+
+def _inside(robot: Robot) -> tuple[Array, Array]:
+    low, high = np.array(robot.low), np.array(robot.high)
+    return low + MARGIN * (high - low), high - MARGIN * (high - low)
+
+
+def _difference(robot: Robot, one: Array, other: Array) -> Array:
+    found = one - other
+    if robot.turns:
+        found[2] = math.remainder(found[2], 2 * math.pi)
+    return found
+
+
+def _fit(runs: list[tuple[Array, Array]]) -> tuple[Array, Array]:
+    """Return M with y ≈ M z by least squares over runs of (z, y), and standard errors that let each run be one draw."""
+    total = np.linalg.inv(sum((z.T @ z for z, _ in runs), np.zeros(2 * (runs[0][0].shape[1],))))
+    M = sum((y.T @ z for z, y in runs), np.zeros((runs[0][1].shape[1], len(total)))) @ total
+    scores = np.array([(y - z @ M.T).T @ z @ total for z, y in runs])
+    return M, np.sqrt((scores**2).sum(axis=0) * len(runs) / (len(runs) - 1))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tempfile
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,11 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from taciturn._arrays import number
-from taciturn.problem import Problem, load
-from taciturn.twin.mission import MISSIONS, write_toml
-from taciturn.twin.outcome import ESTIMATE, Trial
+from taciturn.problem import Problem, parse
+from taciturn.twin.mission import MISSIONS
+from taciturn.twin.outcome import ESTIMATE
 from taciturn.twin.page import About, Page
-from taciturn.twin.run import Prepared
+from taciturn.twin.prepared import Prepared
+from taciturn.twin.robot import Robot
+from taciturn.twin.run import TwinRun
 from taciturn.twin.trial import Setup, Watcher, run_trial
 from taciturn.twin.world import TwinPlant
 
@@ -35,7 +36,7 @@ def watch_twin(
     speed: float = 1.0,
     rounds: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
-) -> Trial | None:
+) -> TwinRun | None:
     """Run mission after mission, and show them.
 
     The knob of the page is a parameter of the policy: where it is turned, the round ends and the next has its value.
@@ -57,20 +58,18 @@ def watch_twin(
     """
     number("speed", speed, 0.0, closed=True)
     chosen, done, last = dict(parameters or {}), 0, None
-    knob, *_ = MISSIONS[prepared.robot.name].knob
     while not stopped() and (rounds is None or done < rounds):
-        with tempfile.TemporaryDirectory(prefix="taciturn-") as name:
-            file = Path(name) / f"{prepared.robot.name}.toml"
-            file.write_text(write_toml(prepared.problem(chosen)), encoding="utf-8")
-            show = _Round(prepared, page, load(file), done, setup, speed, stopped)
-            show.begin()
-            trial = run_trial(replace(setup, seed=setup.seed + done), file, watcher=show.watcher())
-            show.finish()
+        problem = parse(prepared.tables(chosen), "the mission")
+        show = _Round(prepared.robot, page, problem, done, setup, speed, stopped)
+        show.begin()
+        began = time.monotonic()
+        trial = run_trial(prepared, replace(setup, seed=setup.seed + done), problem, watcher=show.watcher())
+        show.finish()
         done += 1
-        if trial.costs.shape[1] == trial.problem.cost.horizon:
-            last = trial
+        if trial.costs.shape[1] == problem.cost.horizon:
+            last = TwinRun(prepared, problem.design(), trial, None, setup.faults, time.monotonic() - began)
         if show.value is not None:
-            chosen[knob] = show.value
+            chosen[MISSIONS[prepared.robot.name].knob[0]] = show.value
     return last
 
 
@@ -102,7 +101,7 @@ class _Round:
 
     def __init__(
         self,
-        prepared: Prepared,
+        robot: Robot,
         page: Page,
         problem: Problem,
         number: int,
@@ -110,7 +109,7 @@ class _Round:
         speed: float,
         stopped: Callable[[], bool],
     ) -> None:
-        self._robot, self._page, self._problem, self._number = prepared.robot, page, problem, number
+        self._robot, self._page, self._problem, self._number = robot, page, problem, number
         self._setup, self._speed, self._stopped = setup, speed, stopped
         self._policy = problem.design()
         self.value: float | None = None  # of the knob, where somebody has turned it
@@ -229,4 +228,3 @@ class _Round:
         if picture.exists() and (written := picture.stat().st_mtime_ns) != self._pictured:
             self._pictured = written
             self._page.show(picture.read_bytes())
-

@@ -102,9 +102,7 @@ def _lines() -> Iterable[tuple[str, str]]:
 
 _LINE = '<geom class="look" type="box" size="{size}" pos="{pos}" rgba="1 1 1 1"/>'
 _GRIP = '<pair geom1="floor" geom2="tyre{k}" condim="3" friction=".01 .9 .0001 .0001 .0001"/>'
-_MOTOR = (
-    '<velocity joint="wheel{k}" kv=".6" forcerange="-2.5 2.5" ctrlrange="-{fastest} {fastest}" ctrllimited="true"/>'
-)
+_MOTOR = '<velocity joint="wheel{k}" kv=".4" forcerange="-1 1" ctrlrange="-{fastest} {fastest}" ctrllimited="true"/>'
 _CAPSULE = """
         <geom name="tyre{k}" class="look" type="capsule" size="{radius} .004"
               euler="0 90 0" mass=".25" rgba=".4 .4 .42 1"/>"""
@@ -161,9 +159,10 @@ OMNI = Robot(
     low=(-2.1, -1.2, -math.pi),
     high=(2.1, 1.2, math.pi),
     rate=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    stir=(15.0, 15.0, 1.5),
+    stir=(8.0, 8.0, 0.8),
     motor_errors=(1.0, -0.6, 0.3),
     joints=tuple(f"wheel{k}" for k in range(len(ANGLES))),
+    excitation=(0.4, 0.4, 0.8),
     drive=wheel_speeds,
     build=build_omni,
     variants=("capsule", "rollers"),

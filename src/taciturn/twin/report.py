@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -69,7 +69,9 @@ def lines_of(found: TwinRun) -> list[tuple[str, str]]:
         lines.append((f"link, {name}" if isinstance(counted, dict) else name.replace("_", " "), str(text)))
     for state, off in vision(trial.vision, robot).items():
         if isinstance(off, dict):
-            lines.append((f"camera, {state}", ", ".join(f"{what.replace('_', ' ')} {one:.2f}" for what, one in off.items())))
+            lines.append(
+                (f"camera, {state}", ", ".join(f"{what.replace('_', ' ')} {one:.2f}" for what, one in off.items()))
+            )
     lines += [("thesis", text) for text in THESIS[robot.name]]
     return [*lines, *(("note", note) for note in trial.notes)]
 
@@ -102,5 +104,3 @@ def _summary(trial: Trial) -> dict[str, Any]:
 def _document(estimate: Estimate) -> dict[str, Any]:
     error = None if estimate.method == "exact" else estimate.standard_error
     return {"value": estimate.value, "standard_error": error, "method": "simulation"}
-
-

@@ -14,14 +14,16 @@ from taciturn.model.estimate import Estimate
 from taciturn.simulation.sampling import Progress
 from taciturn.study.reproduction import Reproduction, Row, Table
 from taciturn.twin.figures import inputs, path, positions, running_costs, sends
-from taciturn.twin.run import TwinRun, mean, prepare, run_twin, scaled
+from taciturn.twin.prepared import prepare
+from taciturn.twin.run import TwinRun, mean, run_twin, scaled
+from taciturn.twin.trial import Setup
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RUNS, ROUNDS = 10, 5  # experiments with the rover, rounds of the omni-directional robot
 PRICES = (0.01, 0.002, 0.001, 0.0)  # λ of Figure 7.6
-EXPERIMENT = {  # section 6.6
+PRINTED = {  # section 6.6
     "all-time": {"J": 116.47, "sensor %": 100.0, "actuator %": 100.0},
     "event-triggered": {"J": 127.85, "sensor %": 20.0, "actuator %": 10.0},
 }
@@ -43,13 +45,13 @@ def reproduce_with_twin(name: str, *, seed: int = 0, progress: Progress | None =
 
     Source: khashooei2017
     """
-    if name not in CHAPTERS:
-        raise ProblemError(f"{name!r} has no experiment with a robot; expected {' or '.join(CHAPTERS)} with --twin")
-    return CHAPTERS[name](seed, progress or (lambda fraction: None))
+    if name not in EXPERIMENTS:
+        raise ProblemError(f"{name!r} has no experiment with a robot; expected {' or '.join(EXPERIMENTS)} with --twin")
+    return EXPERIMENTS[name](seed, progress or (lambda fraction: None))
 
 
 def _chapter6(seed: int, progress: Progress) -> Reproduction:
-    run = run_twin("rover", seed=seed, runs=RUNS, progress=progress)
+    run = run_twin("rover", Setup(RUNS, seed), progress=progress)
     assert run.always is not None
     schedule = run.policy.schedule
     assert schedule is not None
@@ -57,7 +59,7 @@ def _chapter6(seed: int, progress: Progress) -> Reproduction:
     rows = tuple(
         Row(
             {"policy": name},
-            EXPERIMENT[name],
+            PRINTED[name],
             {
                 "J": mean(trial.totals),
                 "sensor %": _percent(trial.sent["sensor"]),
@@ -87,7 +89,9 @@ def _chapter6(seed: int, progress: Progress) -> Reproduction:
         "the thesis: 103.66 and 113.15 in simulation, with 80 % and 90 % less on the two links",
         *run.trial.notes,
     )
-    return Reproduction("chapter6-twin", (Table("Section 6.6: the experiment", rows, notes),), {"chapter6-twin": figure})
+    return Reproduction(
+        "chapter6-twin", (Table("Section 6.6: the experiment", rows, notes),), {"chapter6-twin": figure}
+    )
 
 
 def _chapter7(seed: int, progress: Progress) -> Reproduction:
@@ -95,7 +99,7 @@ def _chapter7(seed: int, progress: Progress) -> Reproduction:
     runs: dict[float, TwinRun] = {}
     for i, price in enumerate(PRICES):
         runs[price] = run_twin(
-            "omni", seed=seed, runs=ROUNDS, parameters={"price": price}, prepared=prepared, compare=False,
+            prepared, Setup(ROUNDS, seed), parameters={"price": price}, compare=False,
             progress=scaled(progress, i / len(PRICES), (i + 1) / len(PRICES)),
         )  # fmt: skip
     rows: list[Row] = []
@@ -156,4 +160,4 @@ def _percent(sent: Array) -> Estimate:
     return mean(100 * sent.mean(axis=1))
 
 
-CHAPTERS: Mapping[str, Callable[[int, Progress], Reproduction]] = {"chapter6": _chapter6, "chapter7": _chapter7}
+EXPERIMENTS: Mapping[str, Callable[[int, Progress], Reproduction]] = {"chapter6": _chapter6, "chapter7": _chapter7}

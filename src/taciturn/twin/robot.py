@@ -96,6 +96,7 @@ class Robot:
         stir: standard deviation of the forces that disturb it: N along x (and y), N·m about z.
         motor_errors: by how much each motor's gain is off, as a multiple of `Body`'s ``gain_error``.
         joints: of its driven wheels, in the order of the motors.
+        excitation: largest size of each input in an identification.
         drive: inputs and heading → speed of each wheel in rad/s.
         build: variant → scene with a body ``robot`` that is free to move, a site ``marker``, a shape ``cover`` and a
             camera ``webcam``.
@@ -119,6 +120,7 @@ class Robot:
     stir: tuple[float, ...]
     motor_errors: tuple[float, ...]
     joints: tuple[str, ...]
+    excitation: tuple[float, ...]
     drive: Callable[[Array, float], Array] = field(repr=False)
     build: Callable[[str], Scene] = field(repr=False)
     variants: tuple[str, ...]

@@ -51,6 +51,7 @@ ROVER = Robot(
     stir=(5.0,),
     motor_errors=(1.0,) * WHEELS,
     joints=tuple(f"wheel{k}" for k in range(WHEELS)),
+    excitation=(60.0,),
     drive=wheel_speeds,
     build=build_rover,
     variants=("capsule",),

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from taciturn._arrays import count
 from taciturn.errors import ProblemError
-from taciturn.problem import load
+from taciturn.problem import Problem
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import KEY, Wire
 from taciturn.runtime.processes import Processes
@@ -21,10 +22,11 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.simulation.sampling import Progress
 from taciturn.study.network import kernel_losses, logged_lines, losses
 from taciturn.twin.body import Body
-from taciturn.twin.calibration import Calibration
 from taciturn.twin.control import write_calibration
 from taciturn.twin.faults import CAMERA, Fault, window
+from taciturn.twin.mission import write_toml
 from taciturn.twin.outcome import Told, Trial, put_together
+from taciturn.twin.prepared import Prepared
 from taciturn.twin.robot import Robot
 from taciturn.twin.wire import CameraWire
 from taciturn.twin.world import TwinPlant, World
@@ -35,8 +37,6 @@ class Setup:
     """How a twin runs.
 
     Args:
-        robot: which one.
-        calibration: of its camera.
         runs: robots that run at once, with seeds one after the other.
         seed: of the first.
         tick: real seconds per tick; omitted: lockstep.
@@ -46,8 +46,6 @@ class Setup:
         variant: how the wheels are modelled.
     """
 
-    robot: Robot
-    calibration: Calibration
     runs: int = 1
     seed: int = 0
     tick: float | None = None
@@ -56,11 +54,15 @@ class Setup:
     key: bytes | None = None
     variant: str | None = None
 
-    def body(self, run: int) -> Body:
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        count("runs", self.runs)
+        count("seed", self.seed, 0)
+
+    def body(self, robot: Robot, run: int) -> Body:
         """Return the body of a run."""
         gain = sum(fault.size[0] for fault in self.faults if fault.name == "gain")
-        variant = self.variant or self.robot.variants[0]
-        return Body(self.robot, self.seed + run, gain_error=gain, variant=variant)
+        return Body(robot, self.seed + run, gain_error=gain, variant=self.variant or robot.variants[0])
 
 
 @dataclass
@@ -82,12 +84,19 @@ class Watcher:
     pictures: bool = False
 
 
-def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watcher: Watcher | None = None) -> Trial:
-    """Run the mission of a problem file as processes of this machine: a camera, a control unit and robots.
+def run_trial(
+    prepared: Prepared,
+    setup: Setup,
+    problem: Problem,
+    progress: Progress | None = None,
+    watcher: Watcher | None = None,
+) -> Trial:
+    """Run the mission of a problem as processes of this machine: a camera, a control unit and robots.
 
     Args:
-        setup: how.
-        file: the problem file.
+        prepared: the robot, its camera and its model.
+        setup: how it runs.
+        problem: with the policy.
         progress: called with the fraction done.
         watcher: who looks on.
 
@@ -95,9 +104,9 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
         ProblemError: a process has ended, or what is asked for cannot be had here.
     """
     began, watcher = time.monotonic(), watcher or Watcher()
-    problem = load(file)
-    policy, robot, horizon = problem.design(), setup.robot, problem.cost.horizon
+    policy, robot, horizon = problem.design(), prepared.robot, problem.cost.horizon
     assert horizon is not None
+    assert problem.source is not None
     outage = window(setup.faults, "actuator", robot.tick)
     if setup.namespaces and outage is not None:
         raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
@@ -107,8 +116,9 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
         Namespaces(policy, drops, ["camera"]) if setup.namespaces else nullcontext() as spaces,
     ):
         folder = Path(name)
-        calibration = folder / "calibration.json"
-        write_calibration(calibration, robot, setup.calibration)
+        file, calibration = folder / f"{robot.name}.toml", folder / "calibration.json"
+        file.write_text(write_toml(problem.source), encoding="utf-8")
+        write_calibration(calibration, robot, prepared.calibration)
         fates = losses(problem.network, setup.seed, {"actuator": outage})
         shared = ["--seed", str(setup.seed), "--loops", str(setup.runs)]
         processes = Processes(
@@ -134,7 +144,7 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
             processes.commands["actuator"] += ["--wait", "0.15"]
         with nullcontext() if spaces is None else spaces.visit("plant"):
             endpoint = Endpoint(parse_address("the plant", processes.addresses["plant"]))
-        plants = [TwinPlant(problem, setup.body(run)) for run in range(setup.runs)]
+        plants = [TwinPlant(problem, setup.body(robot, run)) for run in range(setup.runs)]
         key = setup.key
         world = World(
             plants,
@@ -145,7 +155,7 @@ def run_trial(setup: Setup, file: Path, progress: Progress | None = None, watche
             CameraWire(policy, robot.seen, problem.network, key),
             tick=setup.tick,
             told=watcher.told,
-            before=_Before(setup, processes, plants, watcher, progress, horizon),
+            before=_Before(robot.tick, setup, processes, plants, watcher, progress, horizon),
         )
         watcher.start(folder)
         try:
@@ -168,6 +178,7 @@ class _Before:
 
     def __init__(
         self,
+        tick: float,
         setup: Setup,
         processes: Processes,
         plants: Sequence[TwinPlant],
@@ -177,7 +188,7 @@ class _Before:
     ) -> None:
         self._due: dict[int, list[Fault]] = {}
         for fault in setup.faults:
-            self._due.setdefault(fault.ticks(setup.robot.tick)[0], []).append(fault)
+            self._due.setdefault(fault.ticks(tick)[0], []).append(fault)
         self._processes, self._plants, self._watcher = processes, plants, watcher
         self._progress, self._ticks, self._lockstep = progress, ticks, setup.tick is None
         self._pool = ThreadPoolExecutor(1)

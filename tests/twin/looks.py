@@ -1,0 +1,45 @@
+"""What the tests of the twins share: what only the simulator knows of a camera, and errors over the workspace."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn import _cv2
+from taciturn.twin.body import Body
+from taciturn.twin.calibration import Calibration
+from taciturn.twin.camera import Camera
+from taciturn.twin.robot import Robot
+from taciturn.twin.vision import Eye
+
+
+def true_calibration(robot: Robot) -> Calibration:
+    """Return the camera as the simulator has it."""
+    scene = robot.build(robot.variants[0])
+    data: Any = scene.mujoco.MjData(scene.model)
+    scene.mujoco.mj_forward(scene.model, data)
+    axes = np.diag([1.0, -1.0, -1.0]) @ data.camera("webcam").xmat.reshape(3, 3).T
+    rotation = _cv2.rotation_vector(axes)
+    return Calibration(robot.lens.K, np.array(robot.lens.distortion), rotation, -axes @ data.camera("webcam").xpos, 0.0)
+
+
+def errors(
+    robot: Robot, calibration: Calibration, places: int, lighting: float = 1.0, seed: int = 7
+) -> npt.NDArray[np.float64]:
+    """Return measured less true states at places all over the workspace, (found, n)."""
+    random = np.random.default_rng(seed)
+    body, camera, eye = Body(robot, disturbance=0.0), Camera(robot, seed), Eye(robot, calibration)
+    camera.lighting = lighting
+    found = []
+    for k in range(places):
+        body.kidnap(random.uniform(robot.low, robot.high) - body.pose)
+        measured = eye.see(camera.take(body.snapshot, k))
+        if measured is not None:
+            found.append(measured - body.pose)
+            if robot.turns:
+                found[-1][2] = math.remainder(found[-1][2], 2 * math.pi)
+    camera.close()
+    return np.array(found)

@@ -1,0 +1,92 @@
+"""Models that an experiment finds, against what the physics does."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from twin.looks import true_calibration
+
+from taciturn.errors import ProblemError
+from taciturn.twin import identification
+from taciturn.twin.body import Body
+from taciturn.twin.calibration import Calibration, calibrate
+from taciturn.twin.catalogue import ROBOTS
+from taciturn.twin.identification import Identification, identify
+from taciturn.twin.robot import Robot
+
+both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+
+
+def physics(robot: Robot, runs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return B as the true states of other runs have it, with standard errors, by a computation of its own."""
+    random = np.random.default_rng(99)
+    estimates = []
+    for _ in range(runs):
+        U, D = [], []
+        for _ in range(4):
+            start = np.array(robot.low) + (np.array(robot.high) - robot.low) * random.uniform(0.3, 0.7)
+            body = Body(robot, int(random.integers(2**31)), start=start)
+            for k in range(identification.TICKS):
+                if k % identification.HOLD == 0:
+                    u = random.uniform(-1, 1, len(robot.inputs)) * robot.excitation
+                before = body.pose
+                body.act(u)
+                body.flow((k + 1) * robot.tick)
+                U.append(u)
+                D.append(body.pose - before)
+        estimates.append(np.linalg.lstsq(np.array(U), np.array(D), rcond=None)[0].T)
+    return np.mean(estimates, axis=0), np.std(estimates, axis=0, ddof=1) / np.sqrt(runs)
+
+
+@pytest.fixture(scope="module")
+def rover() -> Identification:
+    """The rover, once."""
+    return identify(ROBOTS["rover"], true_calibration(ROBOTS["rover"]), 3)
+
+
+def test_the_rover_is_the_integrator_that_the_physics_makes_it(rover: Identification) -> None:
+    """B is within 4.5 standard errors of what true positions of other runs give; A, left free, is nearly 1."""
+    B, error = physics(ROBOTS["rover"], 8)
+    assert abs(rover.B - B)[0, 0] < 4.5 * np.hypot(rover.B_standard_error, error)[0, 0]
+    assert rover.B_standard_error[0, 0] < 0.1 * rover.B[0, 0]
+    assert 0.8 < rover.B[0, 0] / rover.B_nominal[0, 0] < 1.05  # friction and slip only take
+    assert abs(rover.A_free[0, 0] - 1) < 0.02
+
+
+def test_noise_is_told_from_disturbance(rover: Identification) -> None:
+    """W has the order of the thesis's 1e-4 m², V is that of a repeated picture, and what is left says the same."""
+    assert 1e-5 < rover.W[0, 0] < 5e-4
+    assert 1e-10 < rover.V[0, 0] < 1e-6
+    # 4 runs of 16 ticks whose disturbance forgets within two ticks: some 30 draws, of which the root is good to 13 %
+    assert rover.held_out[0] == pytest.approx(np.sqrt(rover.W[0, 0] + 2 * rover.V[0, 0]), rel=0.6)
+
+
+def test_an_identification_becomes_json(rover: Identification) -> None:
+    """All of it."""
+    document = json.loads(json.dumps(rover.document()))
+    assert document["robot"] == "rover"
+    assert document["B"] == rover.B.tolist()
+    assert document["samples"] == identification.RUNS * identification.TICKS
+
+
+def test_a_camera_that_is_not_this_one_is_refused() -> None:
+    """A calibration that is wrong sees no marker where it looks."""
+    true = true_calibration(ROBOTS["rover"])
+    wrong = Calibration(true.K, true.distortion, true.rotation, true.translation + np.array([0.0, 0.6, 0.0]), 0.0)
+    with pytest.raises(ProblemError, match="calibrate"):
+        identify(ROBOTS["rover"], wrong)
+
+
+@pytest.mark.evidence
+@both
+def test_a_calibrated_camera_identifies_what_the_physics_does(robot: Robot) -> None:
+    """All entries of B within 4.5 standard errors of what true states give; the same bits of the same seed."""
+    calibration = calibrate(robot, 4)
+    found = identify(robot, calibration, 5)
+    B, error = physics(robot, 24)
+    assert (abs(found.B - B) < 4.5 * np.hypot(found.B_standard_error, error)).all()
+    assert found.document() == identify(robot, calibration, 5).document()
+    assert np.linalg.eigvalsh(found.W)[0] > 0
+    assert np.linalg.eigvalsh(found.V)[0] > 0
