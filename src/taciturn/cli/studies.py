@@ -208,9 +208,7 @@ def reproduce(
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
     seed: Seed = 0,
-    twin: Annotated[
-        bool, typer.Option("--twin", help="The experiments of chapters 6 and 7, with twins of the robots.")
-    ] = False,
+    twin: Annotated[bool, typer.Option("--twin", help="The experiments of chapters 6 and 7, with twins.")] = False,
 ) -> None:
     """The thesis's tables and figures, printed beside computed."""
     from taciturn._figure import save

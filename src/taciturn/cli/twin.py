@@ -50,9 +50,7 @@ def twin(
     record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
     video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first.")] = None,
     plot: Plot = None,
-    live: Annotated[
-        bool, typer.Option("--live", help="Serve a page to watch, round after round, until ended.")
-    ] = False,
+    live: Annotated[bool, typer.Option("--live", help="Serve a page to watch, round after round.")] = False,
     bind: Annotated[str, typer.Option(metavar="HOST:PORT", help="With --live: where the page is.")] = "127.0.0.1:8000",
     token: Annotated[
         str | None, typer.Option(help="With --live: what others must know; needed where they can reach the page.")

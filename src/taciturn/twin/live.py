@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from taciturn._arrays import number
+from taciturn.model.policy import ENDS, LinkName
 from taciturn.problem import Problem, parse
 from taciturn.twin.mission import MISSIONS
 from taciturn.twin.outcome import ESTIMATE
@@ -118,7 +119,7 @@ class _Round:
         self._known: dict[str, dict[int, Mapping[str, Any]]] = {name: {} for name in LOGS}
         self._folder = Path()
         self._tails: dict[str, _Tail] = {}
-        self._cost, self._sends = 0.0, dict.fromkeys(("sensor", "actuator"), 0)
+        self._cost, self._sends = 0.0, dict[LinkName, int].fromkeys(ENDS, 0)
         self._pictured = 0
 
     def begin(self) -> None:
@@ -198,7 +199,7 @@ class _Round:
         world = self._rows.popleft()
         tick = world["tick"]
         asked, told, acted, seen = (self._known[name].pop(tick, {}) for name in LOGS)
-        sent = {"sensor": asked.get("sent_sensor", 0), "actuator": told.get("sent_actuator", 0)}
+        sent: dict[LinkName, int] = {"sensor": asked.get("sent_sensor", 0), "actuator": told.get("sent_actuator", 0)}
         for link, one in sent.items():
             self._sends[link] += one
         self._cost += world["cost"]

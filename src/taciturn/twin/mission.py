@@ -9,6 +9,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn.errors import ProblemError
+from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy, Send
 from taciturn.problem import Problem
 from taciturn.runtime.node import roles
@@ -118,8 +119,11 @@ def check_mission(robot: Robot, problem: Problem, name: str) -> Policy:
     Raises:
         ProblemError: it is one for another plant.
     """
-    plant = problem.plant
-    n, m = len(robot.states), len(robot.inputs)
+    plant, n, m = problem.plant, len(robot.states), len(robot.inputs)
+    if isinstance(plant, ContinuousPlant):
+        raise ProblemError(
+            f"the plant of {name} is continuous in time; expected dt = {robot.tick:g}, as of the {robot.name}"
+        )
     found = f"{plant.states} states, {plant.inputs} inputs, {plant.outputs} outputs and dt = {plant.dt}"
     if (plant.states, plant.inputs, plant.outputs, plant.dt) != (n, m, n, robot.tick):
         raise ProblemError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -101,16 +101,17 @@ def put_together(
     }
     sequences = {link: tuple(_sequences(came[link], row, run) for run, row in enumerate(sent[link])) for link in sent}
     lines = told.lines["controller"]
-    names = [name for name in (lines[0] if lines else {}) if name.startswith("option_")]
+    names = [name for name in (lines[0] if lines else {"": None}) if name.startswith("option_")]
+    n = len(plants[0].state)
     return Trial(
         problem=problem,
         poses=np.array([plant.poses[: ticks + 1] for plant in plants]),
         inputs=np.array([plant.given[:ticks] for plant in plants]),
         costs=paid,
         totals=paid.sum(axis=1) + final,
-        estimates=_gathered(lines, lambda line: line["memory"][ESTIMATE], runs, ticks, problem.plant.states),
+        estimates=_gathered(lines, lambda line: line["memory"][ESTIMATE], runs, ticks, n),
         values=_gathered(lines, lambda line: [line[name] for name in names], runs, ticks, len(names)),
-        seen=_gathered(told.seen, lambda line: line["seen"], runs, ticks, problem.plant.outputs),
+        seen=_gathered(told.seen, lambda line: line["seen"], runs, ticks, n),
         lights=np.array([plant.lights[: ticks + 1] for plant in plants]),
         sent=sent,
         arrived={link: _arrived(sent[link], sequences[link]) for link in sent},

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -89,7 +89,8 @@ def write_record(run: TwinRun, path: Path) -> None:
         ProblemError: another ending than .nc, or no folder that can be written to.
     """
     check_record(path)
-    write_whole(path, bytes(to_dataset(run).to_netcdf(None, engine="h5netcdf")))
+    whole: Any = to_dataset(run)
+    write_whole(path, bytes(whole.to_netcdf(None, engine="h5netcdf")))
 
 
 def write_video(run: TwinRun, path: Path) -> None:

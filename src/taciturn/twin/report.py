@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 import numpy as np
 
@@ -64,16 +65,20 @@ def lines_of(found: TwinRun) -> list[tuple[str, str]]:
     if found.cost_bound is not None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}, in the identified model"))
     lines += [(f"rate, {link}", f"{rate} per step") for link, rate in found.rates.items()]
-    for name, counted in trial.datagrams.items():
-        text = ", ".join(f"{count} {what}" for what, count in counted.items()) if isinstance(counted, dict) else counted
-        lines.append((f"link, {name}" if isinstance(counted, dict) else name.replace("_", " "), str(text)))
+    for link, counted in trial.datagrams.items():
+        if isinstance(counted, Mapping):
+            lines.append((f"link, {link}", _listed(cast("Mapping[str, Any]", counted))))
+        else:
+            lines.append((link.replace("_", " "), str(counted)))
     for state, off in vision(trial.vision, robot).items():
-        if isinstance(off, dict):
-            lines.append(
-                (f"camera, {state}", ", ".join(f"{what.replace('_', ' ')} {one:.2f}" for what, one in off.items()))
-            )
+        lines.append((f"camera, {state}", _listed(off) if isinstance(off, Mapping) else str(off)))
     lines += [("thesis", text) for text in THESIS[robot.name]]
     return [*lines, *(("note", note) for note in trial.notes)]
+
+
+def _listed(counted: Mapping[str, Any]) -> str:
+    shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in counted.values())
+    return ", ".join(f"{text} {name.replace('_', ' ')}" for text, name in zip(shown, counted, strict=True))
 
 
 def vision(off: Array, robot: Robot) -> dict[str, Any]:

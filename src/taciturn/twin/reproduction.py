@@ -116,7 +116,7 @@ def _chapter7(seed: int, progress: Progress) -> Reproduction:
                     "J": run.cost,
                     "J_all": Estimate(run.policy.cost_all_time, 0.0, "exact"),
                     "J_all + λN": Estimate(guarantee.cost, 0.0, exact),
-                    "J_all + λN(1−R_t)": Estimate(guarantee.at_rate(rate.value), 0.0, exact),
+                    "J_all + λN(1−R_t)": Estimate(guarantee.at_rate(rate.value) or guarantee.cost, 0.0, exact),
                     "path off, mm": _off(run),
                 },
             )

@@ -106,7 +106,7 @@ def run_twin(
     Raises:
         ProblemError: data that do not fit, an extra, a driver or a right that is missing, a process that has ended.
     """
-    began, setup, report = time.monotonic(), setup or Setup(), progress or (lambda fraction: None)
+    began, setup = time.monotonic(), setup or Setup()
     if file is not None and parameters:
         raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
     given = None if file is None else load(file)  # what is wrong with it is told at once
@@ -117,10 +117,10 @@ def run_twin(
     problem = parse(found.tables(parameters or {}), "the mission") if given is None else given
     policy = check_mission(found.robot, problem, file or "the mission")
     share = 0.5 if compare else 1.0
-    trial = run_trial(found, setup, problem, scaled(report, 0.0, share))
+    trial = run_trial(found, setup, problem, scaled(progress, 0.0, share))
     always = None
     if compare:
-        always = run_trial(found, replace(setup, faults=()), all_time(problem), scaled(report, share, 1.0))
+        always = run_trial(found, replace(setup, faults=()), all_time(problem), scaled(progress, share, 1.0))
     return TwinRun(found, policy, trial, always, setup.faults, time.monotonic() - began)
 
 
@@ -130,6 +130,6 @@ def mean(values: Array) -> Estimate:
     return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
 
 
-def scaled(progress: Progress, low: float, high: float) -> Progress:
+def scaled(progress: Progress | None, low: float, high: float) -> Progress | None:
     """Return what tells a part of a whole how far it has come."""
-    return lambda fraction: progress(low + (high - low) * fraction)
+    return None if progress is None else lambda fraction: progress(low + (high - low) * fraction)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.plant import Plant
 from taciturn.problem import Problem
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
@@ -33,16 +34,14 @@ class TwinPlant:
     def __init__(self, problem: Problem, body: Body) -> None:
         """Start where the body is."""
         self.body, self.tick, self.problem = body, 0, problem
-        self.measurement: Values = (0.0,) * problem.plant.outputs
-        self.tick_length = float(problem.plant.dt or 1.0)
+        plant = problem.plant
+        assert isinstance(plant, Plant)
+        assert plant.dt is not None
+        self.measurement: Values = (0.0,) * plant.outputs
+        self.inputs, self.tick_length = plant.inputs, plant.dt
         self.poses: list[Array] = [body.pose]
         self.lights: list[Values] = [body.snapshot]
         self.given: list[Values] = []
-
-    @property
-    def inputs(self) -> int:
-        """How many there are."""
-        return self.problem.plant.inputs
 
     @property
     def state(self) -> Array:
