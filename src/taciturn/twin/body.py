@@ -11,7 +11,7 @@ from taciturn._arrays import Array, ArrayLike, array, choice, count, number
 from taciturn._mujoco import FREE, Motion
 from taciturn.twin.robot import Robot
 
-CORRELATION = 0.5  # seconds over which a disturbing force forgets
+CORRELATION = 0.2  # seconds over which a disturbing force forgets
 SETTLING = 200  # steps in which the wheels come to rest on the floor
 _AXES = (0, 1, 5)  # of a wrench: force along x and y, torque about z
 _SLACK = 1e-6  # of a step: a time that is a multiple of the step but for rounding is one

@@ -17,7 +17,7 @@ from taciturn.twin.robot import Robot
 from taciturn.twin.vision import Eye
 
 RUNS, HELD_OUT = 16, 4  # runs that the model is fitted to, and that it is tried on
-TICKS, HOLD = 16, 4  # of a run, and for which an input is held
+TICKS, HOLD = 25, 5  # of a run, and for which an input is held
 PLACES, REPEATS = 8, 8  # at which the robot rests, and pictures of it there
 MARGIN = 0.15  # of the workspace, that the experiment leaves free on either side
 _SEEN = 0.9  # share of the pictures that must show the marker
@@ -164,6 +164,11 @@ def _excite(robot: Robot, start: Array, random: np.random.Generator) -> list[Arr
     """Return random inputs that keep the nominal robot in the workspace."""
     low, high = _inside(robot)
     largest, where = np.array(robot.excitation), start
+    while robot.turns:
+        bend = _go_round(robot, random)
+        path = start + np.cumsum(bend @ robot.B.T, axis=0)
+        if (path >= low).all() and (path <= high).all():
+            return list(bend)
     inputs: list[Array] = []
     while len(inputs) < TICKS:
         u = random.uniform(-largest, largest)
@@ -172,6 +177,15 @@ def _excite(robot: Robot, start: Array, random: np.random.Generator) -> list[Arr
             inputs += [u] * HOLD
             where = ahead
     return inputs
+
+
+def _go_round(robot: Robot, random: np.random.Generator) -> Array:
+    """Return velocities of a bend in the plane, with a heading that swings: what a robot that follows a path does."""
+    speed, turn = random.uniform(0.4, 1.0) * robot.excitation[0], random.uniform(-1.0, 1.0)  # radians per second
+    time = robot.tick * np.arange(TICKS)
+    along, swing = random.uniform(0, 2 * math.pi) + turn * time, random.uniform(0, 2 * math.pi) + 2.0 * time
+    heading = random.uniform(-1.0, 1.0) * robot.excitation[2] * np.cos(swing)
+    return np.column_stack([speed * np.cos(along), speed * np.sin(along), heading])
 
 
 def _somewhere(robot: Robot, random: np.random.Generator) -> Array:
