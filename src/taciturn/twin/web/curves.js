@@ -64,7 +64,7 @@ export class Curves {
     const width = (plot, labels) => 14 + 6.5 * Math.max(3, ...(labels ?? []).map((label) => label.length));
     const ticks = (plot, splits) => splits.map((value) => (value === null ? "" : format(value)));
     this.plot = new uPlot({
-      width: this.host.clientWidth, height: this.host.clientHeight, padding: [8, 10, 0, 0],
+      width: this.host.clientWidth, height: this.host.clientHeight, padding: [8, 18, 0, 0],
       scales: {
         x: { time: false, range: (plot, least, most) => [least ?? 0, most > least ? most : (least ?? 0) + 1] },
         y: log ? { distr: 3, range: (plot, least, most) => [least ?? 0.1, (most ?? 1) * 1.6] }

@@ -10,6 +10,7 @@ const at = (path, query = {}) => `${path}?${new URLSearchParams({ ...query, ...(
 const SILENCE = 6000; // milliseconds without a word after which the run counts as lost; it speaks every two seconds
 const LINES = 200; // of the log
 const KEPT = 50000; // rows of an endless round
+const RECENT = 200; // ticks of the trigger that are drawn: of more, nobody sees when it passes the threshold
 
 let round = null; // {about, rows}
 let panels = {};
@@ -181,9 +182,10 @@ function draw() {
   panels.cost.set([time, of((row) => row.cost), ...(about.bound === null ? [] : [time.map(() => about.bound)])]);
   panels.rate.set([time, ...about.links.map((name) => of((row) => row.rate[name]))]);
   panels.raster.set(round);
-  const [log, values] = scaled([of((row) => row.trigger), of((row) => row.threshold)]);
+  const recent = rows.slice(-RECENT);
+  const [log, values] = scaled([recent.map((row) => row.trigger), recent.map((row) => row.threshold)]);
   if (log !== panels.trigger.log) newTrigger(log);
-  panels.trigger.set([time, ...values]);
+  panels.trigger.set([time.slice(-RECENT), ...values]);
   const reached = last ? `, tick ${last.tick + 1} of ${about.ticks}, ${format(last.time)} s` : "";
   $("progress").textContent = `round ${about.round}${reached}`;
   if (last) showNow(about, last);
