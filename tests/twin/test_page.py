@@ -80,7 +80,7 @@ def test_a_reader_that_comes_back_is_told_what_it_missed(page: Page) -> None:
 
 def test_a_slow_reader_holds_nothing_up(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """It reads nothing, another one gets every row meanwhile; the slow one is dropped when its time is up."""
-    monkeypatch.setattr(server._Handler, "timeout", 0.5)
+    monkeypatch.setattr(server, "PATIENCE", 0.5)
     slow = socket.socket()
     slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
     slow.connect(page.address)
@@ -106,7 +106,7 @@ def test_a_slow_reader_holds_nothing_up(page: Page, monkeypatch: pytest.MonkeyPa
 
 
 def test_what_is_kept_is_bounded(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of an endless round the latest rows are kept; who joins late gets its beginning and these."""
+    """Of an endless round the latest rows are kept; who joins late, or is far behind, gets its beginning and these."""
     monkeypatch.setattr(feed, "HELD", 100)
     for k in range(1050):
         page.put({**ROWS[0], "tick": k})
@@ -116,6 +116,9 @@ def test_what_is_kept_is_bounded(page: Page, monkeypatch: pytest.MonkeyPatch) ->
     first = reader.next()[1]["tick"]
     assert 1050 - 200 < first <= 1050 - 100
     assert [row["tick"] for _, row in reader.take(1049 - first)] == list(range(first + 1, 1050))
+    behind = page._feed.news(since=5, picture=0, patience=0.0).text.split(b"\n\n")
+    assert b"event: begin" in behind[0]
+    assert f'"tick":{first},'.encode() in behind[1]
 
 
 def test_a_silent_run_is_heard_to_be_there(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:

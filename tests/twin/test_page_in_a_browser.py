@@ -13,6 +13,7 @@ import pytest
 from twin.browser import await_ticks, await_true, browse, missing
 from twin.feeds import OMNI, ROVER, picture, rows
 
+from taciturn.twin import server
 from taciturn.twin.page import Page
 
 WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
@@ -51,7 +52,8 @@ class Tabs:
         tab.on("console", lambda message: message.type in ("error", "warning") and self.errors.append(message.text))
         tab.on("pageerror", lambda error: self.errors.append(str(error)))
         tab.goto(url, wait_until="commit")
-        tab.wait_for_selector("#status[data-state=connected], #status[data-state=waiting], #status[data-state=paused]")
+        if url != "about:blank":
+            tab.wait_for_selector("#status:not([data-state=lost])")
         return tab
 
     def close(self) -> None:
@@ -213,14 +215,33 @@ def test_a_run_that_ends_and_comes_back_is_found_again(tabs: Tabs, page: Page) -
 def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
     """Zeros are put at the bottom; values below zero, or of like size, are drawn as they are."""
     tab = tabs.open(page.url)
-    title = "document.querySelector('#trigger h2').textContent"
-    log = "trigger (log; 0 at the bottom)"
-    cases = ((0.0, 1e-6, 0.1), log), ((-1.0, 1e-6, 0.1), "trigger"), ((0.0, 1e-6, 0.1), log), ((0.0,) * 3, "trigger")
-    for values, says in (*cases, ((None,) * 3, "trigger"), ((1.0, 2.0, 0.0), "trigger")):
-        page.begin(ROVER)
-        for row, value in zip(ROWS, values, strict=False):
-            page.put({**row, "trigger": value, "threshold": None if value is None else 0.05})
-        await_true(tab, f"document.body.dataset.rows === '3' && {title} === '{says}'")
+    scaled = "async lists => (await import('./curves.js')).scaled(lists)"
+    log, [values, threshold] = tab.evaluate(scaled, [[0.0, 1e-6, 0.1], [None, 0.05, 0.05]])
+    assert log
+    assert 0 < values[0] < 1e-6
+    assert values[1:] + threshold == [1e-6, 0.1, None, 0.05, 0.05]
+    for plain in ([-1.0, 1e-6, 0.1], [0.0, 0.0, 0.0], [None, None, None], [1.0, 2.0, 0.0]):
+        assert tab.evaluate(scaled, [plain, plain]) == [False, [plain, plain]]
+    for k, (value, title) in enumerate([(1e-6, "trigger (log; 0 at the bottom)"), (0.01, "trigger")], 10):
+        page.begin(replace(ROVER, round=k))
+        page.put({**ROWS[0], "trigger": value, "threshold": 0.05})
+        await_true(tab, f"document.getElementById('progress').textContent.includes('round {k}, tick 1')")
+        assert tab.inner_text("#trigger h2") == title
+
+
+def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no word comes, and no end of the connection either, the page listens anew after some seconds."""
+    monkeypatch.setattr(server, "PULSE", 60.0)
+    page.note("hello")
+    tab = tabs.open("about:blank")
+    tab.clock.install()
+    tab.goto(page.url, wait_until="commit")
+    tab.wait_for_selector("#status[data-state=connected]")
+    with tab.expect_request("**/events?"):
+        tab.clock.fast_forward(8000)
+    tab.wait_for_selector("#status[data-state=connected]")
+    tab.wait_for_selector("#log li")
+    assert tab.inner_text("#log ol").count("hello") == 1  # what is told again is not written twice
 
 
 def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None:

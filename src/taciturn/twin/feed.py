@@ -52,7 +52,7 @@ class Feed:
         self._turn = threading.Condition()
         self._run = secrets.token_hex(4)  # tells a server from the one that was here before it
         self._events: list[bytes] = []
-        self._begins, self._first = 0, 1  # the numbers of the event that begins the round and of the first one kept
+        self._first = 1  # the number of the first event that is kept, after the one that begins the round
         self._beginning = self._event(0, "wait", None)
         self._picture, self._pictures = b"", 0
         self._knob: tuple[str, float, float] | None = None
@@ -68,9 +68,8 @@ class Feed:
         """Begin a round: what was told before is forgotten."""
         text = encode("about", about)
         with self._turn:
-            self._begins, self._knob = self._next, knob
-            self._first = self._begins + 1
-            self._beginning = self._event(self._begins, "begin", text)
+            self._beginning = self._event(self._next, "begin", text)
+            self._first, self._knob = self._next + 1, knob
             self._events.clear()
             if self._paused:
                 self._append("asked", encode("pause", {"ask": "pause", "value": 1.0}))
@@ -137,7 +136,7 @@ class Feed:
         """
         with self._turn:
             self._turn.wait_for(lambda: since < self._next or picture < self._pictures or self._ended, patience)
-            anew = since <= self._begins or since < self._first
+            anew = since < self._first
             start = self._first if anew else since
             found = self._events[start - self._first : start - self._first + BATCH]
             beginning, pictures, ended = self._beginning, self._pictures, self._ended

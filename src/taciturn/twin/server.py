@@ -106,13 +106,16 @@ class Server(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    timeout = PATIENCE
     disable_nagle_algorithm = True
     server_version, sys_version = "taciturn", ""
 
     def __init__(self, feed: Feed, door: Door, kept: dict[str, tuple[str, bytes]], *connection: Any) -> None:
         self._feed, self._door, self._files = feed, door, kept
         super().__init__(*connection)  # which answers the request
+
+    def setup(self) -> None:
+        self.request.settimeout(PATIENCE)
+        super().setup()
 
     def do_GET(self) -> None:
         path, _, query = self.path.partition("?")

@@ -41,6 +41,21 @@ function range(lower, upper, include) {
   };
 }
 
+// Whether curves are drawn on a log scale, and their values there: where none is negative and they span more than two
+// decades. Zeros are put below all others.
+export function scaled(values) {
+  const known = values.flat().filter((value) => value !== null);
+  let least = Infinity, most = 0;
+  for (const value of known) {
+    if (value < 0) return [false, values];
+    if (value > 0) least = Math.min(least, value);
+    most = Math.max(most, value);
+  }
+  if (!(most > 100 * least)) return [false, values];
+  const floor = 10 ** Math.floor(Math.log10(Math.max(least, most * 1e-8)) - 0.3);
+  return [true, values.map((list) => list.map((value) => value === null ? null : Math.max(value, floor)))];
+}
+
 // The powers of ten of a log scale, so many that their labels have room.
 function decades(plot, axis, least, most) {
   const low = Math.ceil(Math.log10(least) - 1e-9), high = Math.floor(Math.log10(most) + 1e-9), found = [];

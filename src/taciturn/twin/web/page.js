@@ -1,7 +1,7 @@
 // The page of a run: hears the events, keeps the rows of the round, and draws them at most ten times a second and for
 // at most a fifth of the time.
 
-import { Curves, format, legend } from "./curves.js";
+import { Curves, format, legend, scaled } from "./curves.js";
 import { Drawing, drawPlane, drawRaster } from "./drawings.js";
 
 const $ = (id) => document.getElementById(id);
@@ -138,20 +138,6 @@ function newTrigger(log) {
     { name: "threshold", color: "lost", look: "dashed", steps: true },
   ], { log });
   $("trigger").querySelector("h2").textContent = log ? "trigger (log; 0 at the bottom)" : "trigger";
-}
-
-// Log where values of both curves are never negative and span more than two decades.
-function scaled(values) {
-  const known = values.flat().filter((value) => value !== null);
-  let least = Infinity, most = 0;
-  for (const value of known) {
-    if (value < 0) return [false, values];
-    if (value > 0) least = Math.min(least, value);
-    most = Math.max(most, value);
-  }
-  if (!(most > 100 * least)) return [false, values];
-  const floor = 10 ** Math.floor(Math.log10(Math.max(least, most * 1e-8)) - 0.3);
-  return [true, values.map((list) => list.map((value) => value === null ? null : Math.max(value, floor)))];
 }
 
 // Drawing.
