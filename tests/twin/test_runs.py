@@ -1,0 +1,144 @@
+"""Short runs of both twins in lockstep: processes, datagrams, rendered pictures, image processing, and nothing made up."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from twin.crews import crew, short_mission
+
+from taciturn._arrays import Array
+from taciturn.problem import load
+from taciturn.runtime.namespaces import predict_drops
+from taciturn.study.network import kernel_losses, losses
+from taciturn.twin.faults import parse_fault
+from taciturn.twin.outcome import Trial
+from taciturn.twin.record import to_dataset, write_record, write_video
+from taciturn.twin.run import run_twin
+from taciturn.twin.trial import Setup
+
+TICKS = {"rover": 20, "omni": 30}
+
+
+def accounted(trial: Trial) -> None:
+    """Check that every datagram is: what is sent is delivered or lost, and no socket knows of others."""
+    assert trial.datagrams["unaccounted"] == 0
+    for name in ("questions", "sensor", "actuator"):
+        counted = trial.datagrams[name]
+        assert counted["sent"] == counted["delivered"] + counted["lost"]
+    for link, sent in trial.sent.items():
+        arrived = trial.arrived[link]
+        assert arrived.sum() == trial.datagrams[link]["delivered"]
+        assert (arrived <= sent).all()
+    unanswered = trial.datagrams["questions"]["unanswered"]
+    assert trial.datagrams["questions"]["delivered"] - unanswered == trial.datagrams["sensor"]["sent"]
+
+
+def bits(trial: Trial) -> tuple[bytes, ...]:
+    """Return all numbers of a trial, bit for bit."""
+    parts: tuple[Array, ...] = (trial.poses, trial.inputs, trial.costs, trial.estimates, trial.seen, trial.lights)
+    return tuple(part.tobytes() for part in (*parts, *trial.sent.values(), *trial.arrived.values()))
+
+
+def test_the_rover_is_driven_by_pictures_that_are_asked_for(tmp_path: Path) -> None:
+    """It asks by the schedule of its policy, sees within millimetres, and repeats bit for bit, also beside another."""
+    prepared, file = crew("rover"), short_mission("rover", TICKS["rover"], tmp_path)
+    run = run_twin(prepared, Setup(runs=2, seed=3), file=file)
+    accounted(run.trial)
+    schedule = run.policy.schedule
+    assert schedule is not None
+    assert (run.trial.sent["sensor"] == schedule.queries).all()
+    assert run.trial.poses[:, -1, 0].max() < 0.5
+    assert abs(run.trial.vision).max() < 5e-3
+    assert run.always is not None
+    accounted(run.always)
+    assert (run.always.sent["actuator"] == 1).all()
+    alone = run_twin(prepared, Setup(seed=3), file=file, compare=False).trial
+    assert bits(alone) == bits(_first(run.trial))
+    assert not np.array_equal(run.trial.poses[0], run.trial.poses[1])
+    _written(run, tmp_path)
+
+
+def _first(trial: Trial) -> Trial:
+    from dataclasses import replace
+
+    names = ("poses", "inputs", "costs", "estimates", "seen", "lights")
+    marks = {name: {link: one[:1] for link, one in getattr(trial, name).items()} for name in ("sent", "arrived")}
+    return replace(trial, **{name: getattr(trial, name)[:1] for name in names}, **marks)
+
+
+def _written(run: Any, folder: Path) -> None:
+    """Check the record, the video and the document of a run."""
+    import xarray
+
+    write_record(run, folder / "run.nc")
+    with xarray.open_dataset(folder / "run.nc", engine="h5netcdf") as kept:
+        xarray.testing.assert_identical(kept.drop_attrs(), to_dataset(run).drop_attrs())
+        document = json.loads(kept.attrs["document"])
+    assert document == json.loads(json.dumps(run.document(), allow_nan=False))
+    expected = {"rates", "cost", "cost_all_time", "cost_bound", "vision", "datagrams", "seconds"}
+    assert expected <= document.keys()
+    assert document["rates"].keys() == {"sensor", "actuator"}
+    write_video(run, folder / "run.webp")
+    assert (folder / "run.webp").read_bytes()[8:12] == b"WEBP"
+    assert len(run.plot().axes) == 3
+
+
+def test_the_omni_follows_its_path_over_links_that_lose_what_is_foretold(tmp_path: Path) -> None:
+    """Relays lose the packets that the seed says, of each robot its own; the robot stays near its path all the same."""
+    prepared, file = crew("omni"), short_mission("omni", TICKS["omni"], tmp_path)
+    run = run_twin(prepared, Setup(runs=2, seed=5), file=file, compare=False)
+    trial = run.trial
+    accounted(trial)
+    fates = losses(load(file).network, 5)
+    for link, sent in trial.sent.items():
+        for loop, row in enumerate(sent):
+            ticks = np.flatnonzero(row)
+            foretold = [number for number, tick in enumerate(ticks) if not fates[link].lost(number, tick, loop)]
+            assert list(trial.sequences[link][loop]) == foretold
+    assert trial.datagrams["sensor"]["lost"] > 0
+    assert trial.problem.reference is not None
+    assert np.hypot(*(trial.poses - trial.problem.reference.states)[..., :2].T).max() < 0.3
+
+
+@pytest.mark.skipif(
+    not (shutil.which("nft") and shutil.which("ip") and Path("/proc/self/uid_map").read_text().split()[:2] == ["0", "0"]),
+    reason="NOT SHOWN: twins whose packets the kernel loses; expected root, ip and nft",
+)
+def test_what_nftables_lose_is_foretold_packet_for_packet(tmp_path: Path) -> None:
+    """Pictures of many fragments and commands of a few bytes: what comes is what the rule's hash lets through."""
+    prepared, file = crew("omni"), short_mission("omni", TICKS["omni"], tmp_path, price=0.0)
+    trial = run_twin(prepared, Setup(seed=6, namespaces=True), file=file, compare=False).trial
+    accounted(trial)
+    for link, loss in kernel_losses(load(file).network, 6).items():
+        dropped = predict_drops(loss.seed, loss.permille, range(int(trial.sent[link].sum())))
+        assert list(trial.sequences[link][0]) == np.flatnonzero(~dropped).tolist()
+        assert trial.datagrams[link]["as_predicted"]
+        assert dropped.any()
+
+
+def test_what_goes_wrong_does_and_is_told(tmp_path: Path) -> None:
+    """A dead camera, a covered marker, a dead link, a kidnap, a node that is killed: none of them ends the run."""
+    prepared, file = crew("rover"), short_mission("rover", TICKS["rover"], tmp_path)
+    quiet = run_twin(prepared, Setup(seed=3), file=file, compare=False)
+    texts = ("camera@0.9+1.2", "cover@2.1+1.5", "actuator@0+0.3", "kidnap@4.5=0.1", "controller@3")
+    faults = tuple(parse_fault(text) for text in texts)
+    run = run_twin(prepared, Setup(seed=3, faults=faults), file=file, compare=False)
+    trial, asked = run.trial, np.flatnonzero(run.trial.sent["sensor"][0])
+    assert (asked == np.flatnonzero(quiet.trial.sent["sensor"][0])).all()
+    dead = [tick for tick in asked if 3 <= tick < 7]
+    covered = [tick for tick in asked if 7 <= tick < 12]
+    assert trial.datagrams["questions"]["unanswered"] == len(dead) > 0
+    assert trial.datagrams["sensor"]["unseen"] == len(covered) > 0
+    assert not np.isfinite(trial.seen[0, [*dead, *covered]]).any()
+    assert any("no marker" in note for note in trial.notes)
+    assert trial.arrived["actuator"][0, 0] == 0 < trial.sent["actuator"][0, 0]
+    assert trial.inputs[0, 0, 0] == 0.0  # the robot stands until the next packet comes
+    step = np.diff(trial.poses[0, :, 0])
+    assert step[14] - quiet.trial.poses[0, 15, 0] + quiet.trial.poses[0, 14, 0] == pytest.approx(0.1, abs=0.03)
+    assert run.cost_bound is None
+    assert quiet.cost_bound is not None
