@@ -18,6 +18,7 @@ from taciturn.twin.calibration import Calibration
 from taciturn.twin.camera import LARGEST, Camera
 from taciturn.twin.catalogue import ROBOTS
 from taciturn.twin.robot import HEIGHT, WIDTH, Robot
+from taciturn.twin.seal import seal
 from taciturn.twin.vision import Eye
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
@@ -86,21 +87,22 @@ def test_a_covered_marker_is_not_seen(robot: Robot) -> None:
 
 @both
 def test_a_damaged_picture_is_none(robot: Robot) -> None:
-    """Nothing, noise, another size, one cut off or overwritten: no exception, and something is drawn all the same."""
+    """Nothing, noise, another size, cut off, a single bit turned: no exception, and something is drawn all the same.
+
+    A decoder would show the robot elsewhere in some of them.
+    """
     camera, eye, random = Camera(robot), Eye(robot, true_calibration(robot)), np.random.default_rng(0)
     whole = camera.take(Body(robot).snapshot)
     camera.close()
-    small = _cv2.write_jpeg(np.zeros((48, 64, 3), np.uint8), 85)
+    small = seal(_cv2.write_jpeg(np.zeros((48, 64, 3), np.uint8), 85))
     for broken in (b"", b"not a picture", random.bytes(5000), small, whole[:300], whole[100:], b"\0" + whole[1:]):
         assert eye.see(broken) is None
         assert pixels(eye.draw(broken)).shape == (HEIGHT, WIDTH, 3)
-    for _ in range(30):  # some of these still show the robot
-        torn = bytearray(whole)
-        at = int(random.integers(len(whole) - 40))
-        torn[at : at + 40] = random.bytes(40)
-        found = eye.see(bytes(torn))
-        if found is not None:
-            assert np.abs(found - robot.start).max() < 0.02
+    for _ in range(100):
+        torn, at = bytearray(whole), int(random.integers(len(whole)))
+        torn[at] ^= 1 << int(random.integers(8))
+        assert eye.see(bytes(torn)) is None
+    assert eye.see(whole) is not None
 
 
 def test_what_is_pink_and_no_marker_is_not_believed() -> None:
@@ -118,7 +120,7 @@ def test_what_is_pink_and_no_marker_is_not_believed() -> None:
         changed = picture.copy()
         rows, columns = np.ogrid[:HEIGHT, :WIDTH]
         changed[((columns - u) / wide) ** 2 + ((rows - v) / high) ** 2 <= 1] = pink
-        return _cv2.write_jpeg(changed, 95)
+        return seal(_cv2.write_jpeg(changed, 95))
 
     right = eye.see(with_pink(empty, 0.3, 0.0, 11, 8))
     assert right is not None  # of this size it is the marker
@@ -132,17 +134,17 @@ def test_what_is_pink_and_no_marker_is_not_believed() -> None:
 
 
 def test_a_tag_of_another_size_or_number_is_not_believed() -> None:
-    """The robot's own number at half its size, and the tags of the field alone."""
+    """The robot's own number at two thirds of its size and at more, and the tags of the field alone."""
     eye, camera = Eye(OMNI, true_calibration(OMNI)), Camera(OMNI)
     camera.covered = True
     empty = pixels(camera.take(Body(OMNI).snapshot))
     camera.close()
     assert sorted(_cv2.find_tags(empty)) == [0, 1, 2, 3, 4, 5]
-    for cells, believed in ((6, True), (3, False), (10, False)):
+    for cells, believed in ((6, True), (4, False), (8, False)):
         tag = np.pad(_cv2.draw_tag(7, 6 * cells), cells, constant_values=255)
         changed = empty.copy()
         changed[200 : 200 + len(tag), 300 : 300 + len(tag)] = tag[..., None]
-        picture = _cv2.write_jpeg(changed, 95)
+        picture = seal(_cv2.write_jpeg(changed, 95))
         assert 7 in _cv2.find_tags(pixels(picture))
         assert (eye.see(picture) is not None) == believed
 

@@ -21,9 +21,10 @@ from taciturn._cv2 import (
 from taciturn.twin.calibration import Calibration
 from taciturn.twin.polygons import measure_polygon
 from taciturn.twin.robot import HEIGHT, WIDTH, Disc, Robot, Tag
+from taciturn.twin.seal import is_whole
 
 AREA = (0.6, 1.5)  # of a disc in the picture, as a share of what it should be
-FILL = 0.85  # of its bounding rectangle, as a share of π/4 that an ellipse fills
+EXTENT = (0.7, 1.4)  # of its width and of its height, alike
 SIDES = 0.12  # by which the sides and diagonals of a tag may be off, as a share
 GREEN, YELLOW = (0, 255, 0), (0, 220, 255)
 
@@ -49,7 +50,7 @@ class Eye:
 
         Returns:
             (n,) in metres, and a heading in (-π, π]; None where there is no marker or it is not to be trusted, as in
-            a picture that is damaged.
+            a picture that is damaged or was never sealed.
         """
         pixels = _pixels(picture)
         found = None if pixels is None else self._find(pixels)
@@ -87,9 +88,10 @@ class Eye:
             if area <= 0.0:
                 continue
             x, y = self._calibration.meet(centre[None], disc.height)[0]
-            expected = measure_polygon(self._circle(x, y, disc))[0]
-            width, height = np.ptp(hull, axis=0) + 1
-            fits = AREA[0] < area / expected < AREA[1] and area > FILL * math.pi / 4 * (width - 1) * (height - 1)
+            circle = self._circle(x, y, disc)
+            extent = (np.ptp(hull, axis=0) + 1) / np.ptp(circle, axis=0)  # the outline runs inside its pixels
+            fits = AREA[0] < area / measure_polygon(circle)[0] < AREA[1]
+            fits = fits and EXTENT[0] < extent.min() and extent.max() < EXTENT[1]
             if fits and disc.strip[0] < y < disc.strip[1]:
                 found.append((np.array([x]), outline))
         return found[0] if len(found) == 1 else None
@@ -113,5 +115,5 @@ class Eye:
 
 
 def _pixels(picture: bytes) -> Pixels | None:
-    found = read_picture(picture)
+    found = read_picture(picture) if is_whole(picture) else None
     return found if found is not None and found.shape == (HEIGHT, WIDTH, 3) else None
