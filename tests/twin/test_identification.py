@@ -20,7 +20,10 @@ both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 
 
 def physics(robot: Robot, groups: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return B as the true states of other runs have it, with standard errors, by a computation of its own."""
+    """Return B as true states have it, with standard errors, by a computation of its own.
+
+    In other runs of the same kind of inputs: a robot with inertia has another B for inputs of another kind.
+    """
     random = np.random.default_rng(99)
     estimates = []
     for _ in range(groups):
@@ -28,12 +31,10 @@ def physics(robot: Robot, groups: int) -> tuple[np.ndarray, np.ndarray]:
         for _ in range(2):
             start = np.array(robot.low) + (np.array(robot.high) - robot.low) * random.uniform(0.3, 0.7)
             body = Body(robot, int(random.integers(2**31)), start=start)
-            for k in range(identification.TICKS):
-                if k % identification.HOLD == 0:
-                    u = random.uniform(-1, 1, len(robot.inputs)) * robot.excitation
+            for k, u in enumerate(identification._excite(robot, start, random), 1):
                 before = body.pose
                 body.act(u)
-                body.flow((k + 1) * robot.tick)
+                body.flow(k * robot.tick)
                 U.append(u)
                 D.append(body.pose - before)
         estimates.append(np.linalg.lstsq(np.array(U), np.array(D), rcond=None)[0].T)
@@ -60,7 +61,7 @@ def test_the_rover_is_the_integrator_that_the_physics_makes_it(monkeypatch: pyte
     document = json.loads(json.dumps(rover.document()))
     assert document["robot"] == "rover"
     assert document["B"] == rover.B.tolist()
-    assert document["samples"] == 160
+    assert document["samples"] == 10 * identification.TICKS
 
 
 def test_a_camera_that_is_not_this_one_is_refused() -> None:
