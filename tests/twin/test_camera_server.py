@@ -110,7 +110,9 @@ def test_a_question_that_comes_again_gets_the_same_picture_again(bench: Bench) -
     bench.give(light(0, 0), question(0), question(0))
     assert bench.camera.taken[0] == bench.camera.taken[1]
     counted = bench.server.report()["counters"]
-    assert (counted["questions"], counted["questions again"], counted["pictures"], counted["pictures again"]) == (1,) * 4
+    assert (counted["questions"], counted["questions again"], counted["pictures"], counted["pictures again"]) == (
+        1,
+    ) * 4
 
 
 def test_faults_happen_in_their_ticks() -> None:
@@ -149,7 +151,12 @@ def test_a_question_is_a_packet_of_the_sensor_link_without_numbers() -> None:
 def test_a_picture_is_read_as_the_measurement_that_is_seen_in_it() -> None:
     """With the sequence of its question; a picture in which nothing is seen, or nonsense, is no measurement."""
     told: list[tuple[int, object]] = []
-    found: dict[bytes, tuple[float, ...] | None] = {b"here": (0.25,), b"none": None, b"nan": (float("nan"),), b"two": (1, 2)}
+    found: dict[bytes, tuple[float, ...] | None] = {
+        b"here": (0.25,),
+        b"none": None,
+        b"nan": (float("nan"),),
+        b"two": (1, 2),
+    }
     wire = PictureWire(POLICY, found.__getitem__, told=lambda packet, _, seen: told.append((packet.sequence, seen)))
     asked = Packet("data", "sensor", 9, 4, (), 2)
     read = {name: wire.decode(CAMERA.encode_picture(asked, name)) for name in found}

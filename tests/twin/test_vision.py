@@ -18,7 +18,6 @@ from taciturn.twin.calibration import Calibration
 from taciturn.twin.camera import LARGEST, Camera
 from taciturn.twin.catalogue import ROBOTS
 from taciturn.twin.robot import HEIGHT, WIDTH, Robot
-from taciturn.twin.seal import seal
 from taciturn.twin.vision import Eye
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
@@ -87,21 +86,17 @@ def test_a_covered_marker_is_not_seen(robot: Robot) -> None:
 
 @both
 def test_a_damaged_picture_is_none(robot: Robot) -> None:
-    """Nothing, noise, another size, cut off, a single bit turned: no exception, and something is drawn all the same.
+    """Nothing, noise, another size, cut off: no exception, and something is drawn all the same.
 
-    A decoder would show the robot elsewhere in some of them.
+    Bits that turn are the wire's: the checksum of a datagram.
     """
     camera, eye, random = Camera(robot), Eye(robot, true_calibration(robot)), np.random.default_rng(0)
     whole = camera.take(Body(robot).snapshot)
     camera.close()
-    small = seal(_cv2.write_jpeg(np.zeros((48, 64, 3), np.uint8), 85))
+    small = _cv2.write_jpeg(np.zeros((48, 64, 3), np.uint8), 85)
     for broken in (b"", b"not a picture", random.bytes(5000), small, whole[:300], whole[100:], b"\0" + whole[1:]):
         assert eye.see(broken) is None
         assert pixels(eye.draw(broken)).shape == (HEIGHT, WIDTH, 3)
-    for _ in range(100):
-        torn, at = bytearray(whole), int(random.integers(len(whole)))
-        torn[at] ^= 1 << int(random.integers(8))
-        assert eye.see(bytes(torn)) is None
     assert eye.see(whole) is not None
 
 
@@ -120,7 +115,7 @@ def test_what_is_pink_and_no_marker_is_not_believed() -> None:
         changed = picture.copy()
         rows, columns = np.ogrid[:HEIGHT, :WIDTH]
         changed[((columns - u) / wide) ** 2 + ((rows - v) / high) ** 2 <= 1] = pink
-        return seal(_cv2.write_jpeg(changed, 95))
+        return _cv2.write_jpeg(changed, 95)
 
     right = eye.see(with_pink(empty, 0.3, 0.0, 11, 8))
     assert right is not None  # of this size it is the marker
@@ -144,7 +139,7 @@ def test_a_tag_of_another_size_or_number_is_not_believed() -> None:
         tag = np.pad(_cv2.draw_tag(7, 6 * cells), cells, constant_values=255)
         changed = empty.copy()
         changed[200 : 200 + len(tag), 300 : 300 + len(tag)] = tag[..., None]
-        picture = seal(_cv2.write_jpeg(changed, 95))
+        picture = _cv2.write_jpeg(changed, 95)
         assert 7 in _cv2.find_tags(pixels(picture))
         assert (eye.see(picture) is not None) == believed
 

@@ -226,7 +226,8 @@ class NodeServer:
         if self._tick is None:
             # who has heard nothing at all may be alone yet: what he sends would be lost
             heard = all(node.inbox.marked[link] >= tick - lag for link, lag in node.listens.items())
-            return tick if heard and self.endpoint.received and (not node.measures or tick in self._measurements[loop]) else None
+            heard = heard and self.endpoint.received > 0
+            return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None

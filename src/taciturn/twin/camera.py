@@ -11,7 +11,6 @@ from taciturn._cv2 import Bend, add_noise, unproject, write_jpeg
 from taciturn._mujoco import Painter, Scene
 from taciturn.errors import ProblemError
 from taciturn.twin.robot import HEIGHT, WIDTH, Lens, Robot
-from taciturn.twin.seal import seal
 
 LARGEST = 60_000  # bytes of a picture: what one packet holds
 _ROOM = 64  # pixels by which the noise may be moved
@@ -45,7 +44,7 @@ class Optics:
         bent = self._bend.apply(self.painter.paint(position)[..., ::-1])  # which has red first
         noisy = add_noise(bent, self._noise[y : y + HEIGHT, x : x + WIDTH])
         for quality in range(self._lens.quality, 0, -10):
-            coded = seal(write_jpeg(noisy, quality))
+            coded = write_jpeg(noisy, quality)
             if len(coded) <= LARGEST:
                 return coded
         raise ProblemError(f"the picture takes more than {LARGEST} bytes; expected less: lower the noise of the lens")
@@ -84,7 +83,7 @@ class Camera:
             number: of the picture, at least 0: with the seed it decides on the noise, whatever was taken before.
 
         Returns:
-            A JPEG of 640×480 pixels in colour, sealed (`seal`), at most 60 000 bytes.
+            A JPEG of 640×480 pixels in colour, at most 60 000 bytes.
 
         Raises:
             ProblemError: not so many finite coordinates, or a negative number.

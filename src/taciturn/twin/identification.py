@@ -16,8 +16,8 @@ from taciturn.twin.camera import Camera
 from taciturn.twin.robot import Robot
 from taciturn.twin.vision import Eye
 
-RUNS, HELD_OUT = 16, 4  # runs that the model is fitted to, and that it is tried on
-TICKS, HOLD = 25, 5  # of a run, and for which an input is held
+RUNS, HELD_OUT = 14, 4  # runs that the model is fitted to, and that it is tried on
+TICKS, HOLD = 20, 5  # of a run, and for which an input is held
 PLACES, REPEATS = 8, 8  # at which the robot rests, and pictures of it there
 MARGIN = 0.15  # of the workspace, that the experiment leaves free on either side
 _SEEN = 0.9  # share of the pictures that must show the marker
@@ -61,8 +61,9 @@ class Identification:
 def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identification:
     """Identify a robot by an experiment in open loop, seen through its camera.
 
-    In each run it starts at rest somewhere in the workspace, and gets random inputs that are held for some ticks and
-    would keep it in the workspace if it did what the data sheet says. B minimises Σ|x⁺ - x - B u|².
+    In each run it starts at rest somewhere in the workspace, and gets random inputs of the kind that its mission has:
+    steps, or bends in the plane, that would keep it in the workspace if it did what the data sheet says. A robot with
+    inertia has another B for other inputs. B minimises Σ|x⁺ - x - B u|².
 
     Args:
         robot: which one.
@@ -160,23 +161,20 @@ def _run(robot: Robot, watch: _Watch, random: np.random.Generator) -> tuple[Arra
     return states.reshape(-1, n), acts.reshape(-1, m), steps.reshape(-1, n)
 
 
-def _excite(robot: Robot, start: Array, random: np.random.Generator) -> list[Array]:
-    """Return random inputs that keep the nominal robot in the workspace."""
+def _excite(robot: Robot, start: Array, random: np.random.Generator) -> Array:
+    """Return random inputs, (TICKS, m), that keep the nominal robot in the workspace."""
     low, high = _inside(robot)
-    largest, where = np.array(robot.excitation), start
-    while robot.turns:
-        bend = _go_round(robot, random)
-        path = start + np.cumsum(bend @ robot.B.T, axis=0)
+    while True:
+        inputs = _go_round(robot, random) if robot.turns else _go_by_steps(robot, random)
+        path = start + np.cumsum(inputs @ robot.B.T, axis=0)
         if (path >= low).all() and (path <= high).all():
-            return list(bend)
-    inputs: list[Array] = []
-    while len(inputs) < TICKS:
-        u = random.uniform(-largest, largest)
-        ahead = where + HOLD * robot.B @ u
-        if (ahead >= low).all() and (ahead <= high).all():
-            inputs += [u] * HOLD
-            where = ahead
-    return inputs
+            return inputs
+
+
+def _go_by_steps(robot: Robot, random: np.random.Generator) -> Array:
+    """Return inputs that are held for some ticks each: what a robot gets whose inputs are seldom sent."""
+    largest = np.array(robot.excitation)
+    return np.repeat(random.uniform(-largest, largest, (TICKS // HOLD, len(largest))), HOLD, axis=0)
 
 
 def _go_round(robot: Robot, random: np.random.Generator) -> Array:

@@ -71,7 +71,8 @@ def lines_of(found: TwinRun) -> list[tuple[str, str]]:
         else:
             lines.append((link.replace("_", " "), str(counted)))
     for state, off in vision(trial.vision, robot).items():
-        lines.append((f"camera, {state}", _listed(off) if isinstance(off, Mapping) else str(off)))
+        text = _listed(cast("Mapping[str, Any]", off)) if isinstance(off, Mapping) else str(off)
+        lines.append((f"camera, {state}", text))
     lines += [("thesis", text) for text in THESIS[robot.name]]
     return [*lines, *(("note", note) for note in trial.notes)]
 
