@@ -141,6 +141,6 @@ def test_what_goes_wrong_does_and_is_told(tmp_path: Path) -> None:
     assert trial.arrived["actuator"][0, 0] == 0 < trial.sent["actuator"][0, 0]
     assert trial.inputs[0, 0, 0] == 0.0  # the robot stands until the next packet comes
     step = np.diff(trial.poses[0, :, 0])
-    assert step[14] - quiet.trial.poses[0, 15, 0] + quiet.trial.poses[0, 14, 0] == pytest.approx(0.1, abs=0.03)
+    assert step[13] - step[12] == pytest.approx(0.1, abs=0.05)  # pushed aside within a tick
     assert run.cost_bound is None
     assert quiet.cost_bound is not None

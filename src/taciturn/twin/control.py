@@ -62,7 +62,16 @@ def picture_wire(
         eye: that sees.
         seen: where a JSON line per picture goes, as ``taciturn.runtime.service.logged`` has it.
         watch: where the newest picture of the first loop is kept, with what is seen drawn in.
+
+    Raises:
+        ProblemError: the eye sees another number of things than the policy measures.
     """
+    measured, outputs = len(eye.robot.states), policy.model.outputs
+    if measured != outputs:
+        raise ProblemError(
+            f"the calibration is of the {eye.robot.name}, whose camera measures {measured} numbers; expected {outputs}, "
+            "as the policy does"
+        )
     with logged(seen) as told:
 
         def tell(packet: Packet, picture: bytes, values: Sequence[float] | None) -> None:

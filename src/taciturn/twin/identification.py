@@ -17,7 +17,8 @@ from taciturn.twin.robot import Robot
 from taciturn.twin.vision import Eye
 
 RUNS, HELD_OUT = 14, 4  # runs that the model is fitted to, and that it is tried on
-TICKS, HOLD = 20, 5  # of a run, and for which an input is held
+TICKS, HOLD = 25, 10  # of a run, and for which an input is held
+START = 5  # ticks of a run in which the robot gets going: they are left out
 PLACES, REPEATS = 8, 8  # at which the robot rests, and pictures of it there
 MARGIN = 0.15  # of the workspace, that the experiment leaves free on either side
 _SEEN = 0.9  # share of the pictures that must show the marker
@@ -63,7 +64,7 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
 
     In each run it starts at rest somewhere in the workspace, and gets random inputs of the kind that its mission has:
     steps, or bends in the plane, that would keep it in the workspace if it did what the data sheet says. A robot with
-    inertia has another B for other inputs. B minimises Σ|x⁺ - x - B u|².
+    inertia has another B for other inputs, and while it gets going. B minimises Σ|x⁺ - x - B u|².
 
     Args:
         robot: which one.
@@ -146,14 +147,15 @@ def _run(robot: Robot, watch: _Watch, random: np.random.Generator) -> tuple[Arra
     start = _somewhere(robot, random)
     inputs = _excite(robot, start, random)
     body = Body(robot, int(random.integers(2**32)), start=start)
-    seen = [watch.measure(body)]
+    seen: list[Array | None] = []
     for k, u in enumerate(inputs, 1):
         body.act(u)
         body.flow(k * robot.tick)
-        seen.append(watch.measure(body))
+        if k >= START:
+            seen.append(watch.measure(body))
     pairs = [
         (x, u, _difference(robot, after, x))
-        for x, u, after in zip(seen[:-1], inputs, seen[1:], strict=True)
+        for x, u, after in zip(seen[:-1], inputs[START:], seen[1:], strict=True)
         if x is not None and after is not None
     ]
     n, m = len(robot.states), len(robot.inputs)
@@ -174,7 +176,7 @@ def _excite(robot: Robot, start: Array, random: np.random.Generator) -> Array:
 def _go_by_steps(robot: Robot, random: np.random.Generator) -> Array:
     """Return inputs that are held for some ticks each: what a robot gets whose inputs are seldom sent."""
     largest = np.array(robot.excitation)
-    return np.repeat(random.uniform(-largest, largest, (TICKS // HOLD, len(largest))), HOLD, axis=0)
+    return np.repeat(random.uniform(-largest, largest, (-(-TICKS // HOLD), len(largest))), HOLD, axis=0)[:TICKS]
 
 
 def _go_round(robot: Robot, random: np.random.Generator) -> Array:

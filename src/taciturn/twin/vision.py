@@ -41,7 +41,7 @@ class Eye:
 
     def __init__(self, robot: Robot, calibration: Calibration) -> None:
         """Keep both."""
-        self._robot, self._calibration = robot, calibration
+        self.robot, self._calibration = robot, calibration
         self._low, self._high = np.array(robot.low), np.array(robot.high)
 
     def see(self, picture: bytes) -> Array | None:
@@ -68,13 +68,13 @@ class Eye:
         else:
             measured, outline = found
             draw_lines(pixels, outline, GREEN)
-            shown = zip(self._robot.states, measured, strict=True)
+            shown = zip(self.robot.states, measured, strict=True)
             draw_text(pixels, ", ".join(f"{name.split()[0]} = {value:.3f}" for name, value in shown), (12, 28), GREEN)
         return write_jpeg(pixels, 85)
 
     def _find(self, pixels: Pixels) -> tuple[Array, Array] | None:
         """Return the measurement and the outline of the marker."""
-        marker = self._robot.marker
+        marker = self.robot.marker
         return self._find_disc(pixels, marker) if isinstance(marker, Disc) else self._find_tag(pixels, marker)
 
     def _find_disc(self, pixels: Pixels, disc: Disc) -> tuple[Array, Array] | None:

@@ -1,0 +1,109 @@
+"""Twins and cameras at the command line: what they answer, and what a user can get wrong."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+from twin.crews import crew
+
+from taciturn.runtime.udp import Endpoint
+from taciturn.twin.control import write_calibration
+from taciturn.twin.robot import Robot
+
+if TYPE_CHECKING:
+    from conftest import Run
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        (["twin", "car"], "there is no robot by the name 'car'; expected rover or omni"),
+        (["twin", "rover", "two-mass"], "two-mass is for another plant than the rover"),
+        (["twin", "omni", "rover"], "rover is for another plant than the omni"),
+        (["twin", "rover", "lossy-double-integrator"], "is for another plant than the rover"),
+        (["twin", "rover", "no-such-file"], "no-such-file"),
+        (["twin", "rover", "rover", "--theta", "1"], "theta is given with rover, which has its own"),
+        (["twin", "omni", "--theta", "1"], "the policy of the omni has no theta; expected price"),
+        (["twin", "rover", "--runs", "0"], "--runs is 0; expected a whole number, at least 1"),
+        (["twin", "rover", "--runs", "70000"], "--loops is 70000"),
+        (["twin", "rover", "--seed", "-1"], "seed is -1"),
+        (["twin", "rover", "--tick", "0.1"], "--tick is given without --real-time"),
+        (["twin", "rover", "--fault", "fire@3"], "the fault is 'fire@3'; expected NAME@START+SECONDS=SIZE"),
+        (["twin", "rover", "--wheels", "square"], "the variant is 'square'; expected one of capsule"),
+        (["twin", "omni", "--namespaces", "--fault", "actuator@1"], "the fault actuator is given with namespaces"),
+        (["twin", "rover", "--video", "out.avi"], "the video 'out.avi' ends in '.avi'; expected one of .webp"),
+        (["twin", "rover", "--record", "out.csv"], "the record 'out.csv' ends in '.csv'; expected one of .nc"),
+        (["twin", "rover", "--plot", "out.txt"], "the picture 'out.txt' ends in '.txt'"),
+        (["twin", "rover", "--live", "--runs", "2"], "--runs 2 is given with --live"),
+        (["twin", "rover", "rover", "--live"], "a problem file is given with --live"),
+        (["twin", "rover", "--live", "--bind", "0.0.0.0:0"], "token"),
+        (["twin", "rover", "--live", "--bind", "here"], "--bind is 'here'; expected HOST:PORT"),
+        (["twin", "rover", "--live", "--rounds", "0"], "--rounds is 0; expected a whole number, at least 1"),
+        (["twin", "rover", "--live", "--speed", "-1"], "speed is -1"),
+        (["twin", "rover", "--price", "-1"], "zeta is -1"),
+        (["camera", "rover", "rover", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
+        (["camera", "car", "rover", "--peer", ":9"], "there is no robot by the name 'car'"),
+        (["node", "controller", "rover", "--questions"], "--questions is given for the controller"),
+        (["node", "sensor", "rover", "--eye", "c.json"], "--eye is given for the sensor; expected it for the controller"),
+        (["node", "controller", "rover", "--peer", ":9", "--eye", "none.json"], "the calibration none.json cannot be"),
+        (["node", "controller", "rover", "--peer", ":9", "--seen", "-"], "--seen or --watch is given without --eye"),
+        (["reproduce", "chapter2", "--twin"], "nothing to reproduce by the name 'chapter2'; expected one of chapter6"),
+    ],
+)
+def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str], told: str) -> None:
+    """Robots, policies for other plants, faults, files and pages: one sentence, exit code 2, and nothing rendered."""
+    assert told in run(*arguments).sentence
+
+
+def test_a_port_in_use_is_refused(run: Run) -> None:
+    """The page's, and the camera's."""
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert f"{port}" in run("twin", "rover", "--live", "--bind", f"127.0.0.1:{port}").sentence
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        at = "{}:{}".format(*endpoint.address)
+        assert f"{at} cannot be bound" in run("camera", "rover", "rover", "--peer", ":9", "--bind", at).sentence
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"robot": "rover"}', '{"robot": "car"}'])
+def test_a_calibration_that_is_none_is_refused(run: Run, tmp_path: Path, text: str) -> None:
+    """Of another robot there is none either."""
+    path = tmp_path / "calibration.json"
+    path.write_text(text)
+    said = run("node", "controller", "rover", "--peer", ":9", "--eye", str(path)).sentence
+    assert "expected" in said
+
+
+def test_an_eye_for_a_policy_of_another_size_sees_nothing_that_is_used(run: Run, tmp_path: Path) -> None:
+    """A calibration of the omni's camera for the rover's controller is refused."""
+    path = tmp_path / "calibration.json"
+    prepared = crew("omni")
+    robot: Robot = prepared.robot
+    write_calibration(path, robot, prepared.calibration)
+    said = run("node", "controller", "rover", "--peer", ":9", "--eye", str(path)).sentence
+    assert "the calibration is of the omni, whose camera measures 3 numbers; expected 1" in said
+
+
+def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path) -> None:
+    """Rates of both links, costs, the guarantee, how well the camera sees, and every datagram; and all is recorded."""
+    crew("rover")
+    record, video, plot = (tmp_path / name for name in ("run.nc", "run.webp", "run.svg"))
+    targets = ("--record", str(record), "--video", str(video), "--plot", str(plot))
+    found = run("twin", "rover", "--seed", "2", "--json", *targets).document
+    assert found["rates"]["sensor"]["value"] == pytest.approx(10 / 60, abs=3 / 60)
+    assert found["rates"]["actuator"]["value"] <= 0.15
+    assert found["cost"]["value"] < found["cost_bound"]
+    assert found["cost_all_time"] > 0
+    assert abs(found["vision"]["x"]["bias_mm"]) <= 1
+    assert found["vision"]["x"]["standard_deviation_mm"] <= 2
+    assert found["datagrams"]["unaccounted"] == 0
+    for link in ("sensor", "actuator"):
+        counted = found["datagrams"][link]
+        assert counted["sent"] == counted["delivered"] + counted["lost"] > 0
+    assert all(target.stat().st_size > 1000 for target in (record, video, plot))
