@@ -107,6 +107,24 @@ def test_the_cache_keeps_what_was_used_last(
     assert len(compiled) == 1
 
 
+def test_old_programs_go_together_and_not_one_by_one(
+    compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An eighth more than are kept stays until one more comes; then those beyond go at once."""
+    monkeypatch.setattr(machine, "MOST_KEPT", 16)
+    folder = tmp_path / "taciturn"
+    folder.mkdir()
+    for before, after in ((17, 18), (18, 16)):
+        for path in folder.iterdir():
+            path.unlink()
+        for age in range(before):
+            (folder / f"{age}.o").write_bytes(b"")
+            os.utime(folder / f"{age}.o", (1000.0 - age, 1000.0 - age))
+        play()
+        assert len(list(folder.iterdir())) == after
+    assert len(compiled) == 2
+
+
 def test_a_cache_that_cannot_be_written_costs_time_alone(
     compiled: Compiled, play: Callable[[], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

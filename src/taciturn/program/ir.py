@@ -52,7 +52,8 @@ class Program:
     def structure(self) -> Hashable:
         """What programs share that differ in their numbers alone: they can run side by side."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
-        names, sizes = (tuple(self.sums.items()), tuple(self.outputs.items())), tuple(len(t) for t in self.tables)
+        names = (tuple(self.sums.items()), tuple(self.outputs.items()))
+        sizes = (len(self.constants), *(len(table) for table in self.tables))
         states = tuple(
             replace(state, start=0.0 if isinstance(state.start, float) else state.start) for state in self.states
         )
@@ -107,15 +108,15 @@ class Builder:
         self.matrices: list[Rows] = []
         self.states: list[State] = []
         self.inputs: list[str] = []
-        self._known: dict[Op, int] = {}
+        self._known: dict[tuple[str, tuple[int, ...]], int] = {}
         self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
         """Return the index of the operation, new or shared."""
-        op, new = Op(name, arguments), len(self.ops)
-        found = self._known.setdefault(op, new)
+        new = len(self.ops)
+        found = self._known.setdefault((name, arguments), new)
         if found == new:
-            self.ops.append(op)
+            self.ops.append(Op(name, arguments))
         return found
 
     def constant(self, value: float) -> int:
@@ -279,13 +280,17 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     """
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program, roots))
-    builder = Builder(program.precision)
+    builder, ops = Builder(program.precision), program.ops
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
     new: dict[int, int] = {}
     for index in live:
-        op = program.ops[index]
-        replaced = substitute(builder, op) if op.name in ("state", "input") else None
+        op = ops[index]
+        name, arguments = op
+        if name not in LITERAL_ARGUMENTS:  # nearly all are
+            new[index] = builder.emit(name, *[new[argument] for argument in arguments])
+            continue
+        replaced = substitute(builder, op) if name in ("state", "input") else None
         new[index] = _copy(program, builder, op, new) if replaced is None else replaced
     return Program(
         tuple(builder.ops),
@@ -354,16 +359,16 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
     """Return the operations that the roots depend on: each reads only earlier ones."""
-    needed = set(roots)
+    needed, ops = set(roots), program.ops
     for index in range(max(needed, default=-1), -1, -1):
         if index in needed:
-            needed.update(program.ops[index].reads)
+            name, arguments = ops[index]
+            needed.update(ops[index].reads if name in LITERAL_ARGUMENTS else arguments)
     return needed
 
 
 def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) -> int:
-    if op.name not in LITERAL_ARGUMENTS:
-        return builder.emit(op.name, *[new[argument] for argument in op.arguments])
+    """Copy an operation some of whose arguments are literals."""
     first = op.arguments[0]
     if op.name == "const":
         return builder.constant(program.constants[first])

@@ -16,10 +16,11 @@ import hashlib
 import importlib
 import os
 import warnings
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
-from functools import cache
+from dataclasses import dataclass, field
+from functools import cache, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,8 @@ from taciturn.program.numpy import Run
 VECTORS = "TACITURN_VECTORS"
 PASSES = "combine"  # how programs are compiled, in the key of what is kept
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
+SPARE = 8  # an eighth more may be there before they go: that asks for the age of each
+MOST_PRINTED = 256  # texts in memory
 _ALONE = ContextVar("alone", default=False)
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
@@ -55,7 +58,7 @@ class Kernel:
         self.own = own
         self.lanes = vector_lanes() * (2 if program.precision == "float32" else 1)
         self._sizes = _sizes(program)
-        self._code = _load(print_llvm(program, self.lanes, build, own))
+        self._code = _load(_print(_Printable(program.structure, program), self.lanes, build, own))
 
     def pack(self, programs: Sequence[Program]) -> Array:
         """Return the constants of programs that run side by side, (blocks, constants, lanes)."""
@@ -154,6 +157,20 @@ def vector_lanes() -> int:
     """Return how many doubles the widest vector of this processor holds."""
     features = _host()[1]
     return 8 if "+avx512f" in features else 4 if "+avx2" in features else 2
+
+
+@dataclass(frozen=True)
+class _Printable:
+    """A program, equal to any of its structure."""
+
+    structure: Hashable
+    program: Program = field(compare=False)
+
+
+@lru_cache(maxsize=MOST_PRINTED)
+def _print(printable: _Printable, lanes: int, build: Build, own: bool) -> str:
+    """Return the text of a module, which is the same for all programs of a structure."""
+    return print_llvm(printable.program, lanes, build, own)
 
 
 def _sizes(program: Program) -> tuple[int, ...]:
@@ -269,9 +286,10 @@ def _write_object(path: Path, code: bytes) -> None:
     """Keep the code if the disk lets us; a name is only ever given to a whole file."""
     with contextlib.suppress(OSError):  # a read-only home costs time, nothing else
         write_whole(path, hashlib.sha256(code).digest() + code)
-        kept = sorted(path.parent.glob("*.o"), key=lambda file: file.stat().st_mtime)
-        for oldest in kept[:-MOST_KEPT]:
-            oldest.unlink()
+        if len(os.listdir(path.parent)) > MOST_KEPT + MOST_KEPT // SPARE:
+            kept = sorted(path.parent.glob("*.o"), key=lambda file: file.stat().st_mtime)
+            for oldest in kept[:-MOST_KEPT]:
+                oldest.unlink()
 
 
 def _into_blocks(rows: Array, lanes: int) -> Array:

@@ -138,8 +138,14 @@ class _Game:
         return self._saved(squares(error, self.Gamma), squares(error, self.fitted.Pi))
 
     def _saved(self, cost: Array, power: Array) -> Array:
-        bell = self.fitted.height * np.exp(-0.5 * np.maximum(power, 0.0))
-        return np.minimum(cost - self.fitted.gain - bell, 0.0)
+        """Return min(0, U), written over what it is given: most of the time of a bound goes here."""
+        bell = np.maximum(power, 0.0, out=power)
+        bell *= -0.5
+        np.exp(bell, out=bell)
+        bell *= self.fitted.height
+        cost -= self.fitted.gain
+        cost -= bell
+        return np.minimum(cost, 0.0, out=cost)
 
 
 @dataclass(frozen=True, eq=False)
