@@ -107,9 +107,11 @@ def _live(
     rounds: int | None,
 ) -> TwinRun:
     """Serve the page of a twin until it is interrupted, and return the last mission that was whole."""
+    from taciturn._arrays import number
     from taciturn.errors import ProblemError
     from taciturn.runtime.service import until_stopped
     from taciturn.runtime.udp import parse_address
+    from taciturn.twin.catalogue import find_robot
     from taciturn.twin.live import watch_twin
     from taciturn.twin.page import Page
     from taciturn.twin.prepared import prepare
@@ -117,6 +119,8 @@ def _live(
     if file is not None or setup.runs > 1:
         option = "a problem file" if file is not None else f"--runs {setup.runs}"
         raise ProblemError(f"{option} is given with --live, which runs the thesis's mission; expected neither of them")
+    number("--speed", speed, 0.0, closed=True)
+    setup.check(find_robot(robot))
     bind, token = page
     with Page(parse_address("--bind", bind), token) as shown, until_stopped() as stopped:
         typer.echo(f"taciturn: the page is {shown.url}", err=True)

@@ -69,8 +69,8 @@ def picture_wire(
     measured, outputs = len(eye.robot.states), policy.model.outputs
     if measured != outputs:
         raise ProblemError(
-            f"the calibration is of the {eye.robot.name}, whose camera measures {measured} numbers; expected {outputs}, "
-            "as the policy does"
+            f"the calibration is of the {eye.robot.name}, whose camera measures {measured} numbers; "
+            f"expected {outputs}, as the policy does"
         )
     with logged(seen) as told:
 

@@ -10,7 +10,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from taciturn._arrays import number
 from taciturn.model.policy import ENDS, LinkName
 from taciturn.problem import Problem, parse
 from taciturn.twin.mission import MISSIONS
@@ -57,7 +56,6 @@ def watch_twin(
     Raises:
         ProblemError: as ``taciturn.twin.run.run_twin``.
     """
-    number("speed", speed, 0.0, closed=True)
     chosen, done, last = dict(parameters or {}), 0, None
     while not stopped() and (rounds is None or done < rounds):
         problem = parse(prepared.tables(chosen), "the mission")

@@ -110,9 +110,10 @@ def run_twin(
     if file is not None and parameters:
         raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
     given = None if file is None else load(file)  # what is wrong with it is told at once
-    name = robot if isinstance(robot, str) else robot.robot.name
+    chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
+    setup.check(chosen)
     if given is not None:
-        check_mission(find_robot(name), given, str(file))
+        check_mission(chosen, given, str(file))
     found = prepare(robot, setup.seed) if isinstance(robot, str) else robot
     problem = parse(found.tables(parameters or {}), "the mission") if given is None else given
     policy = check_mission(found.robot, problem, file or "the mission")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taciturn._arrays import count
+from taciturn._arrays import choice, count
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import Namespaces
@@ -58,6 +58,16 @@ class Setup:
         """Check the ranges."""
         count("runs", self.runs)
         count("seed", self.seed, 0)
+
+    def check(self, robot: Robot) -> None:
+        """Refuse what this robot does not have.
+
+        Raises:
+            ProblemError: another way to model wheels, or a fault that no namespace knows.
+        """
+        choice("variant", self.variant or robot.variants[0], robot.variants)
+        if self.namespaces and window(self.faults, "actuator", robot.tick) is not None:
+            raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
 
     def body(self, robot: Robot, run: int) -> Body:
         """Return the body of a run."""
@@ -108,8 +118,7 @@ def run_trial(
     assert horizon is not None
     assert problem.source is not None
     outage = window(setup.faults, "actuator", robot.tick)
-    if setup.namespaces and outage is not None:
-        raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
+    plants = [TwinPlant(problem, setup.body(robot, run)) for run in range(setup.runs)]
     drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
     with (
         tempfile.TemporaryDirectory(prefix="taciturn-") as name,
@@ -144,7 +153,6 @@ def run_trial(
             processes.commands["actuator"] += ["--wait", "0.15"]
         with nullcontext() if spaces is None else spaces.visit("plant"):
             endpoint = Endpoint(parse_address("the plant", processes.addresses["plant"]))
-        plants = [TwinPlant(problem, setup.body(robot, run)) for run in range(setup.runs)]
         key = setup.key
         world = World(
             plants,
