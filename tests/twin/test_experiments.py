@@ -1,4 +1,4 @@
-"""The experiments of chapters 6 and 7 with twins, in full: what they cost and send, what goes wrong, and in real time."""
+"""The experiments of chapters 6 and 7 with twins, in full: what they cost and send, faults, and real time."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_dearer_sends_are_rarer_and_cost_what_the_theorem_allows() -> None:
     "fault", ["camera@6+2", "actuator@6+2", "kidnap@6=0.2", "cover@6+2", "light@0+25=0.4", "controller@6"]
 )
 def test_the_omni_comes_back_to_its_path_whatever_happens(fault: str) -> None:
-    """Two seconds without eyes or hands, a kidnap, another light, a killed node: within 15 cm of the path at the end."""
+    """Two seconds without eyes or hands, a kidnap, another light, a killed node: within 15 cm of it at the end."""
     run = run_twin(crew("omni"), Setup(seed=1, faults=(parse_fault(fault),)), compare=False)
     distance = off(run)[0]
     assert distance[-50:].max() < 0.15
@@ -116,7 +116,7 @@ def test_by_the_clock_it_goes_as_in_virtual_time(name: str, tick: float) -> None
 
 
 def test_rollers_and_capsules_tell_the_same() -> None:
-    """A model of the wheels with 48 rollers, or with friction that depends on the direction: costs within their spread."""
+    """Wheels with 48 rollers, or with friction that depends on the direction: costs within their spread."""
     rolling = run_twin(crew("omni"), Setup(runs=2, variant="rollers"), compare=False)
     usual = rounds(0.01)
     assert rolling.rates["actuator"].value <= 0.25
@@ -149,8 +149,8 @@ def test_a_twin_is_watched_paused_pushed_and_turned_in_a_browser(tab: Any) -> No
         try:
             tab.goto(page.url)
             rows = "Number(document.body.dataset.rows ?? 0)"
-            tab.wait_for_function(f"{rows} > 5", timeout=60_000)
-            tab.wait_for_function("document.querySelector('#picture').naturalWidth === 640", timeout=30_000)
+            browser.await_ticks(tab, 6, 60.0)
+            browser.await_true(tab, "document.querySelector('#picture').naturalWidth === 640", 30.0)
             tab.locator("#push").click()
             tab.get_by_text("somebody has pushed the robot").wait_for(timeout=20_000)
             tab.locator("#pause").click()
@@ -160,15 +160,13 @@ def test_a_twin_is_watched_paused_pushed_and_turned_in_a_browser(tab: Any) -> No
             tab.wait_for_timeout(1500)
             assert tab.evaluate(rows) == still
             tab.locator("#pause").click()
-            tab.wait_for_function(f"{rows} > {still}", timeout=20_000)
+            browser.await_ticks(tab, still + 1, 20.0)
             box = tab.locator("#knob").bounding_box()
             tab.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
-            tab.wait_for_function(
-                "document.querySelector('#progress').textContent.startsWith('round 1')", timeout=60_000
-            )
+            tab.get_by_text("round 1,").wait_for(timeout=60_000)
             value = float(tab.locator("#knob-value").inner_text())
             assert 0 < value < 0.1  # which was 0.5
-            tab.wait_for_function(f"{rows} > 5", timeout=60_000)
+            browser.await_ticks(tab, 6, 60.0)
         finally:
             ended.set()
             running.join(60)
