@@ -283,15 +283,15 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     builder, ops = Builder(program.precision), program.ops
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
-    new: dict[int, int] = {}
+    new = [0] * len(ops)
     for index in live:
         op = ops[index]
         name, arguments = op
-        if name not in LITERAL_ARGUMENTS:  # nearly all are
+        if name in LITERAL_ARGUMENTS:
+            replaced = substitute(builder, op) if name in ("state", "input") else None
+            new[index] = _copy(program, builder, op, new) if replaced is None else replaced
+        else:  # nearly all
             new[index] = builder.emit(name, *[new[argument] for argument in arguments])
-            continue
-        replaced = substitute(builder, op) if name in ("state", "input") else None
-        new[index] = _copy(program, builder, op, new) if replaced is None else replaced
     return Program(
         tuple(builder.ops),
         tuple(builder.states),
@@ -314,17 +314,31 @@ def merge_states(program: Program) -> Program:
     """
     starts: dict[object, int] = {}
     leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
+    live = sorted(needed(program, program.following))
     while True:
-        kept = sorted(set(leader))
-        every = replace(program, sums={}, outputs={f"{i}": op for i, op in enumerate(program.following)})
-        merged = rebuild(every, _led(leader, kept), kept)
-        following = [merged.outputs[f"{i}"] for i in range(len(program.states))]
+        same = _same_values(program, live, leader)
         classes: dict[tuple[int, int], int] = {}
-        split = [classes.setdefault((leader[i], following[i]), i) for i in range(len(program.states))]
+        split = [classes.setdefault((leader[i], same[op]), i) for i, op in enumerate(program.following)]
         if split == leader:
             break
         leader = split
     return _pruned(program, leader)
+
+
+def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -> list[int]:
+    """Return the first operation that has the value of each of the live ones, where states are their leaders."""
+    same, known = list(range(len(program.ops))), dict[tuple[str, tuple[int, ...]], int]()
+    for index in live:
+        name, arguments = program.ops[index]
+        literal = LITERAL_ARGUMENTS.get(name)
+        if name == "state":
+            arguments = (leader[arguments[0]],)
+        elif literal is None:
+            arguments = tuple([same[argument] for argument in arguments])
+        else:
+            arguments = tuple([a if i in literal else same[a] for i, a in enumerate(arguments)])
+        same[index] = known.setdefault((name, arguments), index)
+    return same
 
 
 def _pruned(program: Program, leader: Sequence[int], wanted: Set[str] = frozenset()) -> Program:
@@ -367,7 +381,7 @@ def needed(program: Program, roots: Sequence[int]) -> set[int]:
     return needed
 
 
-def _copy(program: Program, builder: Builder, op: Op, new: Mapping[int, int]) -> int:
+def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int:
     """Copy an operation some of whose arguments are literals."""
     first = op.arguments[0]
     if op.name == "const":
