@@ -280,18 +280,17 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     """
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program, roots))
-    builder, ops = Builder(program.precision), program.ops
+    builder = Builder(program.precision)
     for i in states:  # the order of the states is that of the original, whatever is read first
         builder.state(program.states[i])
-    new = [0] * len(ops)
+    new = [0] * len(program.ops)
     for index in live:
-        op = ops[index]
-        name, arguments = op
-        if name in LITERAL_ARGUMENTS:
-            replaced = substitute(builder, op) if name in ("state", "input") else None
+        op = program.ops[index]
+        if op.name in LITERAL_ARGUMENTS:
+            replaced = substitute(builder, op) if op.name in ("state", "input") else None
             new[index] = _copy(program, builder, op, new) if replaced is None else replaced
         else:  # nearly all
-            new[index] = builder.emit(name, *[new[argument] for argument in arguments])
+            new[index] = builder.emit(op.name, *[new[argument] for argument in op.arguments])
     return Program(
         tuple(builder.ops),
         tuple(builder.states),
@@ -330,11 +329,9 @@ def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -
     same, known = list(range(len(program.ops))), dict[tuple[str, tuple[int, ...]], int]()
     for index in live:
         name, arguments = program.ops[index]
-        literal = LITERAL_ARGUMENTS.get(name)
+        literal = LITERAL_ARGUMENTS.get(name, ())
         if name == "state":
             arguments = (leader[arguments[0]],)
-        elif literal is None:
-            arguments = tuple([same[argument] for argument in arguments])
         else:
             arguments = tuple([a if i in literal else same[a] for i, a in enumerate(arguments)])
         same[index] = known.setdefault((name, arguments), index)
@@ -373,16 +370,14 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
     """Return the operations that the roots depend on: each reads only earlier ones."""
-    needed, ops = set(roots), program.ops
+    needed = set(roots)
     for index in range(max(needed, default=-1), -1, -1):
         if index in needed:
-            name, arguments = ops[index]
-            needed.update(ops[index].reads if name in LITERAL_ARGUMENTS else arguments)
+            needed.update(program.ops[index].reads)
     return needed
 
 
 def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int:
-    """Copy an operation some of whose arguments are literals."""
     first = op.arguments[0]
     if op.name == "const":
         return builder.constant(program.constants[first])
