@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from twin.crews import blind
 
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(path for path in (ROOT / "docs").glob("*.md") if "```{code-cell}" in path.read_text(encoding="utf-8"))
@@ -53,6 +54,8 @@ def test_every_example_runs(path: Path, tmp_path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     assert text.rstrip().splitlines()[-1].startswith("assert ")
+    if "taciturn.twin" in text and blind():
+        pytest.skip(blind())
     environment = {**os.environ, "MPLBACKEND": "Agg"}
     done = subprocess.run(
         [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
