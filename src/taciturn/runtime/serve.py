@@ -22,15 +22,13 @@ from taciturn.runtime.clock import Phase
 from taciturn.runtime.inbox import AHEAD, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import Told
+from taciturn.runtime.service import IDLE, QUIET, Told, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # ticks behind which a node goes on with the present
 PATIENT = 4096  # measurements that wait for their tick
 REMEMBERED = 100_000  # ticks whose lateness is told, the last
-IDLE = 0.25  # seconds after which it is seen whether to stop
-QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 SHARES = (50.0, 95.0, 99.0, 100.0)  # percentiles of lateness
 
 
@@ -110,10 +108,7 @@ class NodeServer:
 
     def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Take what is still on its way until stopped, go through no more ticks, and return the report."""
-        while not stopped():
-            self._take(self.endpoint.receive(time.monotonic() + IDLE))
-        while found := self.endpoint.receive(time.monotonic() + QUIET):
-            self._take(found)
+        take_until(self.endpoint, self._take, stopped)
         return self.report()
 
     def report(self) -> dict[str, Any]:

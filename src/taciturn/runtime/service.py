@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import signal
 import sys
-from collections.abc import Callable, Generator, Mapping
+import time
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, TypeAlias
@@ -14,11 +15,21 @@ from taciturn.runtime.udp import Address, Endpoint, parse_address
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 LISTENS = "listens on"  # who starts a process waits for this
+IDLE = 0.25  # seconds after which it is seen whether to stop
+QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 
 
 def say_where(name: str, address: Address) -> None:
     """Say on standard error that a process listens."""
     print(f"taciturn: the {name} {LISTENS} {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+
+
+def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
+    """Take datagrams until stopped, and then those that are still on their way."""
+    while not stopped():
+        take(endpoint.receive(time.monotonic() + IDLE))
+    while found := endpoint.receive(time.monotonic() + QUIET):
+        take(found)
 
 
 @contextmanager

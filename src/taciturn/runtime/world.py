@@ -14,8 +14,7 @@ from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.relay import Channel
-from taciturn.runtime.serve import IDLE, QUIET
-from taciturn.runtime.service import Told
+from taciturn.runtime.service import IDLE, QUIET, Told
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 

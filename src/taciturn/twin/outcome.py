@@ -35,7 +35,7 @@ class Trial:
         sent: whether a packet was sent, by link, (runs, ticks): on the sensor link, whether the camera was asked.
         arrived: whether it came, by link, (runs, ticks).
         sequences: numbers of the packets that came, by link, of each run.
-        datagrams: sent, delivered and lost, by link, and ``unaccounted``.
+        datagrams: sent, delivered and lost, by link, and ``unaccounted`` (None where a process was killed).
         reports: of each process, by name.
         seconds: wall time.
         notes: what the reader must know.
@@ -75,6 +75,7 @@ class Told:
         reports: of each process, by name.
         drops: what the kernel was to lose, by link; none where relays run.
         dropped: datagrams that it dropped for that.
+        killed: whether a process was, whose counters are gone.
     """
 
     lines: Mapping[str, Lines]
@@ -82,6 +83,7 @@ class Told:
     reports: Mapping[str, Mapping[str, Any]]
     drops: Mapping[LinkName, KernelLoss]
     dropped: int
+    killed: bool
 
 
 def put_together(
@@ -185,7 +187,7 @@ def _datagrams(
     sockets = [report["datagrams"] for report in reports.values()]
     found["dropped_by_full_buffers"] = sum(one["dropped_by_kernel"] or 0 for one in sockets)
     lost = told.dropped + found["dropped_by_full_buffers"]
-    found["unaccounted"] = sum(one["sent"] - one["received"] for one in sockets) - lost
+    found["unaccounted"] = None if told.killed else sum(one["sent"] - one["received"] for one in sockets) - lost
     return found
 
 

@@ -25,9 +25,6 @@ def document_of(run: TwinRun) -> dict[str, Any]:
         "rates": {link: _document(rate) for link, rate in run.rates.items()},
         "cost": _document(run.cost),
         "cost_all_time": None if run.always is None else float(run.always.totals.mean()),
-        "cost_all_time_standard_error": None
-        if run.always is None
-        else _document(mean(run.always.totals))["standard_error"],
         "cost_all_time_model": run.policy.cost_all_time,
         "cost_bound": run.cost_bound,
         "all_time": None if run.always is None else _summary(run.always),

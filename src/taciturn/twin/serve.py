@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import time
 from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any
 
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.relay import of_loop
-from taciturn.runtime.serve import IDLE, QUIET
+from taciturn.runtime.service import take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 from taciturn.twin.camera import Camera
@@ -55,10 +54,7 @@ class CameraServer:
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Answer until stopped, then what is still on its way, and return the report."""
-        while not stopped():
-            self._take(self.endpoint.receive(time.monotonic() + IDLE))
-        while found := self.endpoint.receive(time.monotonic() + QUIET):
-            self._take(found)
+        take_until(self.endpoint, self._take, stopped)
         return self.report()
 
     def report(self) -> dict[str, Any]:

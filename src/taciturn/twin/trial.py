@@ -6,7 +6,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -154,6 +154,7 @@ def run_trial(
         with nullcontext() if spaces is None else spaces.visit("plant"):
             endpoint = Endpoint(parse_address("the plant", processes.addresses["plant"]))
         key = setup.key
+        before = _Before(robot.tick, setup, processes, plants, watcher, progress, horizon)
         world = World(
             plants,
             Wire(policy, problem.network, key),
@@ -163,12 +164,13 @@ def run_trial(
             CameraWire(policy, robot.seen, problem.network, key),
             tick=setup.tick,
             told=watcher.told,
-            before=_Before(robot.tick, setup, processes, plants, watcher, progress, horizon),
+            before=before,
         )
         watcher.start(folder)
         try:
             processes.start()
             world.run(horizon, lambda: processes.ended() or watcher.stopped())
+            before.settle()
             if processes.ended():
                 raise ProblemError(processes.sentence())
             reports = {**processes.stop(), "world": world.finish()}
@@ -177,7 +179,8 @@ def run_trial(
             endpoint.close()
         lines = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
         dropped = 0 if spaces is None else sum(spaces.counted(link).dropped for link in processes.links)
-        told = Told(lines, logged_lines(folder / "seen.jsonl"), reports, drops, dropped)
+        killed = any(fault.name == "controller" for fault in setup.faults)
+        told = Told(lines, logged_lines(folder / "seen.jsonl"), reports, drops, dropped, killed)
     return put_together(problem, plants, world.costs, told, time.monotonic() - began)
 
 
@@ -199,15 +202,22 @@ class _Before:
             self._due.setdefault(fault.ticks(tick)[0], []).append(fault)
         self._processes, self._plants, self._watcher = processes, plants, watcher
         self._progress, self._ticks, self._lockstep = progress, ticks, setup.tick is None
-        self._pool = ThreadPoolExecutor(1)
+        self._pool, self._restarts = ThreadPoolExecutor(1), list[Future[None]]()
 
     def _restart(self, name: str) -> None:
         """Kill a process and start it again; in real time the world goes on meanwhile."""
-        started = self._pool.submit(self._processes.restart, name)
+        self._restarts.append(self._pool.submit(self._processes.restart, name))
         if self._lockstep:
-            started.result()
-        else:
-            started.add_done_callback(lambda done: done.result())
+            self.settle()
+
+    def settle(self) -> None:
+        """Wait for what has been started again.
+
+        Raises:
+            ProblemError: it does not run.
+        """
+        while self._restarts:
+            self._restarts.pop().result()
 
     def __call__(self, tick: int) -> None:
         for fault in self._due.get(tick, []):

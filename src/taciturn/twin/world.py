@@ -13,8 +13,7 @@ from taciturn.model.plant import Plant
 from taciturn.problem import Problem
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.serve import QUIET
-from taciturn.runtime.service import Told
+from taciturn.runtime.service import Told, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.world import PlantServer
 from taciturn.twin.body import Body
@@ -116,8 +115,7 @@ class World(PlantServer):
 
     def finish(self) -> dict[str, Any]:
         """Take what is still on its way, and return the report."""
-        while found := self.endpoint.receive(time.monotonic() + QUIET):
-            self._take(found)
+        take_until(self.endpoint, self._take, lambda: True)
         return self.report()
 
     def _measure(self, tick: int, again: bool = False) -> None:
