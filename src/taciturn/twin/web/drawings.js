@@ -97,6 +97,8 @@ export function drawPlane(pen, width, height, { about, rows }) {
   line(truth, "true", [], 1.8);
   line(estimate, "estimate", [6, 4], 1.5);
   about.links.forEach((link, i) => {
+    // a link that sends always would hide the path
+    if (rows.length > 20 && rows.every((row) => row.sent[link])) return;
     for (const row of rows) if (row.sent[link]) dot(pen, across(row.state[0]), up(row.state[1]), i);
   });
   const last = truth.at(-1);
