@@ -72,7 +72,7 @@ def rover(prepared: Prepared, runs: int) -> dict[str, Any]:
     run = run_twin(prepared, Setup(runs))
     always = run.always
     assert always is not None
-    other = TwinRun(run.prepared, run.policy, always, None, (), 0.0)
+    other = TwinRun(run.prepared, run.policy, always, None, run.setup, 0.0)
     return {"summary": summary(run), "path": path(run), "path_all_time": path(other)}
 
 

@@ -61,6 +61,17 @@ class Motion:
         """Move on by one step of the scene."""
         self._mujoco.mj_step(self._model, self._data)
 
+    def check(self) -> None:
+        """Refuse to go on where the bodies have left the range of numbers.
+
+        Raises:
+            ProblemError: they have.
+        """
+        if any(warning.number for warning in self._data.warning) or not np.isfinite(self._data.qpos).all():
+            raise ProblemError(
+                "the rigid bodies have left the range of numbers; expected smaller forces: is a push too strong?"
+            )
+
     def settle(self) -> None:
         """Work out where everything is, from `position`."""
         self._mujoco.mj_kinematics(self._model, self._data)
@@ -126,10 +137,16 @@ class Painter:
         self._renderer.close()
 
 
+def _keep_quiet(warning: str) -> None:
+    """Warnings are counted, and asked for by ``Motion.check``; MuJoCo's own way is to write them into a file."""
+
+
 def _mujoco() -> Any:
     os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no screen
     try:
-        return import_module("mujoco")
+        mujoco = import_module("mujoco")
+        mujoco.set_mju_user_warning(_keep_quiet)
+        return mujoco
     except ImportError:
         raise ProblemError(
             "MuJoCo is not installed; expected it for the digital twins: pip install 'taciturn[twin]'"

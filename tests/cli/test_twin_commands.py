@@ -28,7 +28,15 @@ if TYPE_CHECKING:
         (["twin", "rover", "rover", "--theta", "1"], "theta is given with rover, which has its own"),
         (["twin", "omni", "--theta", "1"], "the policy of the omni has no theta; expected price"),
         (["twin", "rover", "--runs", "0"], "--runs is 0; expected a whole number, at least 1"),
-        (["twin", "rover", "--runs", "70000"], "--loops is 70000"),
+        (["twin", "rover", "--runs", "70000"], "--runs is 70000"),
+        (["twin", "rover", "--theta", "nan"], "--theta is nan"),
+        (["twin", "rover", "--fault", "camera@18"], "begins after 18 s, when the mission is over"),
+        (["twin", "rover", "--fault", "kidnap@1=1,2"], "has 2 numbers; expected 1 at most"),
+        (["twin", "rover", "--fault", "gain=-2"], "the gain of the motors is -2"),
+        (["twin", "rover", "--fault", "actuator@1", "--fault", "actuator@5"], "the fault actuator is given 2 times"),
+        (["twin", "rover", "--speed", "2"], "--speed is given without --live"),
+        (["twin", "rover", "--live", "--real-time", "--speed", "2"], "--speed is given with --real-time"),
+        (["camera", "omni", "rover", "--peer", ":9"], "rover is for another plant than the omni"),
         (["twin", "rover", "--seed", "-1"], "seed is -1"),
         (["twin", "rover", "--tick", "0.1"], "--tick is given without --real-time"),
         (["twin", "rover", "--fault", "fire@3"], "the fault is 'fire@3'; expected NAME@START+SECONDS=SIZE"),
@@ -43,7 +51,7 @@ if TYPE_CHECKING:
         (["twin", "rover", "--live", "--bind", "here"], "--bind is 'here'; expected HOST:PORT"),
         (["twin", "rover", "--live", "--rounds", "0"], "--rounds is 0; expected a whole number, at least 1"),
         (["twin", "rover", "--live", "--speed", "-1"], "--speed is -1"),
-        (["twin", "rover", "--price", "-1"], "zeta is -1"),
+        (["twin", "rover", "--price", "-1"], "--price is -1"),
         (["camera", "rover", "rover", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
         (["camera", "car", "rover", "--peer", ":9"], "there is no robot by the name 'car'"),
         (["node", "controller", "rover", "--questions"], "--questions is given for the controller"),
@@ -102,7 +110,7 @@ def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path) -> None:
     answer = run("twin", "rover", "--seed", "2", "--json", *targets)
     assert answer.code == 0, answer.err
     found = json.loads(answer.out)
-    assert found["rates"]["sensor"]["value"] == pytest.approx(10 / 60, abs=3 / 60)
+    assert found["rates"]["sensor"]["value"] == pytest.approx(11 / 60, abs=3.5 / 60)  # the noise is as identified
     assert found["rates"]["actuator"]["value"] <= 0.15
     assert found["cost"]["value"] < found["cost_bound"]
     assert found["cost_all_time"] > 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -202,3 +203,16 @@ def test_impossible_bodies_and_calls_are_refused() -> None:
     for call in calls:
         with pytest.raises(ProblemError, match="expected"):
             call()
+
+
+def test_a_body_that_is_thrown_out_of_the_range_of_numbers_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sentence, no number, and no file that MuJoCo would leave where the user is."""
+    monkeypatch.chdir(tmp_path)
+    for robot in ROBOTS.values():
+        body = Body(robot)
+        body.push(1e12, 1.0)
+        with pytest.raises(ProblemError, match="left the range of numbers"):
+            body.flow(1.0)
+    assert list(tmp_path.iterdir()) == []

@@ -111,7 +111,7 @@ def test_faults_are_read_and_written() -> None:
 @pytest.mark.parametrize(
     "text",
     ["", "camera", "fire@3", "camera@", "camera@x", "camera@-1", "camera@1+0", "camera@1=2", "kidnap@1+2", "gain@1=0.1",
-     "kidnap@1=1,2,3,4", "light@1=0", "light@1=nan", "camera@1@2", "push@1+inf"],
+     "kidnap@1=1,2,3,4", "light@1=0", "light@1=nan", "camera@1@2", "push@1+inf", "light@1=1,2,3", "push@1=1,2,3"],
 )  # fmt: skip
 def test_what_is_no_fault_is_refused(text: str) -> None:
     """One sentence that says what was got, and what is expected."""

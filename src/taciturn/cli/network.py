@@ -309,16 +309,17 @@ def _outage(text: str | None) -> tuple[int, int] | None:
 
 @contextmanager
 def ended_as_interrupted() -> Generator[None]:
-    """Let SIGTERM do what Ctrl-C does, so that no process, namespace or folder is left behind."""
+    """Let SIGTERM and SIGHUP do what Ctrl-C does, so that no process, namespace or folder is left behind."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    before = signal.signal(signal.SIGTERM, interrupt)
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager

@@ -51,16 +51,21 @@ def twin(
     video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first.")] = None,
     plot: Plot = None,
     live: Annotated[bool, typer.Option("--live", help="Serve a page to watch, round after round.")] = False,
-    bind: Annotated[str, typer.Option(metavar="HOST:PORT", help="With --live: where the page is.")] = "127.0.0.1:8000",
+    bind: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="With --live: where the page is. Default: 127.0.0.1:8000.")
+    ] = None,
     token: Annotated[
         str | None, typer.Option(help="With --live: what others must know; needed where they can reach the page.")
     ] = None,
-    speed: Annotated[float, typer.Option(help="With --live, in virtual time: how fast; 0: as fast as may be.")] = 1.0,
+    speed: Annotated[
+        float | None, typer.Option(help="With --live, in virtual time: how fast; 0: as fast as may be. Default: 1.")
+    ] = None,
     rounds: Annotated[int | None, typer.Option(help="With --live: how many. Default: until interrupted.")] = None,
     as_json: Json = False,
 ) -> None:
     """Run a robot's twin: rigid bodies, a camera that is asked, image processing, and packets between processes."""
     from taciturn import _print
+    from taciturn._arrays import number
     from taciturn._figure import check_format, save
     from taciturn.runtime.packet import read_key
     from taciturn.twin.catalogue import find_robot
@@ -71,7 +76,12 @@ def twin(
     from taciturn.twin.trial import Setup
 
     found = find_robot(robot)
-    check_counts({"--runs": runs, "--loops": runs, "--rounds": rounds})
+    check_counts({"--runs": runs, "--rounds": rounds})
+    number("--runs", runs, high=65535, closed=True)
+    for option, value in (("--price", price), ("--theta", theta)):
+        if value is not None:
+            number(option, value, 0.0, closed=True)
+    _check_options({"--bind": bind, "--token": token, "--speed": speed, "--rounds": rounds}, live, real_time)
     given = {"zeta" if robot == "rover" else "price": price, "theta": theta}
     parameters = {name: value for name, value in given.items() if value is not None}
     length, faults = tick_length(found.tick, real_time, tick), tuple(parse_fault(text) for text in fault or [])
@@ -80,7 +90,7 @@ def twin(
             check(wanted)
     setup = Setup(runs, seed, length, namespaces, faults, read_key(key), wheels)
     if live:
-        done = _live(robot, setup, file, parameters, page=(bind, token), speed=speed, rounds=rounds)
+        done = _live(robot, setup, file, parameters, page=(bind or "127.0.0.1:8000", token), speed=speed, rounds=rounds)
     else:
         with progress_bar("driving") as progress, ended_as_interrupted():
             done = run_twin(robot, setup, file=file, parameters=parameters, progress=progress)
@@ -96,6 +106,17 @@ def twin(
         save(done.plot(), plot)
 
 
+def _check_options(options: Mapping[str, object], live: bool, real_time: bool) -> None:
+    """Refuse options of the page where there is none, and a pace where the clock sets it."""
+    from taciturn.errors import ProblemError
+
+    given = [name for name, value in options.items() if value is not None]
+    if given and not live:
+        raise ProblemError(f"{given[0]} is given without --live; expected both, or neither")
+    if "--speed" in given and real_time:
+        raise ProblemError("--speed is given with --real-time, which goes by the clock; expected one of them")
+
+
 def _live(
     robot: str,
     setup: Setup,
@@ -103,7 +124,7 @@ def _live(
     parameters: Mapping[str, float],
     *,
     page: tuple[str, str | None],
-    speed: float,
+    speed: float | None,
     rounds: int | None,
 ) -> TwinRun:
     """Serve the page of a twin until it is interrupted, and return the last mission that was whole."""
@@ -113,19 +134,22 @@ def _live(
     from taciturn.runtime.udp import parse_address
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.live import watch_twin
+    from taciturn.twin.mission import MISSIONS, check_parameters
     from taciturn.twin.page import Page
     from taciturn.twin.prepared import prepare
 
     if file is not None or setup.runs > 1:
         option = "a problem file" if file is not None else f"--runs {setup.runs}"
         raise ProblemError(f"{option} is given with --live, which runs the thesis's mission; expected neither of them")
-    number("--speed", speed, 0.0, closed=True)
-    setup.check(find_robot(robot))
+    pace = 1.0 if speed is None else number("--speed", speed, 0.0, closed=True)
+    chosen = find_robot(robot)
+    check_parameters(chosen, parameters)
+    setup.check(chosen, MISSIONS[robot].ticks)
     bind, token = page
     with Page(parse_address("--bind", bind), token) as shown, until_stopped() as stopped:
         typer.echo(f"taciturn: the page is {shown.url}", err=True)
         found = watch_twin(
-            prepare(robot, setup.seed), shown, setup, parameters=parameters, speed=speed, rounds=rounds, stopped=stopped
+            prepare(robot, setup.seed), shown, setup, parameters=parameters, speed=pace, rounds=rounds, stopped=stopped
         )
     if found is None:
         raise ProblemError("no mission has come to its end; expected at least one: let it run for longer")
@@ -151,12 +175,13 @@ def camera(
     from taciturn.twin.camera import Camera
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
+    from taciturn.twin.mission import check_mission
     from taciturn.twin.serve import CameraServer
     from taciturn.twin.wire import CameraWire
 
     check_counts({"--loops": loops})
     found, problem = find_robot(robot), taciturn.load(file)
-    wire = CameraWire(problem.design(), found.seen, problem.network, read_key(key))
+    wire = CameraWire(check_mission(found, problem, file), found.seen, problem.network, read_key(key))
     to, faults = parse_address("--peer", peer), [parse_fault(text) for text in fault or []]
     taken = Camera(found, seed)
     with until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:

@@ -52,6 +52,7 @@ class Process:
             stderr=subprocess.PIPE,
             text=True,
             env={**os.environ, **(environment or {})},
+            process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends the others
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -215,7 +216,7 @@ class Processes:
 
     def sentence(self) -> str:
         """Return what a process said that has ended by itself."""
-        return next(process.sentence() for process in self.running.values() if not process.alive)
+        return next(process.sentence() for process in list(self.running.values()) if not process.alive)
 
     def stop(self) -> dict[str, dict[str, Any]]:
         """End all, each after those that send to it, and return their reports by name."""
@@ -223,7 +224,7 @@ class Processes:
 
     def kill(self) -> None:
         """End all at once."""
-        for process in self.running.values():
+        for process in list(self.running.values()):
             process.kill()
         self.running.clear()
 

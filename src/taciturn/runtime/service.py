@@ -15,6 +15,7 @@ from taciturn.runtime.udp import Address, Endpoint, parse_address
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 LISTENS = "listens on"  # who starts a process waits for this
+ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 IDLE = 0.25  # seconds after which it is seen whether to stop
 QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 
@@ -34,9 +35,9 @@ def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], st
 
 @contextmanager
 def until_stopped() -> Generator[Callable[[], bool]]:
-    """Tell whether to stop: after SIGTERM or Ctrl-C, at which the counters are still to be printed."""
+    """Tell whether to stop: after SIGTERM, SIGHUP or Ctrl-C, at which the counters are still to be printed."""
     asked: list[int] = []
-    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in (2, 15)}
+    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in ENDING}
     try:
         yield lambda: bool(asked)
     finally:

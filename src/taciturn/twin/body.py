@@ -106,11 +106,12 @@ class Body:
         """Let time pass, in whole steps of the physics and never beyond ``until``.
 
         Raises:
-            ProblemError: not a finite time.
+            ProblemError: not a finite time, or the bodies have left the range of numbers.
         """
         last = math.floor(number("until", until) / self._dt + _SLACK)
         for _ in range(self._steps, last):
             self._step()
+        self._motion.check()
 
     def push(self, newtons: float, seconds: float, direction: float = 0.0) -> None:
         """Push the chassis from now on, in a direction in radians from the x axis.

@@ -18,11 +18,13 @@ class Kind:
         meaning: in a few words.
         lasts: seconds that it lasts where nothing is said; 0: it happens at once.
         size: where nothing is said; () where it has none.
+        most: numbers that a size has at most.
     """
 
     meaning: str
     lasts: float = 0.0
     size: tuple[float, ...] = ()
+    most: int = 1
 
 
 KINDS = {
@@ -30,8 +32,8 @@ KINDS = {
     "cover": Kind("something lies over the marker", 2.0),
     "light": Kind("the light is this many times as strong", 2.0, (0.4,)),
     "actuator": Kind("the link to the actuator is dead", 2.0),
-    "kidnap": Kind("the robot is moved at once by so many metres (and metres, and radians)", 0.0, (0.2,)),
-    "push": Kind("the robot is pushed with so many newtons (in a direction, in degrees)", 0.3, (5.0, 0.0)),
+    "kidnap": Kind("the robot is moved at once by so many metres (and metres, and radians)", 0.0, (0.2,), 3),
+    "push": Kind("the robot is pushed with so many newtons (in a direction, in degrees)", 0.3, (5.0, 0.0), 2),
     "gain": Kind("the motors are stronger by this share, from the beginning on", 0.0, (0.1,)),
     "controller": Kind("the controller's process is killed and started again", 0.0),
 }
@@ -93,7 +95,7 @@ def parse_fault(text: str) -> Fault:
         )
     (start,) = _numbers(text, found["start"] or "0", 1)
     (lasts,) = _numbers(text, found["lasts"], 1) if found["lasts"] else (kind.lasts,)
-    size = _numbers(text, found["size"], 3) if found["size"] else kind.size
+    size = _numbers(text, found["size"], kind.most) if found["size"] else kind.size
     if start < 0 or lasts < 0 or (found["lasts"] and lasts == 0) or (found["name"] == "light" and size[0] <= 0):
         raise ProblemError(f"the fault is {text!r}; expected a start of at least 0, and positive seconds and light")
     return Fault(found["name"], start, lasts, size)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from taciturn.errors import ProblemError
 from taciturn.model.policy import ENDS, LinkName
 from taciturn.problem import Problem, parse
 from taciturn.twin.mission import MISSIONS
@@ -62,11 +63,17 @@ def watch_twin(
         show = _Round(prepared.robot, page, problem, done, setup, speed, stopped)
         show.begin()
         began = time.monotonic()
-        trial = run_trial(prepared, replace(setup, seed=setup.seed + done), problem, watcher=show.watcher())
+        how = replace(setup, seed=setup.seed + done)
+        try:
+            trial = run_trial(prepared, how, problem, watcher=show.watcher())
+        except ProblemError:
+            if stopped():  # while processes were being started
+                break
+            raise
         show.finish()
         done += 1
         if trial.costs.shape[1] == problem.cost.horizon:
-            last = TwinRun(prepared, problem.design(), trial, None, setup.faults, time.monotonic() - began)
+            last = TwinRun(prepared, problem.design(), trial, None, how, time.monotonic() - began)
         if show.value is not None:
             chosen[MISSIONS[prepared.robot.name].knob[0]] = show.value
     return last

@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from taciturn._arrays import number
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy, Send
@@ -39,6 +40,11 @@ class Mission:
     policy: Mapping[str, Any]
     knob: tuple[str, float, float]
 
+    @property
+    def ticks(self) -> int:
+        """Of the mission."""
+        return int(self.cost["horizon"])
+
 
 THESIS: Mapping[str, tuple[str, ...]] = {  # what it prints of its experiments
     "rover": ("80 % and 90 % less; cost 127.85 against 116.47 all-time (simulated there: 113.15 against 103.66)",),
@@ -61,6 +67,19 @@ MISSIONS: Mapping[str, Mission] = {
 }
 
 
+def check_parameters(robot: Robot, parameters: Mapping[str, float]) -> None:
+    """Refuse parameters that the policy of a robot's mission does not have, or out of their range.
+
+    Raises:
+        ProblemError: there are such.
+    """
+    known = [key for key in MISSIONS[robot.name].policy if key != "kind"]
+    for name, value in parameters.items():
+        if name not in known:
+            raise ProblemError(f"the policy of the {robot.name} has no {name}; expected {' or '.join(known)}")
+        number(name, value, 0.0, closed=True)
+
+
 def tables_of(robot: Robot, found: Identification, parameters: Mapping[str, float]) -> dict[str, Any]:
     """Return the tables of a robot's problem file: the model is the identified one, A = I as of an integrator.
 
@@ -72,13 +91,8 @@ def tables_of(robot: Robot, found: Identification, parameters: Mapping[str, floa
     Raises:
         ProblemError: the policy has no such parameter.
     """
+    check_parameters(robot, parameters)
     mission, n = MISSIONS[robot.name], len(robot.states)
-    unknown = parameters.keys() - mission.policy.keys()
-    if unknown:
-        raise ProblemError(
-            f"the policy of the {robot.name} has no {', '.join(sorted(unknown))}; "
-            f"expected {' or '.join(key for key in mission.policy if key != 'kind')}"
-        )
     followed = reference(robot)
     plant: dict[str, Any] = {
         "A": np.eye(n).tolist(),

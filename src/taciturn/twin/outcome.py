@@ -183,7 +183,7 @@ def _datagrams(
             for row in sent[link]
         ]
         found[link]["predicted"] = sum(int(row.sum()) for row in sent[link]) - sum(map(len, wanted))
-        found[link]["as_predicted"] = [list(row) for row in sequences[link]] == wanted
+        found[link]["as_predicted"] = None if told.killed else [list(row) for row in sequences[link]] == wanted
     sockets = [report["datagrams"] for report in reports.values()]
     found["dropped_by_full_buffers"] = sum(one["dropped_by_kernel"] or 0 for one in sockets)
     lost = told.dropped + found["dropped_by_full_buffers"]
@@ -198,6 +198,8 @@ def _unseen(told: Told) -> int:
 def _notes(told: Told) -> tuple[str, ...]:
     unseen = _unseen(told)
     notes = (f"{unseen} pictures showed no marker: the estimator ran open loop",) if unseen else ()
+    if told.killed:
+        notes += ("a process was killed, and what it had counted and had in its hands is gone",)
     return notes + tuple(
         f"the {name} met what its theory does not know, {count} times: {reason}"
         for name, report in told.reports.items()

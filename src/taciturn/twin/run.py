@@ -16,9 +16,8 @@ from taciturn.model.policy import Policy
 from taciturn.problem import load, parse
 from taciturn.simulation.sampling import Progress
 from taciturn.twin.catalogue import find_robot
-from taciturn.twin.faults import Fault
 from taciturn.twin.figures import figure_of
-from taciturn.twin.mission import all_time, check_mission
+from taciturn.twin.mission import MISSIONS, all_time, check_mission, check_parameters
 from taciturn.twin.outcome import Trial
 from taciturn.twin.prepared import Prepared, prepare
 from taciturn.twin.trial import Setup, run_trial
@@ -37,7 +36,7 @@ class TwinRun:
         policy: that was run.
         trial: its runs.
         always: those of the policy that always sends, with the same seeds; None where they were not asked for.
-        faults: what went wrong in ``trial``.
+        setup: how they were run.
         seconds: wall time, calibration and identification included.
     """
 
@@ -45,7 +44,7 @@ class TwinRun:
     policy: Policy
     trial: Trial
     always: Trial | None
-    faults: tuple[Fault, ...]
+    setup: Setup
     seconds: float
 
     @property
@@ -61,7 +60,7 @@ class TwinRun:
     @property
     def cost_bound(self) -> float | None:
         """What theory says of the identified model; None where something goes wrong that it does not know."""
-        return None if self.faults or self.policy.guarantee is None else self.policy.guarantee.cost
+        return None if self.setup.faults or self.policy.guarantee is None else self.policy.guarantee.cost
 
     def plot(self) -> Figure:
         """Return a figure of the first run, beside that of the policy that always sends."""
@@ -109,11 +108,12 @@ def run_twin(
     began, setup = time.monotonic(), setup or Setup()
     if file is not None and parameters:
         raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
-    given = None if file is None else load(file)  # what is wrong with it is told at once
     chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
-    setup.check(chosen)
+    given = None if file is None else load(file)
     if given is not None:
         check_mission(chosen, given, str(file))
+    check_parameters(chosen, parameters or {})  # what is wrong is told before the robot is prepared
+    setup.check(chosen, MISSIONS[chosen.name].ticks if given is None else given.cost.horizon or 0)
     found = prepare(robot, setup.seed) if isinstance(robot, str) else robot
     problem = parse(found.tables(parameters or {}), "the mission") if given is None else given
     policy = check_mission(found.robot, problem, file or "the mission")
@@ -122,7 +122,7 @@ def run_twin(
     always = None
     if compare:
         always = run_trial(found, replace(setup, faults=()), all_time(problem), scaled(progress, share, 1.0))
-    return TwinRun(found, policy, trial, always, setup.faults, time.monotonic() - began)
+    return TwinRun(found, policy, trial, always, setup, time.monotonic() - began)
 
 
 def mean(values: Array) -> Estimate:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from taciturn._arrays import choice, count
+from taciturn._arrays import choice, count, number
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import Namespaces
@@ -59,20 +59,34 @@ class Setup:
         count("runs", self.runs)
         count("seed", self.seed, 0)
 
-    def check(self, robot: Robot) -> None:
-        """Refuse what this robot does not have.
+    def check(self, robot: Robot, horizon: int) -> None:
+        """Refuse what this robot does not have, or what never happens in a mission of so many ticks.
 
         Raises:
-            ProblemError: another way to model wheels, or a fault that no namespace knows.
+            ProblemError: another way to model wheels, or a fault that does not fit.
         """
         choice("variant", self.variant or robot.variants[0], robot.variants)
-        if self.namespaces and window(self.faults, "actuator", robot.tick) is not None:
+        if window(self.faults, "actuator", robot.tick) is not None and self.namespaces:
             raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
+        for fault in self.faults:
+            if fault.ticks(robot.tick)[0] >= horizon:
+                end = horizon * robot.tick
+                raise ProblemError(
+                    f"the fault {fault} begins after {end:g} s, when the mission is over; expected before"
+                )
+            if fault.name == "kidnap" and len(fault.size) > len(robot.states):
+                most = len(robot.states)
+                raise ProblemError(f"the fault {fault} has {len(fault.size)} numbers; expected {most} at most")
+        number("the gain of the motors", self.gain, -1.0, 1.0)
+
+    @property
+    def gain(self) -> float:
+        """By which share the motors are stronger than they should be."""
+        return sum(fault.size[0] for fault in self.faults if fault.name == "gain")
 
     def body(self, robot: Robot, run: int) -> Body:
         """Return the body of a run."""
-        gain = sum(fault.size[0] for fault in self.faults if fault.name == "gain")
-        return Body(robot, self.seed + run, gain_error=gain, variant=self.variant or robot.variants[0])
+        return Body(robot, self.seed + run, gain_error=self.gain, variant=self.variant or robot.variants[0])
 
 
 @dataclass
@@ -175,6 +189,7 @@ def run_trial(
                 raise ProblemError(processes.sentence())
             reports = {**processes.stop(), "world": world.finish()}
         finally:
+            before.close()
             processes.kill()
             endpoint.close()
         lines = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
@@ -218,6 +233,10 @@ class _Before:
         """
         while self._restarts:
             self._restarts.pop().result()
+
+    def close(self) -> None:
+        """Wait for what is being started, whatever becomes of it."""
+        self._pool.shutdown()
 
     def __call__(self, tick: int) -> None:
         for fault in self._due.get(tick, []):
