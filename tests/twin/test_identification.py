@@ -61,7 +61,7 @@ def test_the_rover_is_the_integrator_that_the_physics_makes_it(monkeypatch: pyte
     document = json.loads(json.dumps(rover.document()))
     assert document["robot"] == "rover"
     assert document["B"] == rover.B.tolist()
-    assert document["samples"] == 10 * identification.TICKS
+    assert document["samples"] == 10 * (identification.TICKS - identification.START)
 
 
 def test_a_camera_that_is_not_this_one_is_refused() -> None:
