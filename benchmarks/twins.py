@@ -48,13 +48,6 @@ def summary(run: TwinRun) -> dict[str, Any]:
     return kept
 
 
-def off(run: TwinRun) -> np.ndarray[Any, Any]:
-    """Return how far each robot is from where it should be at each tick, (runs, ticks + 1), in metres."""
-    reference = run.trial.problem.reference
-    poses = run.trial.poses[..., :2]
-    return np.sqrt(((poses - (0.0 if reference is None else reference.states[:, :2])) ** 2).sum(axis=2))
-
-
 def path(run: TwinRun) -> dict[str, Any]:
     """Return the first run tick by tick, for pictures."""
     trial = run.trial
@@ -81,7 +74,7 @@ def prices(prepared: Prepared, rounds: int) -> dict[str, Any]:
     found: dict[str, Any] = {}
     for price in PRICES:
         run = run_twin(prepared, Setup(rounds), parameters={"price": price}, compare=False)
-        distance = mean(1e3 * np.sqrt((off(run) ** 2).mean(axis=1)))
+        distance = mean(1e3 * np.sqrt((run.trial.off**2).mean(axis=1)))
         found[str(price)] = {
             "summary": summary(run),
             "off_mm": {"value": distance.value, "standard_error": distance.standard_error},
@@ -96,7 +89,7 @@ def robustness(prepared: Prepared) -> dict[str, Any]:
     for text in FAULTS[prepared.robot.name]:
         faults = (parse_fault(text),) if text else ()
         run = run_twin(prepared, Setup(seed=1, faults=faults), compare=False)
-        distance = off(run)[0]
+        distance = run.trial.off[0]
         found[text or "none"] = {
             "cost": float(run.trial.totals[0]),
             "sends": int(run.trial.sent["actuator"].sum()),

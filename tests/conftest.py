@@ -30,3 +30,17 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cache"))
         yield
+
+
+@pytest.fixture(scope="session")
+def kernel() -> None:
+    """Skip, so that nobody overlooks it, where namespaces cannot be made."""
+    import taciturn  # not earlier than the threads of OpenBLAS are told above
+    from taciturn.errors import ProblemError
+    from taciturn.runtime.namespaces import KernelLoss, Namespaces
+
+    try:
+        with Namespaces(taciturn.load("lossy-double-integrator").design(), {"sensor": KernelLoss(1, 1)}):
+            pass
+    except ProblemError as error:
+        pytest.skip(f"{NOT_SHOWN}: kernel loss; {error}")

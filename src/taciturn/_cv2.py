@@ -43,7 +43,7 @@ def write_animation(pictures: Sequence[bytes], milliseconds: int) -> bytes:
     """Return pictures as one that moves, as WebP, each shown for so long."""
     cv2 = _cv2()
     animation = cv2.Animation()
-    animation.frames = [cv2.imdecode(np.frombuffer(one, np.uint8), cv2.IMREAD_COLOR) for one in pictures]
+    animation.frames = [read_picture(one) for one in pictures]
     animation.durations = [milliseconds] * len(pictures)
     _, coded = cv2.imencodeanimation(".webp", animation, [cv2.IMWRITE_WEBP_QUALITY, 60])
     return bytes(coded)

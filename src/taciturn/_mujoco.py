@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Mapping, Sequence
+from functools import cache
 from importlib import import_module
 from typing import Any
 
@@ -141,6 +142,7 @@ def _keep_quiet(warning: str) -> None:
     """Warnings are counted, and asked for by ``Motion.check``; MuJoCo's own way is to write them into a file."""
 
 
+@cache
 def _mujoco() -> Any:
     os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no screen
     try:

@@ -29,16 +29,6 @@ NAMES = Path("/var/run/netns")
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture(scope="module")
-def kernel() -> None:
-    """Skip, so that nobody overlooks it, where namespaces cannot be made."""
-    try:
-        with Namespaces(POLICY, {"sensor": KernelLoss(1, 1)}):
-            pass
-    except ProblemError as error:
-        pytest.skip(f"NOT SHOWN: kernel loss; {error}")
-
-
 @pytest.fixture
 def file(tmp_path: Path) -> str:
     """Return the double integrator of chapter 7 without an end, over links that lose 25 and 10 % of the packets."""

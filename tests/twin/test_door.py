@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import socket
-from collections.abc import Iterator
 
 import pytest
 from twin.feeds import ROVER, picture, rows
@@ -14,14 +13,6 @@ from taciturn.errors import ProblemError
 from taciturn.twin.page import Page
 
 ROWS = rows(ROVER, 1)
-
-
-@pytest.fixture
-def page() -> Iterator[Page]:
-    """Return a page of a round that has begun, on the loopback and without a token."""
-    with Page(("127.0.0.1", 0)) as page:
-        page.begin(ROVER)
-        yield page
 
 
 @pytest.mark.parametrize(

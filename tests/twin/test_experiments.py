@@ -11,7 +11,6 @@ import pytest
 from twin import browser
 from twin.crews import crew
 
-from taciturn._arrays import Array
 from taciturn.twin.faults import parse_fault
 from taciturn.twin.live import watch_twin
 from taciturn.twin.page import Page
@@ -53,13 +52,6 @@ def rounds(price: float) -> TwinRun:
     return run_twin(crew("omni"), Setup(runs=5), parameters={"price": price}, compare=False)
 
 
-def off(run: TwinRun) -> Array:
-    """Return how far each robot is from its reference at each tick, in metres."""
-    reference = run.trial.problem.reference
-    assert reference is not None
-    return np.hypot(*(run.trial.poses - reference.states)[..., :2].transpose(2, 0, 1))
-
-
 def test_dearer_sends_are_rarer_and_cost_what_the_theorem_allows() -> None:
     """Figure 7.6: the order of its points, at least 85 % fewer sends at λ = 0.01, and J below J_all + Nλ there."""
     found = {price: rounds(price) for price in PRICES}
@@ -78,7 +70,7 @@ def test_dearer_sends_are_rarer_and_cost_what_the_theorem_allows() -> None:
     for run in found.values():
         assert run.trial.datagrams["unaccounted"] == 0
         sees_well(run)
-        assert np.sqrt((off(run) ** 2).mean()) < 0.1
+        assert np.sqrt((run.trial.off**2).mean()) < 0.1
 
 
 @pytest.mark.parametrize(
@@ -87,7 +79,7 @@ def test_dearer_sends_are_rarer_and_cost_what_the_theorem_allows() -> None:
 def test_the_omni_comes_back_to_its_path_whatever_happens(fault: str) -> None:
     """Two seconds without eyes or hands, a kidnap, another light, a killed node: within 15 cm of it at the end."""
     run = run_twin(crew("omni"), Setup(seed=1, faults=(parse_fault(fault),)), compare=False)
-    distance = off(run)[0]
+    distance = run.trial.off[0]
     assert distance[-50:].max() < 0.15
     assert distance.max() < 0.35
     if fault.startswith("kidnap"):

@@ -9,7 +9,7 @@ import socket
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,6 @@ from taciturn.twin.page import Page
 
 ROOT = Path(__file__).parents[2]
 ROWS = rows(ROVER, 30)
-
-
-@pytest.fixture
-def page() -> Iterator[Page]:
-    """Return a page of a round that has begun, on the loopback and without a token."""
-    with Page(("127.0.0.1", 0)) as page:
-        page.begin(ROVER)
-        yield page
 
 
 def test_a_reader_is_told_the_round_row_by_row(page: Page) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -105,12 +104,7 @@ def test_the_omni_follows_its_path_over_links_that_lose_what_is_foretold(tmp_pat
     assert np.hypot(*(trial.poses - trial.problem.reference.states)[..., :2].T).max() < 0.3
 
 
-@pytest.mark.skipif(
-    not (
-        shutil.which("nft") and shutil.which("ip") and Path("/proc/self/uid_map").read_text().split()[:2] == ["0", "0"]
-    ),
-    reason="NOT SHOWN: twins whose packets the kernel loses; expected root, ip and nft",
-)
+@pytest.mark.usefixtures("kernel")
 def test_what_nftables_lose_is_foretold_packet_for_packet(tmp_path: Path) -> None:
     """Pictures of many fragments and commands of a few bytes: what comes is what the rule's hash lets through."""
     prepared, file = crew("omni"), short_mission("omni", TICKS["omni"], tmp_path, price=0.0)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from twin.looks import errors, true_calibration
 
-from taciturn import _cv2
+from taciturn import _cv2, _mujoco
 from taciturn.errors import ProblemError
 from taciturn.twin.body import Body
 from taciturn.twin.calibration import Calibration
@@ -201,7 +201,7 @@ def test_without_graphics_the_message_says_what_to_install(broken: dict[str, str
 def test_without_its_libraries_the_message_names_the_extra(missing: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """MuJoCo and OpenCV are one extra."""
     _cv2._cv2.cache_clear()
+    _mujoco._mujoco.cache_clear()
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(ProblemError, match=r"pip install 'taciturn\[twin\]'"):
         Camera(ROVER)
-    _cv2._cv2.cache_clear()

@@ -71,7 +71,7 @@ def twin(
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
     from taciturn.twin.record import check_record, check_video, write_record, write_video
-    from taciturn.twin.report import document_of, lines_of
+    from taciturn.twin.report import lines_of
     from taciturn.twin.run import run_twin
     from taciturn.twin.trial import Setup
 
@@ -95,7 +95,7 @@ def twin(
         with progress_bar("driving") as progress, ended_as_interrupted():
             done = run_twin(robot, setup, file=file, parameters=parameters, progress=progress)
     if as_json:
-        print_json(document_of(done))
+        print_json(done.document())
     else:
         _print.pairs(lines_of(done))
     if record is not None:
@@ -134,17 +134,15 @@ def _live(
     from taciturn.runtime.udp import parse_address
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.live import watch_twin
-    from taciturn.twin.mission import MISSIONS, check_parameters
     from taciturn.twin.page import Page
     from taciturn.twin.prepared import prepare
+    from taciturn.twin.run import check_run
 
     if file is not None or setup.runs > 1:
         option = "a problem file" if file is not None else f"--runs {setup.runs}"
         raise ProblemError(f"{option} is given with --live, which runs the thesis's mission; expected neither of them")
     pace = 1.0 if speed is None else number("--speed", speed, 0.0, closed=True)
-    chosen = find_robot(robot)
-    check_parameters(chosen, parameters)
-    setup.check(chosen, MISSIONS[robot].ticks)
+    check_run(find_robot(robot), setup, parameters)
     bind, token = page
     with Page(parse_address("--bind", bind), token) as shown, until_stopped() as stopped:
         typer.echo(f"taciturn: the page is {shown.url}", err=True)

@@ -110,10 +110,10 @@ class NetworkRun:
             "policy": policy.kind,
             "unit": self.unit,
             "base_rate": 1.0 if loop.horizon is not None else 1 / policy.tick,
-            "cost": None if self.cost is None else _document(self.cost),
+            "cost": None if self.cost is None else measured(self.cost),
             "cost_all_time": policy.cost_all_time if loop.nominal else None,
             "cost_bound": None if guarantee is None else guarantee.cost,
-            "rates": {link: _document(rate) for link, rate in self.rates.items()},
+            "rates": {link: measured(rate) for link, rate in self.rates.items()},
             "datagrams": {link: dict(found) for link, found in self.datagrams.items()},
             "seed": self.seed,
             "seconds": round(self.seconds, 4),
@@ -346,6 +346,7 @@ def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None
     return lambda line: progress((line["tick"] + 1) / ticks)
 
 
-def _document(estimate: Estimate) -> dict[str, Any]:
+def measured(estimate: Estimate) -> dict[str, Any]:
+    """Return what a JSON document says of a number that was measured: without a standard error where it was once."""
     error = None if estimate.method == "exact" else estimate.standard_error
     return {"value": estimate.value, "standard_error": error, "method": "simulation"}

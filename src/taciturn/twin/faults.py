@@ -15,27 +15,25 @@ class Kind:
     """One kind of fault.
 
     Args:
-        meaning: in a few words.
         lasts: seconds that it lasts where nothing is said; 0: it happens at once.
         size: where nothing is said; () where it has none.
         most: numbers that a size has at most.
     """
 
-    meaning: str
     lasts: float = 0.0
     size: tuple[float, ...] = ()
     most: int = 1
 
 
 KINDS = {
-    "camera": Kind("the camera answers no question", 2.0),
-    "cover": Kind("something lies over the marker", 2.0),
-    "light": Kind("the light is this many times as strong", 2.0, (0.4,)),
-    "actuator": Kind("the link to the actuator is dead", 2.0),
-    "kidnap": Kind("the robot is moved at once by so many metres (and metres, and radians)", 0.0, (0.2,), 3),
-    "push": Kind("the robot is pushed with so many newtons (in a direction, in degrees)", 0.3, (5.0, 0.0), 2),
-    "gain": Kind("the motors are stronger by this share, from the beginning on", 0.0, (0.1,)),
-    "controller": Kind("the controller's process is killed and started again", 0.0),
+    "camera": Kind(2.0),  # it answers no question
+    "cover": Kind(2.0),  # something lies over the marker
+    "light": Kind(2.0, (0.4,)),  # it is this many times as strong
+    "actuator": Kind(2.0),  # the link to it is dead
+    "kidnap": Kind(0.0, (0.2,), 3),  # the robot is moved at once by so many metres (and metres, and radians)
+    "push": Kind(0.3, (5.0, 0.0), 2),  # with so many newtons (in a direction, in degrees)
+    "gain": Kind(0.0, (0.1,)),  # the motors are stronger by this share, from the beginning on
+    "controller": Kind(),  # its process is killed and started again
 }
 CAMERA = ("camera", "cover", "light")  # those of the camera's process
 _FORM = re.compile(r"(?P<name>[a-z]+)(@(?P<start>[^+=@]+))?(\+(?P<lasts>[^+=@]+))?(=(?P<size>[^+=@]+))?")

@@ -14,7 +14,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.policy import ENDS, LinkName
 from taciturn.problem import Problem, parse
 from taciturn.twin.mission import MISSIONS
-from taciturn.twin.outcome import ESTIMATE
+from taciturn.twin.outcome import ESTIMATE, trigger_values
 from taciturn.twin.page import About, Page
 from taciturn.twin.prepared import Prepared
 from taciturn.twin.robot import Robot
@@ -209,7 +209,7 @@ class _Round:
             self._sends[link] += one
         self._cost += world["cost"]
         arrived = {"sensor": int(bool(seen)), "actuator": int(bool(acted.get("arrived_actuator")))}
-        values = [value for name, value in told.items() if name.startswith("option_")]
+        values = trigger_values(told)
         self._page.put(
             {
                 "tick": tick,

@@ -64,6 +64,13 @@ class Trial:
         off = self.seen - self.poses[:, :-1]
         return off[np.isfinite(off).all(axis=2)]
 
+    @property
+    def off(self) -> Array:
+        """How far each robot is from where it should be at each tick, (runs, ticks + 1), in metres."""
+        poses, reference = self.poses[..., :2], self.problem.reference
+        away = poses if reference is None else poses - reference.states[: poses.shape[1], :2]
+        return np.sqrt((away**2).sum(axis=2))
+
 
 @dataclass(frozen=True)
 class Told:
@@ -103,7 +110,6 @@ def put_together(
     }
     sequences = {link: tuple(_sequences(came[link], row, run) for run, row in enumerate(sent[link])) for link in sent}
     lines = told.lines["controller"]
-    names = [name for name in (lines[0] if lines else {"": None}) if name.startswith("option_")]
     n = len(plants[0].state)
     return Trial(
         problem=problem,
@@ -112,7 +118,7 @@ def put_together(
         costs=paid,
         totals=paid.sum(axis=1) + final,
         estimates=_gathered(lines, lambda line: line["memory"][ESTIMATE], runs, ticks, n),
-        values=_gathered(lines, lambda line: [line[name] for name in names], runs, ticks, len(names)),
+        values=_gathered(lines, trigger_values, runs, ticks, len(trigger_values(lines[0])) if lines else 0),
         seen=_gathered(told.seen, lambda line: line["seen"], runs, ticks, n),
         lights=np.array([plant.lights[: ticks + 1] for plant in plants]),
         sent=sent,
@@ -123,6 +129,11 @@ def put_together(
         seconds=seconds,
         notes=_notes(told),
     )
+
+
+def trigger_values(line: Mapping[str, Any]) -> list[float]:
+    """Return what the controller's line of a tick tells of its trigger: the value of silence, and that of a send."""
+    return [value for name, value in line.items() if name.startswith("option_")]
 
 
 def _loop(line: Mapping[str, Any]) -> int:

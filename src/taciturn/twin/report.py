@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.model.estimate import Estimate
+from taciturn.study.network import measured
 from taciturn.twin.mission import THESIS
 from taciturn.twin.outcome import Trial
 from taciturn.twin.robot import Robot
@@ -22,8 +22,8 @@ def document_of(run: TwinRun) -> dict[str, Any]:
         "robot": robot.name,
         "policy": run.policy.kind,
         "runs": len(trial.totals),
-        "rates": {link: _document(rate) for link, rate in run.rates.items()},
-        "cost": _document(run.cost),
+        "rates": {link: measured(rate) for link, rate in run.rates.items()},
+        "cost": measured(run.cost),
         "cost_all_time": None if run.always is None else float(run.always.totals.mean()),
         "cost_all_time_model": run.policy.cost_all_time,
         "cost_bound": run.cost_bound,
@@ -99,12 +99,7 @@ def vision(off: Array, robot: Robot) -> dict[str, Any]:
 
 def _summary(trial: Trial) -> dict[str, Any]:
     return {
-        "cost": _document(mean(trial.totals)),
-        "rates": {link: _document(mean(sent.mean(axis=1))) for link, sent in trial.sent.items()},
+        "cost": measured(mean(trial.totals)),
+        "rates": {link: measured(mean(sent.mean(axis=1))) for link, sent in trial.sent.items()},
         "datagrams": dict(trial.datagrams),
     }
-
-
-def _document(estimate: Estimate) -> dict[str, Any]:
-    error = None if estimate.method == "exact" else estimate.standard_error
-    return {"value": estimate.value, "standard_error": error, "method": "simulation"}

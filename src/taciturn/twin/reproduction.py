@@ -12,6 +12,7 @@ from taciturn._figure import Panel, Series, draw
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.simulation.sampling import Progress
+from taciturn.study.chapter7 import TRACKING_PRICES
 from taciturn.study.reproduction import Reproduction, Row, Table
 from taciturn.twin.figures import inputs, path, positions, running_costs, sends
 from taciturn.twin.prepared import prepare
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 RUNS, ROUNDS = 10, 5  # experiments with the rover, rounds of the omni-directional robot
-PRICES = (0.01, 0.002, 0.001, 0.0)  # λ of Figure 7.6
 PRINTED = {  # section 6.6
     "all-time": {"J": 116.47, "sensor %": 100.0, "actuator %": 100.0},
     "event-triggered": {"J": 127.85, "sensor %": 20.0, "actuator %": 10.0},
@@ -97,14 +97,14 @@ def _chapter6(seed: int, progress: Progress) -> Reproduction:
 def _chapter7(seed: int, progress: Progress) -> Reproduction:
     prepared = prepare("omni", seed)
     runs: dict[float, TwinRun] = {}
-    for i, price in enumerate(PRICES):
+    for i, price in enumerate(TRACKING_PRICES):
         runs[price] = run_twin(
             prepared, Setup(ROUNDS, seed), parameters={"price": price}, compare=False,
-            progress=scaled(progress, i / len(PRICES), (i + 1) / len(PRICES)),
+            progress=scaled(progress, i / len(TRACKING_PRICES), (i + 1) / len(TRACKING_PRICES)),
         )  # fmt: skip
     rows: list[Row] = []
-    for price in sorted(PRICES):
-        run, guarantee = runs[price], runs[price].policy.guarantee
+    for price, run in runs.items():
+        guarantee = run.policy.guarantee
         assert guarantee is not None
         rate, exact = run.rates["actuator"], "bound"
         rows.append(
@@ -122,7 +122,7 @@ def _chapter7(seed: int, progress: Progress) -> Reproduction:
                         runs[0.0].cost.standard_error,
                         "simulation",
                     ),
-                    "path off, mm": _off(run),
+                    "path off, mm": mean(1e3 * np.sqrt((run.trial.off**2).mean(axis=1))),
                 },
             )
         )
@@ -152,13 +152,6 @@ def _costs(rows: list[Row]) -> Figure:
         for color, (name, column) in enumerate(found.items())
     ]
     return draw([Panel(series, "price of a send, λ", "cost", "Figure 7.6: two circles")])
-
-
-def _off(run: TwinRun) -> Estimate:
-    reference = run.trial.problem.reference
-    assert reference is not None
-    off = run.trial.poses[..., :2] - reference.states[:, :2]
-    return mean(1e3 * np.sqrt((off**2).sum(axis=2).mean(axis=1)))
 
 
 def _percent(sent: Array) -> Estimate:

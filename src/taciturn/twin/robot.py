@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._cv2 import Colour
-from taciturn._mujoco import Scene
+from taciturn._mujoco import FREE, Scene
 
 Point = tuple[float, float, float]
 WIDTH, HEIGHT = 640, 480  # of all pictures, in pixels
@@ -131,8 +131,8 @@ class Robot:
 
     @property
     def seen(self) -> int:
-        """How many coordinates a camera sees: a free body's 7, and one per wheel."""
-        return 7 + len(self.joints)
+        """How many coordinates a camera sees: those of a free body, and one per wheel."""
+        return FREE + len(self.joints)
 
     @property
     def turns(self) -> bool:

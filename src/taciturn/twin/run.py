@@ -20,6 +20,7 @@ from taciturn.twin.figures import figure_of
 from taciturn.twin.mission import MISSIONS, all_time, check_mission, check_parameters
 from taciturn.twin.outcome import Trial
 from taciturn.twin.prepared import Prepared, prepare
+from taciturn.twin.robot import Robot
 from taciturn.twin.trial import Setup, run_trial
 
 if TYPE_CHECKING:
@@ -110,19 +111,33 @@ def run_twin(
         raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
     chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
     given = None if file is None else load(file)
-    if given is not None:
-        check_mission(chosen, given, str(file))
-    check_parameters(chosen, parameters or {})  # what is wrong is told before the robot is prepared
-    setup.check(chosen, MISSIONS[chosen.name].ticks if given is None else given.cost.horizon or 0)
+    policy = None if given is None else check_mission(chosen, given, str(file))
+    check_run(chosen, setup, parameters or {}, None if given is None else given.cost.horizon)
     found = prepare(robot, setup.seed) if isinstance(robot, str) else robot
-    problem = parse(found.tables(parameters or {}), "the mission") if given is None else given
-    policy = check_mission(found.robot, problem, file or "the mission")
+    problem = given or parse(found.tables(parameters or {}), "the mission")
+    policy = policy or check_mission(chosen, problem, "the mission")
     share = 0.5 if compare else 1.0
     trial = run_trial(found, setup, problem, scaled(progress, 0.0, share))
     always = None
     if compare:
         always = run_trial(found, replace(setup, faults=()), all_time(problem), scaled(progress, share, 1.0))
     return TwinRun(found, policy, trial, always, setup, time.monotonic() - began)
+
+
+def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], ticks: int | None = None) -> None:
+    """Refuse what a robot cannot run, before it is prepared.
+
+    Args:
+        robot: which one.
+        setup: how it is to run.
+        parameters: of the policy.
+        ticks: of the mission; omitted: those of the thesis.
+
+    Raises:
+        ProblemError: the policy has no such parameter, the robot no such wheels, or a fault does not fit.
+    """
+    check_parameters(robot, parameters)
+    setup.check(robot, ticks or MISSIONS[robot.name].ticks)
 
 
 def mean(values: Array) -> Estimate:

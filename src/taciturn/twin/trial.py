@@ -133,6 +133,7 @@ def run_trial(
     assert problem.source is not None
     outage = window(setup.faults, "actuator", robot.tick)
     plants = [TwinPlant(problem, setup.body(robot, run)) for run in range(setup.runs)]
+    killed = any(fault.name == "controller" for fault in setup.faults)
     drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
     with (
         tempfile.TemporaryDirectory(prefix="taciturn-") as name,
@@ -146,8 +147,7 @@ def run_trial(
         shared = ["--seed", str(setup.seed), "--loops", str(setup.runs)]
         processes = Processes(
             str(file), policy, fates, tick=setup.tick, folder=folder, options=shared,
-            keeps=any(fault.name == "controller" for fault in setup.faults),
-            environment={KEY: "" if setup.key is None else setup.key.hex()}, namespaces=spaces,
+            keeps=killed, environment={KEY: "" if setup.key is None else setup.key.hex()}, namespaces=spaces,
             through={"sensor": "camera"},
         )  # fmt: skip
         onward = processes.peer("sensor")
@@ -194,7 +194,6 @@ def run_trial(
             endpoint.close()
         lines = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
         dropped = 0 if spaces is None else sum(spaces.counted(link).dropped for link in processes.links)
-        killed = any(fault.name == "controller" for fault in setup.faults)
         told = Told(lines, logged_lines(folder / "seen.jsonl"), reports, drops, dropped, killed)
     return put_together(problem, plants, world.costs, told, time.monotonic() - began)
 
