@@ -9,12 +9,13 @@ import numpy as np
 
 import taciturn
 from taciturn.loop import Loop
+from taciturn.model.places import roles
 from taciturn.model.policy import Draw, Send
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
-from taciturn.runtime.node import Node, roles
+from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.network import losses

@@ -32,9 +32,10 @@ from taciturn import (
     to_control,
 )
 from taciturn._modes import factor
+from taciturn.model.places import roles
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
-from taciturn.runtime.node import Node, roles
+from taciturn.runtime.node import Node
 from taciturn.runtime.nodes import Turns
 from taciturn.runtime.packet import Packet
 

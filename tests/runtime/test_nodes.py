@@ -15,7 +15,8 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, design
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.runtime.node import Node, roles
+from taciturn.model.places import roles
+from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet
 
 TWO_STATES = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 1.0]])

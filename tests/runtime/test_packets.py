@@ -112,8 +112,8 @@ def test_a_fingerprint_is_that_of_the_data_and_not_of_their_last_bits() -> None:
     """Other parameters, networks or roundings differ; a matrix that is off by rounding does not."""
     from dataclasses import replace
 
+    from taciturn.model.packets import fingerprint
     from taciturn.model.policy import Assign
-    from taciturn.runtime.packet import fingerprint
 
     def nudged(found: Policy, size: float) -> Policy:
         def turned(step: Assign) -> Assign:

@@ -25,6 +25,7 @@ LARGEST = 32767  # integer that stands for the full scale
 # adding and subtracting it leaves the nearest integer, ties to even
 ROUNDERS = {"float64": 1.5 * 2.0**52, "float32": 1.5 * 2.0**23}
 CRC_SIZE, TAG_SIZE = 4, 16
+PERSON = b"taciturn"  # of its tags, and of fingerprints: BLAKE2s's personal string
 
 
 class FieldOfHeader(NamedTuple):

@@ -28,9 +28,9 @@ from numpy.typing import NDArray
 
 from taciturn._arrays import count
 from taciturn.errors import ProblemError
+from taciturn.model.places import role_at, roles
 from taciturn.model.policy import ENDS, LinkName, Policy
 from taciturn.model.wire import HEADER, KINDS, LINKS
-from taciturn.runtime.node import role_at, roles
 
 NETWORK, PORT = "10.77.0", 9000  # of every node; no other machine sees them
 NEEDED = (

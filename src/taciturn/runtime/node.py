@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from math import ceil, isfinite
+from math import isfinite
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -17,16 +17,17 @@ import numpy as np
 from taciturn._arrays import count, instance
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import Acknowledged, Assign, Evaluate, NodeName, Policy
-from taciturn.program.draws import UNIFORM, seed_generators
+from taciturn.model.packets import fingerprint
+from taciturn.model.places import place_of
+from taciturn.model.policy import NodeName, Policy
+from taciturn.program.draws import seed_generators
+from taciturn.program.layout import lay_out
 from taciturn.program.node import lower_node
 from taciturn.program.python import compile_python
 from taciturn.runtime.inbox import Channel, Inbox
-from taciturn.runtime.packet import Packet, fingerprint
+from taciturn.runtime.packet import Packet
 
 CAUGHT_UP = 10_000  # ticks that a node which has slept makes up for
-FORGOTTEN = 7.0  # time constants after which a fault is past: e^-7 < 1e-3
-NEVER = 1 << 62
 FORMAT = 1  # of a saved state
 Values: TypeAlias = tuple[float, ...]
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
@@ -95,29 +96,21 @@ class Node:
         self._tables = [tuple(place.table.tolist()) for place in program.clocks]
         self.counters: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
-        self._inputs: list[float] = []
-        self.inbox = Inbox(self._lay_out(), self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
+        self._layout = layout = lay_out(policy, program)
+        self._inputs = [0.0] * len(layout.inputs)
+        channels = {(one.kind, one.link): Channel(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
+        self.inbox = Inbox(channels, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
         # of each link, which tick its sender must have finished before tick k may begin: k less this
         self.listens: dict[str, int] = {link: channel.lag for (_, link), channel in self.inbox.channels.items()}
-        outputs = {name: i for i, name in enumerate(program.parts[0].outputs)}
-        self._sends: dict[str, tuple[int, slice]] = {}  # where the flag stands, and the payload behind it
-        for link, names in program.sends.items():
-            flag = outputs[f"sent {link}"]
-            self._sends[link] = flag, slice(flag + 1, flag + 1 + sum(policy.sizes[name] for name in names))
-        first = outputs.get("input 0")
-        self._applied = None if first is None else slice(first, first + policy.model.inputs)
-        self._options = {name.removeprefix("option "): i for name, i in outputs.items() if name.startswith("option ")}
         self._watchdog = None if watchdog is None else count("watchdog", watchdog)
-        if watchdog is not None and (self._applied is None or not program.hears):
+        if watchdog is not None and (layout.applied is None or not program.hears):
             raise ProblemError(
                 f"a watchdog is given for the {role}, which "
-                f"{'has no input to make safe' if self._applied is None else 'listens to no link'}; "
+                f"{'has no input to make safe' if layout.applied is None else 'listens to no link'}; "
                 "expected it at an actuator that packets reach"
             )
         self._safe = _safe_input(safe, policy.model.inputs)
-        horizon = policy.cost.horizon if policy.cost is not None else None
-        self._remembers = ceil(FORGOTTEN * policy.settling) or horizon or NEVER  # ticks
-        self.acknowledges = tuple(link for link in program.hears if _acknowledged(policy, link))
+        self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
         self.tick = -1
         self._memory: Sequence[Any] = [state.start for state in program.parts[0].states]
         self._generator: Sequence[Any] = seed_generators(seed, 1).view(np.uint64)[:, 0].tolist()
@@ -135,7 +128,7 @@ class Node:
     @property
     def actuates(self) -> bool:
         """Whether the node has the actuator, and a step gives the input of the plant."""
-        return self._applied is not None
+        return self._layout.applied is not None
 
     @property
     def memory(self) -> dict[str, list[float]]:
@@ -204,11 +197,11 @@ class Node:
     @property
     def talks(self) -> bool:
         """Whether the node sends packets."""
-        return bool(self._sends or self.acknowledges)
+        return bool(self._layout.departures or self.acknowledges)
 
     def mark(self) -> tuple[Packet, ...]:
         """Return the packets that tell those who listen that this node lives and has finished the tick."""
-        links: tuple[str, ...] = (*self._sends, *self.acknowledges)
+        links = (*(one.link for one in self._layout.departures), *self.acknowledges)
         return tuple(self._packet("mark", link) for link in links)
 
     def sort_in(self, packets: Iterable[Packet]) -> bool:
@@ -257,28 +250,6 @@ class Node:
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise ProblemError(f"this is no saved state of a node ({error!r}); expected what Node.save gave") from None
 
-    def _lay_out(self) -> dict[tuple[str, str], Channel]:
-        """Lay the inputs out, note which of them each part reads, and return where those of each link stand."""
-        program, sizes = self.program, self.policy.sizes
-        channels: dict[tuple[str, str], Channel] = {}
-        names = [f"y {i}" for i in range(sizes["y"])]
-        self._clocks_at = len(names)
-        names += [f"at {place.name}" for place in program.clocks]
-        for link, signals in program.hears.items():
-            payload = [f"{link} {signal} {i}" for signal in signals for i in range(sizes[signal])]
-            channels["data", link] = Channel(program.lag[link], len(names), len(payload), int(link in program.late))
-            names += [f"arrived {link}", *payload]
-        for link in program.acknowledged:
-            channels["acknowledgement", link] = Channel(1, len(names), 0, 1)
-            names.append(f"acknowledged {link}")
-        drawn = 0 if program.draws is None else len(program.draws.outputs)
-        self._drawn = slice(len(names), len(names) + drawn)
-        names += [f"{UNIFORM} {i}" for i in range(drawn)]
-        self._inputs = [0.0] * len(names)
-        places = {name: i for i, name in enumerate(names)}
-        self._wiring = [[places[name] for name in part.inputs] for part in program.parts]
-        return channels
-
     def _measured(self, measurement: Sequence[float] | None) -> Values:
         if not self.measures:
             return ()
@@ -292,24 +263,24 @@ class Node:
 
     def _advance(self, tick: int, y: Values, draws: Sequence[float] | None) -> list[Packet]:
         """Finish the tick before and go through this one as far as its outputs."""
-        inputs, sent = self._inputs, list[Packet]()
+        inputs, layout, sent = self._inputs, self._layout, list[Packet]()
         if len(self._parts) > 1 and self.tick >= 0:
             sent += self._collect(1, self.tick + 1)
-            self._memory, _ = self._parts[1](self._memory, [inputs[i] for i in self._wiring[1]])
+            self._memory, _ = self._parts[1](self._memory, [inputs[i] for i in layout.wiring[1]])
         self._turn_clocks(tick)
         self.tick = tick
         inputs[: len(y)] = y
         sent += self._collect(0, tick)
         if self._draw is not None:
             self._generator, drawn = self._draw(self._generator, ())
-            inputs[self._drawn] = drawn if draws is None else draws
-        self._memory, outputs = self._parts[0](self._memory, [inputs[i] for i in self._wiring[0]])
-        for link, (flag, payload) in self._sends.items():
-            if outputs[flag]:
-                sent.append(self._packet("data", link, outputs[payload]))
-        if self._applied is not None and not self.silent:
-            self._input = outputs[self._applied]
-        self.options = {name: outputs[i] for name, i in self._options.items()}
+            inputs[layout.drawn] = drawn if draws is None else draws
+        self._memory, outputs = self._parts[0](self._memory, [inputs[i] for i in layout.wiring[0]])
+        for link, at, size in layout.departures:
+            if outputs[at]:
+                sent.append(self._packet("data", link, outputs[at + 1 : at + 1 + size]))
+        if layout.applied is not None and not self.silent:
+            self._input = outputs[layout.applied]
+        self.options = {name: outputs[i] for name, i in layout.options.items()}
         return sent
 
     def _collect(self, part: int, tick: int) -> list[Packet]:
@@ -327,7 +298,7 @@ class Node:
             for _ in range(turns):
                 here = table[here]
             self._places[i] = here
-            self._inputs[self._clocks_at + i] = float(here)
+            self._inputs[self._layout.clocks + i] = float(here)
 
     def _packet(self, kind: Any, link: str, values: Values = (), tick: int | None = None) -> Packet:
         name = f"{kind} {link}"
@@ -341,44 +312,15 @@ class Node:
         return packet
 
     def _output(self) -> Values | None:
-        if self._applied is None:
+        if self._layout.applied is None:
             return None
         return self._safe if self.silent and self._safe is not None else self._input
 
     def _degrade(self, reason: str, tick: int | None = None) -> None:
         self.reasons[reason] += 1
-        self._degraded_until = max(self._degraded_until, (self.tick if tick is None else tick) + 1 + self._remembers)
-
-
-def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
-    """Return the nodes that share the place of a role.
-
-    Raises:
-        ProblemError: no such role, or the place is the controller's.
-    """
-    names = roles(policy)
-    if role not in names:
-        site = policy.site(role)
-        at = f"at the place of the controller in {policy.kind}" if len(site) > 1 else "not a role"
-        raise ProblemError(f"the node is {role!r}, which is {at}; expected one of {', '.join(names)}")
-    return policy.site(role)
-
-
-def roles(policy: Policy) -> tuple[NodeName, ...]:
-    """Return the nodes that run as processes of their own, in the order of a tick: one for each place."""
-    found: list[NodeName] = ["sensor", "controller", "actuator"]
-    return tuple(role for role in found if role == "controller" or "controller" not in policy.site(role))
-
-
-def role_at(policy: Policy, node: str) -> NodeName:
-    """Return the role whose process runs a node."""
-    return next(role for role in roles(policy) if node in policy.site(role))
-
-
-def _acknowledged(policy: Policy, link: str) -> bool:
-    conditions = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
-    conditions += [place.on for place in policy.locations]
-    return any(isinstance(on, Acknowledged) and on.link == link for on in conditions)
+        self._degraded_until = max(
+            self._degraded_until, (self.tick if tick is None else tick) + 1 + self._layout.remembers
+        )
 
 
 def _safe_input(safe: Safe, inputs: int) -> Values | None:

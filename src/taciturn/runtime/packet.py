@@ -11,16 +11,14 @@ import math
 import os
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias, cast
-
-import numpy as np
+from typing import Literal, NamedTuple, TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import Policy, Send
+from taciturn.model.packets import fingerprint, packet_shapes
+from taciturn.model.policy import Policy
 from taciturn.model.wire import (
     AUTHENTICATED,
     CODES,
@@ -30,6 +28,7 @@ from taciturn.model.wire import (
     KINDS,
     LARGEST,
     LINKS,
+    PERSON,
     TAG_SIZE,
     VERSION,
     Encoding,
@@ -39,8 +38,6 @@ from taciturn.model.wire import (
 Refusal: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
 REFUSALS: tuple[Refusal, ...] = ("malformed", "corrupted", "foreign", "forged")
 KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; bytes of a key of BLAKE2s
-PERSON = b"taciturn"
-DIGITS = 1e6  # of the largest entry of a matrix: what two machines that design the same policy agree in
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
 _ENCODINGS = tuple(CODES)
@@ -108,22 +105,11 @@ class Wire:
             )
         self.fingerprint = fingerprint(policy, network)
         self._key = key
-        exact = Encoding()
-        shapes: dict[tuple[int, int], tuple[Encoding, int]] = {}
-        for step in policy.steps:
-            if isinstance(step, Send):
-                sizes = [policy.sizes[name] for name in step.payload]
-                (whole,) = network.encoding(step.link).parts([sum(sizes)])
-                shapes[_KIND_CODES["data"], _LINK_CODES[step.link]] = whole, sum(sizes)
-                shapes[_KIND_CODES["acknowledgement"], _LINK_CODES[step.link]] = exact, 0
-                shapes[_KIND_CODES["mark"], _LINK_CODES[step.link]] = exact, 0
-        plant = _LINK_CODES["plant"]
-        shapes[_KIND_CODES["measurement"], plant] = exact, policy.model.outputs
-        shapes[_KIND_CODES["input"], plant] = exact, policy.model.inputs
-        shapes[_KIND_CODES["mark"], plant] = exact, 0
-        for (kind, link), number in (entries or {}).items():
-            shapes[_KIND_CODES[kind], _LINK_CODES[link]] = exact, number
-        self._shapes = {key: _Shape(*shape) for key, shape in shapes.items()}
+        others = {key: (Encoding(), number) for key, number in (entries or {}).items()}
+        shapes = packet_shapes(policy, network) | others
+        self._shapes = {
+            (_KIND_CODES[kind], _LINK_CODES[link]): _Shape(*shape) for (kind, link), shape in shapes.items()
+        }
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram.
@@ -242,38 +228,3 @@ def read_key(path: str | Path | None = None) -> bytes | None:
             f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}, as `openssl rand -hex 32` gives"
         )
     return key
-
-
-def fingerprint(policy: Policy, network: Network) -> int:
-    """Return 64 bits that tell policies apart: steps, locations and first values, to six digits of each matrix.
-
-    Two machines whose linear algebra rounds differently find the same.
-    """
-    data = (policy.steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
-    rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
-    text = repr(_plain([data, rounding, policy.model.input_limit]))
-    return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
-
-
-def _plain(value: object) -> object:
-    """Return data as nested tuples of words and whole numbers."""
-    if is_dataclass(value) and not isinstance(value, type):
-        held = tuple(_plain(getattr(value, field.name)) for field in fields(value))
-        return (type(value).__name__, *held)
-    if isinstance(value, np.ndarray | float):
-        return _whole(np.asarray(value, dtype=np.float64))
-    if isinstance(value, Mapping):
-        return tuple((str(key), _plain(one)) for key, one in cast("Mapping[object, object]", value).items())
-    if isinstance(value, frozenset):
-        return tuple(sorted(cast("frozenset[str]", value)))
-    if isinstance(value, list | tuple):
-        return tuple(_plain(one) for one in cast("Iterable[object]", value))
-    return value
-
-
-def _whole(values: np.ndarray[Any, Any]) -> object:
-    """Return numbers as whole ones: size of the largest, and each as a share of it."""
-    largest = float(np.abs(values).max(initial=0.0))
-    if largest == 0.0:
-        return (values.shape, 0)
-    return (values.shape, f"{largest:.5e}", *np.rint(values / largest * DIGITS).astype(np.int64).ravel().tolist())

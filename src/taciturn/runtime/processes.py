@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from taciturn.errors import ProblemError
+from taciturn.model.places import place_of, role_at, roles
 from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
 from taciturn.runtime.namespaces import Namespaces
-from taciturn.runtime.node import place_of, role_at, roles
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses

@@ -10,10 +10,10 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn.errors import ProblemError
+from taciturn.model.places import roles
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy, Send
 from taciturn.problem import Problem
-from taciturn.runtime.node import roles
 from taciturn.twin.catalogue import reference
 from taciturn.twin.identification import Identification
 from taciturn.twin.robot import Robot

@@ -1,0 +1,74 @@
+"""Which packets the nodes of a policy exchange, and the number that tells policies apart."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn.model.network import Network
+from taciturn.model.policy import Policy, Send
+from taciturn.model.wire import PERSON, Encoding, PacketKind
+
+DIGITS = 1e6  # of the largest entry of a matrix: what two machines that design the same policy agree in
+
+
+def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
+    """Return how the payload of each packet is written, and its entries, by kind and link.
+
+    Raises:
+        ProblemError: payloads are to be rounded, and a range is missing.
+    """
+    exact, shapes = Encoding(), dict[tuple[PacketKind, str], tuple[Encoding, int]]()
+    for step in policy.steps:
+        if isinstance(step, Send):
+            entries = sum(policy.sizes[name] for name in step.payload)
+            (whole,) = network.encoding(step.link).parts([entries])
+            shapes |= {
+                ("data", step.link): (whole, entries),
+                ("acknowledgement", step.link): (exact, 0),
+                ("mark", step.link): (exact, 0),
+            }
+    shapes |= {
+        ("measurement", "plant"): (exact, policy.model.outputs),
+        ("input", "plant"): (exact, policy.model.inputs),
+    }
+    return {**shapes, ("mark", "plant"): (exact, 0)}
+
+
+def fingerprint(policy: Policy, network: Network) -> int:
+    """Return 64 bits that tell policies apart: steps, locations and first values, to six digits of each matrix.
+
+    Two machines whose linear algebra rounds differently find the same.
+    """
+    data = (policy.steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
+    rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
+    text = repr(_plain([data, rounding, policy.model.input_limit]))
+    return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
+
+
+def _plain(value: object) -> object:
+    """Return data as nested tuples of words and whole numbers."""
+    if is_dataclass(value) and not isinstance(value, type):
+        held = tuple(_plain(getattr(value, field.name)) for field in fields(value))
+        return (type(value).__name__, *held)
+    if isinstance(value, np.ndarray | float):
+        return _whole(np.asarray(value, dtype=np.float64))
+    if isinstance(value, Mapping):
+        return tuple((str(key), _plain(one)) for key, one in cast("Mapping[object, object]", value).items())
+    if isinstance(value, frozenset):
+        return tuple(sorted(cast("frozenset[str]", value)))
+    if isinstance(value, list | tuple):
+        return tuple(_plain(one) for one in cast("Iterable[object]", value))
+    return value
+
+
+def _whole(values: np.ndarray[Any, Any]) -> object:
+    """Return numbers as whole ones: size of the largest, and each as a share of it."""
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest == 0.0:
+        return (values.shape, 0)
+    return (values.shape, f"{largest:.5e}", *np.rint(values / largest * DIGITS).astype(np.int64).ravel().tolist())
