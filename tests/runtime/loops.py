@@ -8,9 +8,9 @@ from unittest.mock import patch
 import numpy as np
 
 import taciturn
+from taciturn.export.vector import drawn_by_the_policy
 from taciturn.loop import Loop
 from taciturn.model.places import roles
-from taciturn.model.policy import Draw, Send
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.program.ir import Program
@@ -41,18 +41,6 @@ def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True)
     outputs = run(program, loop.start(program, paths, seed), ticks, inputs).outputs
     names = [f"uniform {i}" for i in drawn_by_the_policy(loop)]
     return outputs, inputs[:, [program.inputs.index(name) for name in names], :]
-
-
-def drawn_by_the_policy(loop: Loop) -> list[int]:
-    """Return which uniform numbers of a tick are the policy's own; the rest are losses."""
-    count, own = sum(loop.network.burst(link) is not None for link in ("actuator", "sensor")), []
-    for step in loop.policy.steps:
-        if isinstance(step, Draw):
-            own.append(count)
-            count += 1
-        elif isinstance(step, Send) and (loop.network.loss(step.link) > 0 or loop.network.burst(step.link)):
-            count += 1
-    return own
 
 
 def column(records: Records, name: str, path: int = 0) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from taciturn._arrays import Array
 from taciturn.program import single
 from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.ops import Op, State
+from taciturn.program.ops import Op, Precision, State
 
 # −2 log(1+r) = r Σ c_i r^i on [−1/17, 1/17]
 _MINUS_TWO_LOG = (
@@ -64,9 +64,9 @@ def with_draws(program: Program) -> Program:
     return replace(result, following=(*result.following, *words))
 
 
-def draw_uniforms(count: int) -> Program:
+def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
     """Return the program that draws so many uniform numbers in a tick: its outputs ``uniform i``."""
-    builder, supplied = Builder(), dict[str, int]()
+    builder, supplied = Builder(precision), dict[str, int]()
     following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 

@@ -29,7 +29,7 @@ from taciturn.model.policy import (
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, rebuild
 from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads, told_by
-from taciturn.program.ops import State
+from taciturn.program.ops import Precision, State
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,13 +64,16 @@ class NodeProgram:
     sends: Mapping[str, tuple[str, ...]]
 
 
-def lower_node(policy: Policy, site: frozenset[NodeName], network: Network) -> NodeProgram:
+def lower_node(
+    policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision = "float64"
+) -> NodeProgram:
     """Return what one place of a policy runs.
 
     Args:
         policy: the policy.
         site: nodes that share the place, from ``Policy.site``.
         network: which tells how payloads are rounded.
+        precision: of the numbers.
 
     Raises:
         ProblemError: the nodes cannot be separated: a signal changes between the packet that tells it and its use, two
@@ -78,7 +81,7 @@ def lower_node(policy: Policy, site: frozenset[NodeName], network: Network) -> N
             before it acts, or does nothing.
     """
     check_separable(policy)
-    return _Lowering(policy, site, network).result()
+    return _Lowering(policy, site, network, precision).result()
 
 
 def check_separable(policy: Policy) -> None:
@@ -121,9 +124,9 @@ def check_separable(policy: Policy) -> None:
 class _Part(Tick):
     """A part of a tick of one node: what others tell is an input."""
 
-    def __init__(self, policy: Policy, payloads: Payloads, drawn: int) -> None:
+    def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
-        super().__init__(Builder(), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
+        super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
         self.packets: dict[str, Vector] = {}  # payload of each packet as it is sent
         self._link = ""
@@ -163,8 +166,8 @@ class _Part(Tick):
 class _Lowering:
     """One place of a policy while it is written down."""
 
-    def __init__(self, policy: Policy, site: frozenset[NodeName], network: Network) -> None:
-        self.policy, self.site = policy, site
+    def __init__(self, policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision) -> None:
+        self.policy, self.site, self.precision = policy, site, precision
         self.payloads = encode_payloads(policy, network)
         self.steps = [step for step in policy.steps if step.at in site]
         if not self.steps:
@@ -200,7 +203,7 @@ class _Lowering:
         return NodeProgram(
             site=self.site,
             parts=programs,
-            draws=draw_uniforms(walked[-1].drawn) if walked[-1].drawn else None,
+            draws=draw_uniforms(walked[-1].drawn, self.precision) if walked[-1].drawn else None,
             clocks=tuple(place for place in self.policy.locations if f"at {place.name}" in read),
             hears=hears,
             lag={link: self._before(link) + (link in late) for link in hears},
@@ -230,7 +233,7 @@ class _Lowering:
         return int(read[0] < sent)
 
     def _walk(self, steps: Sequence[Step], drawn: int) -> _Part:
-        tick = _Part(self.policy, self.payloads, drawn)
+        tick = _Part(self.policy, self.payloads, drawn, self.precision)
         for step in steps:
             tick.take(step, dict.fromkeys(self.payloads, 0.0))
         return tick

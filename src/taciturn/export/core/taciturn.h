@@ -23,6 +23,10 @@
 #error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
 #endif
 
+#if defined(__FAST_MATH__)
+#error "numbers are rounded as the compiler likes; expected no -ffast-math"
+#endif
+
 /* Every operation rounds once: nothing may be fused, or the bits are not those of the design. */
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
@@ -64,13 +68,14 @@ typedef struct {
   const tac_real *per_step;
 } tac_shape;
 
-/* The packets of a policy, and the secret that authenticates them (16 to 32 bytes; NULL: none). */
+/* The packets of a policy. */
 typedef struct {
   uint64_t fingerprint;
   const tac_shape *shapes;
   uint8_t shape_count;
 } tac_wire;
 
+/* The secret that authenticates packets: 16 to 32 bytes; NULL: none. With one of another size none is sent or taken. */
 typedef struct {
   const uint8_t *bytes;
   uint8_t size;
@@ -94,6 +99,8 @@ typedef struct {
   bool acknowledged; /* whether the node tells the sender what has come */
   uint16_t at;
 } tac_channel_data;
+
+enum { TAC_SENDS = 2 }; /* packets that a node sends in a tick, at most: there are as many links between nodes */
 
 /* A packet that the node sends: where the decision stands among the outputs of a tick; the payload stands behind it. */
 typedef struct {
@@ -161,11 +168,14 @@ typedef struct {
   uint32_t told_sequence; /* of the next acknowledgement */
 } tac_channel;
 
-/* What a node has met: counts of packets, as the host's nodes count them, and of what its theory does not know. */
+/* What a node has met: counts of packets, as the host's nodes count them, and of what its theory does not know; they
+ * begin anew after 2^32 - 1. A packet that a tick wants more than TAC_WAITING ticks after the last is `ahead`, and
+ * dropped; of two that meet in one place before the first tick the newer waits, and the other is `late`. */
 typedef struct {
   uint32_t received, used, late, ahead, duplicate, replayed, misdirected, superseded, marks; /* packets */
   uint32_t malformed, corrupted, foreign, forged;                                            /* datagrams */
-  uint32_t missed, repeated;                                                                 /* ticks */
+  uint32_t unsent;           /* packets that were to hold what is no finite number */
+  uint32_t missed, repeated; /* ticks */
 } tac_counters;
 
 typedef struct {
@@ -180,12 +190,13 @@ typedef struct {
   uint64_t generator[4];
   tac_key key;
   uint64_t tick;           /* the last one */
-  uint64_t heard;          /* tick in which something was heard last */
-  uint64_t degraded_until;
+  uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
+  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun */
   tac_counters counters;
   uint32_t epoch;
   uint16_t loop;
-  uint8_t pending;         /* bit i: the packet of send i is to be handed out */
+  tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
+  uint8_t pending;               /* bit i: that of send i is to be handed out */
   bool begun;
 } tac_node;
 
@@ -196,12 +207,14 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 /* Take a datagram that has come; false: it was refused, or is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
-/* Go through a tick. `measurement` is the plant's, where the node measures; `drawn` replaces the node's own draws, NULL:
- * it draws. A tick that is not later than the last is not gone through again; ticks that were left out are made up for.
- * false: the tick is not gone through, since it is not later or a measurement is no finite number. */
+/* Go through a tick, less than UINT64_MAX. `measurement` is the plant's, where the node measures; `drawn` replaces the
+ * node's own draws, NULL: it draws. A tick that is not later than the last is not gone through again; ticks that were
+ * left out are made up for. false: the tick is not gone through, since it is not later or a measurement is no finite
+ * number. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
-/* Return the size of the next datagram to be sent, written to at most TAC_DATAGRAM bytes; 0: there is none. */
+/* Return the size of the next datagram to be sent, written to at most TAC_DATAGRAM bytes; 0: there is none. Of ticks
+ * that were made up for, each link has its newest packet alone. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
 
 /* Return the input of the plant: NULL where the node has none. */

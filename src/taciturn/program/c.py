@@ -1,0 +1,190 @@
+"""Prints a program as a C99 function of numbers: one path, one tick at a time, for devices.
+
+Every operation rounds once, in the order of the program: where the compiler fuses nothing, the bits are those of
+``program.numpy``. Numbers have the type ``tac_real``; no library of mathematics is called.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from taciturn.program.ir import Program, needed
+from taciturn.program.ops import EIGHT, Op, Precision, tiles
+
+REAL = "tac_real"
+_INFIX: Mapping[str, tuple[str, str]] = {  # operator, and the type of the result; None: that of the operands
+    "add": ("+", REAL), "sub": ("-", REAL), "mul": ("*", REAL), "div": ("/", REAL),
+    "greater": (">", "bool"), "less_equal": ("<=", "bool"), "and": ("&&", "bool"),
+    "word_add": ("+", ""), "word_and": ("&", ""), "word_or": ("|", ""), "word_xor": ("^", ""),
+}  # fmt: skip
+_WIDTHS = {"uint64_t": 64, "uint32_t": 32}
+_SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
+
+
+def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
+    """Return the source of ``static void name(inputs, memory, outputs)``, with the tables that it reads before it.
+
+    Memory is changed in place. Where it consists of words, as that of a generator, there are no inputs.
+
+    Args:
+        program: one tick.
+        name: of the function; its tables begin with it.
+        places: where each of the program's inputs stands among those that are given.
+    """
+    return _Printer(program, name, places).text()
+
+
+def literal(value: float, precision: Precision) -> str:
+    """Return a number as C99 writes it exactly."""
+    if precision == "float32":
+        value = float(np.float32(value))
+    if np.isinf(value):
+        return f"{'-' if value < 0 else ''}({REAL})INFINITY"
+    return value.hex() + ("f" if precision == "float32" else "")
+
+
+def array(kind: str, name: str, values: Sequence[str]) -> str:
+    """Return the definition of an array of constants, some to a line."""
+    lines, line = list[str](), ""
+    for value in values:
+        if line and len(line) + len(value) > 110:
+            lines.append(line)
+            line = ""
+        line += f"{' ' if line else ''}{value},"
+    return "\n  ".join([f"static const {kind} {name}[] = {{", *lines, line]) + "\n};\n"
+
+
+class _Printer:
+    """Lines of C, and the types of what they compute."""
+
+    def __init__(self, program: Program, name: str, places: Sequence[int]) -> None:
+        self.program, self.name, self.places = program, name, places
+        self.live = needed(program, [*program.following, *program.outputs.values()])
+        self.types: dict[int, str] = {}  # of the operations
+        self.names: dict[int, str] = {}  # of those that are written where they are read
+        self.arrays: list[str] = []
+        self.declared: set[str] = set()
+
+    def text(self) -> str:
+        """Return the tables and the function."""
+        program = self.program
+        lines = [line for i, op in enumerate(program.ops) if i in self.live for line in self._lines(i, op)]
+        kept = [(i, op) for i, op in enumerate(program.following) if self._moves(i, op)]
+        lines += [f"memory[{i}] = {self._name(op)};" for i, op in kept]
+        lines += [f"outputs[{i}] = {self._name(op)};" for i, op in enumerate(program.outputs.values())]
+        words = bool(program.states) and all(state.word for state in program.states)
+        memory = "uint64_t" if words else REAL
+        names = ["memory", "outputs"] if words else ["inputs", "memory", "outputs"]
+        unused = [name for name in names if not any(f"{name}[" in line for line in lines)]
+        lines += [f"(void){name};" for name in unused]
+        given = "" if words else f"const {REAL} *inputs, "
+        head = f"static void {self.name}({given}{memory} *memory, {REAL} *outputs)\n{{"
+        return "".join(self.arrays) + "\n  ".join([head, *lines]) + "\n}\n"
+
+    def _moves(self, state: int, op: int) -> bool:
+        """Whether a state has another value at the next tick."""
+        return self.program.ops[op] != Op("state", (state,))
+
+    def _name(self, index: int) -> str:
+        return self.names.get(index, f"v{index}")
+
+    def _lines(self, index: int, op: Op) -> list[str]:
+        if op.name == "product":
+            return self._product(index, op)
+        if op.name == "bits":
+            return self._copied(index, op, "uint64_t" if self.program.precision == "float64" else "uint32_t")
+        if op.name == "number":
+            return self._copied(index, op, REAL)
+        kind, expression = self._expression(op)
+        self.types[index] = kind
+        if op.name == "const":
+            self.names[index] = expression
+            return []
+        return [f"const {kind} v{index} = {expression};"]
+
+    def _expression(self, op: Op) -> tuple[str, str]:
+        """Return the type of an operation's value, and what computes it."""
+        name, rest = op
+        if name in _INFIX:
+            sign, kind = _INFIX[name]
+            return kind or self.types[rest[0]], f"{self._name(rest[0])} {sign} {self._name(rest[1])}"
+        if name == "const":
+            return REAL, literal(self.program.constants[rest[0]], self.program.precision)
+        if name == "state":
+            word = self.program.states[rest[0]].word
+            return "uint64_t" if word else REAL, f"memory[{rest[0]}]"
+        if name == "input":
+            return REAL, f"inputs[{self.places[rest[0]]}]"
+        if name == "select":
+            return REAL, f"{self._name(rest[0])} ? {self._name(rest[1])} : {self._name(rest[2])}"
+        if name == "not":
+            return "bool", f"!{self._name(rest[0])}"
+        if name == "lookup":
+            return REAL, f"{self._table(rest[0])}[(size_t){self._name(rest[1])}]"
+        if name == "pick":
+            return REAL, f"{self._table(rest[0])}[{self._name(rest[1])} & {EIGHT - 1}u]"
+        if name == "entry":
+            return REAL, f"{self._name(rest[0])}[{rest[1]}]"
+        if name == "narrow":
+            return REAL, f"({REAL})(float){self._name(rest[0])}"
+        return self._on_bits(name, rest)
+
+    def _on_bits(self, name: str, rest: Sequence[int]) -> tuple[str, str]:
+        if name in ("word", "half"):
+            kind = "uint64_t" if name == "word" else "uint32_t"
+            return kind, f"{_SUFFIX[kind]}(0x{rest[0]:x})"
+        kind, x = self.types[rest[0]], f"{self._name(rest[0])}"
+        if name == "any_bit":
+            return "bool", f"{x} != 0u"
+        if name == "count":
+            return REAL, f"({REAL}){x}"
+        if name == "upper":
+            return "uint32_t", f"(uint32_t)({x} >> 32)"
+        if name == "lower":
+            return "uint32_t", f"(uint32_t)({x} & UINT64_C(0xffffffff))"
+        if name == "rotate_left":
+            return kind, f"({x} << {rest[1]}) | ({x} >> {_WIDTHS[kind] - rest[1]})"
+        assert name in ("shift_left", "shift_right"), f"C knows no {name}: its libraries of mathematics are not called"
+        return kind, f"{x} {'<<' if name == 'shift_left' else '>>'} {rest[1]}"
+
+    def _copied(self, index: int, op: Op, kind: str) -> list[str]:
+        """Read the bits of a value as another kind of value."""
+        self.types[index] = kind
+        return [f"{kind} v{index};", f"memcpy(&v{index}, &v{op.arguments[0]}, sizeof v{index});"]
+
+    def _table(self, table: int) -> str:
+        values = self.program.tables[table]
+        return self._declare(f"{self.name}_table{table}", [literal(v, self.program.precision) for v in values])
+
+    def _declare(self, name: str, values: Sequence[str]) -> str:
+        """Define an array of numbers once, and return its name."""
+        if name not in self.declared:
+            self.declared.add(name)
+            self.arrays.append(array(REAL, name, values))
+        return name
+
+    def _product(self, index: int, op: Op) -> list[str]:
+        """Add up the rows of a matrix times numbers tile by tile, column by column, from 0."""
+        matrix, parts = self.program.matrices[op.arguments[0]], tiles(self.program.matrices[op.arguments[0]])
+        held = [
+            literal(matrix[row][j], self.program.precision)
+            for tile in parts
+            for j in range(tile.begin, tile.end)
+            for row in range(tile.first, tile.first + tile.rows)
+        ]
+        name = self._declare(f"{self.name}_matrix{op.arguments[0]}", held)
+        values = ", ".join(f"{self._name(value)}" for value in op.reads)
+        lines = [f"const {REAL} x{index}[] = {{{values}}};", f"{REAL} v{index}[{len(matrix)}] = {{0}};"]
+        before = 0
+        for first, rows, begin, end in parts:
+            lines += [
+                f"for (size_t j = 0; j < {end - begin}u; ++j) {{",
+                f"  for (size_t i = 0; i < {rows}u; ++i) {{",
+                f"    v{index}[i + {first}u] += {name}[{before}u + j * {rows}u + i] * x{index}[j + {begin}u];",
+                "  }",
+                "}",
+            ]
+            before += rows * (end - begin)
+        return lines
