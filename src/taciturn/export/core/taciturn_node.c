@@ -1,0 +1,473 @@
+/* A node as a state machine: what becomes of packets that arrive, and the ticks. */
+#include <string.h>
+
+#include "taciturn.h"
+
+#if TAC_WAITING < 4 || (TAC_WAITING & (TAC_WAITING - 1)) != 0
+#error "TAC_WAITING is no power of two from 4 on"
+#endif
+
+#if TAC_FLOAT32
+#define LARGEST_REAL FLT_MAX
+#else
+#define LARGEST_REAL DBL_MAX
+#endif
+
+enum { WIDTH = 64 };        /* sequence numbers up to the newest that are told apart */
+enum { CAUGHT_UP = 10000 }; /* ticks that a node which has slept makes up for */
+#define NEVER UINT32_MAX
+
+typedef enum { NEW, DUPLICATE, REPLAYED } news;
+
+/* Note a packet of a sender, and tell whether it is new. */
+static news admit(tac_window *window, uint32_t epoch, uint32_t sequence) {
+  if (window->begun && epoch < window->epoch) {
+    return REPLAYED;
+  }
+  if (!window->begun || epoch > window->epoch) {
+    window->begun = true;
+    window->epoch = epoch;
+    window->newest = sequence;
+    window->seen = 1U;
+    window->distinct = 1U;
+    return NEW;
+  }
+  if (sequence > window->newest) {
+    uint32_t ahead = sequence - window->newest;
+    window->seen = (ahead >= (uint32_t)WIDTH) ? 1U : ((window->seen << ahead) | 1U);
+    window->newest = sequence;
+  } else {
+    uint32_t behind = window->newest - sequence;
+    if (behind >= (uint32_t)WIDTH) {
+      return REPLAYED;
+    }
+    if (((window->seen >> behind) & 1U) != 0U) {
+      return DUPLICATE;
+    }
+    window->seen |= (uint64_t)1U << behind;
+  }
+  window->distinct++;
+  return NEW;
+}
+
+/* Return how many sequence numbers of this epoch up to the newest have not come. */
+static uint32_t count_missing(const tac_window *window) {
+  return window->begun ? ((window->newest - window->distinct) + 1U) : 0U;
+}
+
+/* Return how many ticks are past, or have begun. */
+static uint64_t count_ticks(const tac_node *node) {
+  return node->begun ? (node->tick + 1U) : 0U;
+}
+
+/* Note that something has happened in a tick, of which so many have begun, that the theory does not know. */
+static void degrade(tac_node *node, uint64_t ticks) {
+  uint64_t span = (uint64_t)node->data->remembers + 1U;
+  uint64_t until = ticks + span;
+  if (node->data->remembers == NEVER || until < ticks) {
+    until = UINT64_MAX;
+  }
+  if (until > node->degraded_until) {
+    node->degraded_until = until;
+  }
+}
+
+static bool is_silent(const tac_node *node) {
+  uint64_t ticks = count_ticks(node);
+  return node->data->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->data->watchdog;
+}
+
+/* Count a packet that comes too late; where every packet is to arrive, the newest such one is used in the next tick. */
+static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet) {
+  node->counters.late++;
+  if (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
+    degrade(node, count_ticks(node));
+  } else if (node->data->lossless) {
+    degrade(node, count_ticks(node));
+    if (!channel->has_behind || packet->tick > channel->behind.tick) {
+      channel->behind = *packet;
+      channel->has_behind = true;
+    }
+  }
+}
+
+/* Whether the tick that wants the packet of a tick is past. */
+static bool is_late(const tac_node *node, uint64_t tick, uint8_t lag) {
+  return node->begun && tick <= node->tick && node->tick - tick >= lag;
+}
+
+static bool is_newer(const tac_packet *packet, const tac_packet *known) {
+  return packet->epoch > known->epoch || (packet->epoch == known->epoch && packet->sequence > known->sequence);
+}
+
+/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first tick
+ * and is of one too far ahead. */
+static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
+  tac_channel *channel = &node->channels[i];
+  unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
+  const tac_packet *known = &channel->waiting[place];
+  bool kept = true;
+  if (channel->waits[place]) {
+    if (known->tick == packet->tick) {
+      node->counters.superseded++;
+      kept = is_newer(packet, known);
+    } else if (!node->begun) {
+      kept = packet->tick > known->tick;
+      miss(node, channel, kept ? known : packet);
+    } else if (is_late(node, known->tick, node->data->channels[i].lag)) {
+      miss(node, channel, known);
+    } else {
+      node->counters.ahead++;
+    }
+  }
+  if (kept) {
+    channel->waiting[place] = *packet;
+    channel->waits[place] = true;
+  }
+}
+
+/* Return which channel a packet belongs to, or its sender whose mark it is; the number of channels: none. */
+static unsigned find_channel(const tac_node_data *data, const tac_packet *packet) {
+  unsigned i = 0U;
+  while (i < data->channel_count &&
+         (data->channels[i].link != packet->link ||
+          (data->channels[i].kind != packet->kind && packet->kind != (uint8_t)TAC_MARK))) {
+    i++;
+  }
+  return i;
+}
+
+/* Whether the tick of a packet is so far ahead that it is not waited for. */
+static bool is_ahead(const tac_node *node, uint64_t tick, unsigned ahead) {
+  return node->begun && tick > node->tick && tick - node->tick > ahead;
+}
+
+/* Take in a packet that is new. */
+static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
+  bool mark = packet->kind == (uint8_t)TAC_MARK;
+  uint8_t lag = mark ? 0U : node->data->channels[i].lag;
+  if (is_ahead(node, packet->tick, (unsigned)TAC_WAITING - lag)) {
+    node->counters.ahead++;
+    return false;
+  }
+  if (mark) {
+    node->counters.marks++;
+  } else if (is_late(node, packet->tick, lag)) {
+    miss(node, &node->channels[i], packet);
+  } else {
+    wait_for_tick(node, i, packet);
+  }
+  return true;
+}
+
+/* Take a packet in, count what becomes of it, and tell whether it is new and not far too early. */
+static bool take(tac_node *node, const tac_packet *packet) {
+  unsigned i = find_channel(node->data, packet);
+  tac_channel *channel;
+  news found;
+  node->counters.received++;
+  if (packet->loop != node->loop || i == node->data->channel_count) {
+    node->counters.misdirected++;
+    return false;
+  }
+  channel = &node->channels[i];
+  found = admit((packet->kind == (uint8_t)TAC_MARK) ? &channel->marks : &channel->window, packet->epoch,
+                packet->sequence);
+  if (found == REPLAYED) {
+    node->counters.replayed++;
+  } else if (found == DUPLICATE) {
+    node->counters.duplicate++;
+  } else {
+    return sort_in(node, i, packet);
+  }
+  return false;
+}
+
+static void count_refusal(tac_counters *counters, tac_verdict verdict) {
+  if (verdict == TAC_MALFORMED) {
+    counters->malformed++;
+  } else if (verdict == TAC_CORRUPTED) {
+    counters->corrupted++;
+  } else if (verdict == TAC_FOREIGN) {
+    counters->foreign++;
+  } else {
+    counters->forged++;
+  }
+}
+
+bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
+  tac_packet packet;
+  tac_verdict verdict = tac_decode(&node->data->wire, node->key, datagram, size, &packet);
+  if (verdict != TAC_OK) {
+    count_refusal(&node->counters, verdict);
+    return false;
+  }
+  if (!take(node, &packet)) {
+    return false;
+  }
+  node->heard = count_ticks(node) + 1U;
+  return true;
+}
+
+/* Put a packet among the inputs of a tick; NULL: none has come. */
+static void put_inputs(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs) {
+  inputs[data->at] = (tac_real)((packet == NULL) ? 0 : 1);
+  for (unsigned i = 0U; i < data->entries; i++) {
+    inputs[data->at + 1U + i] = (packet == NULL) ? (tac_real)0 : packet->values[i];
+  }
+}
+
+/* Put the packet that a tick wants among its inputs; acknowledge it where it came in time. */
+static void collect(tac_node *node, unsigned i, uint64_t tick) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  const tac_packet *packet = NULL;
+  uint32_t missing = count_missing(&channel->window);
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    tac_packet *known = &channel->waiting[place];
+    if (!channel->waits[place] || tick < data->lag || known->tick > tick - data->lag) {
+      continue;
+    }
+    channel->waits[place] = false;
+    if (known->tick == tick - data->lag) {
+      packet = known;
+    } else {
+      miss(node, channel, known);
+    }
+  }
+  if (packet != NULL) {
+    node->counters.used++;
+    if (data->acknowledged && data->kind == (uint8_t)TAC_DATA) {
+      channel->told = packet->tick;
+      channel->tells = true;
+    }
+  } else if (channel->has_behind) {
+    packet = &channel->behind;
+  } else {
+    /* none has come */
+  }
+  channel->has_behind = false;
+  if (node->data->lossless && missing > channel->missing) {
+    degrade(node, count_ticks(node));
+  }
+  channel->missing = missing;
+  put_inputs(data, packet, node->inputs);
+}
+
+static void collect_all(tac_node *node, uint8_t part, uint64_t tick) {
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    if (node->data->channels[i].part == part) {
+      collect(node, i, tick);
+    }
+  }
+}
+
+/* Set every clock by the number of the tick. */
+static void turn_clocks(tac_node *node, uint64_t tick) {
+  for (unsigned i = 0U; i < node->data->clock_count; i++) {
+    const tac_clock_data *clock = &node->data->clocks[i];
+    uint64_t turns = tick - (node->begun ? node->tick : 0U);
+    if (turns > clock->size) { /* where it repeats, whole rounds change nothing */
+      turns = clock->size + ((turns - clock->size) % clock->period);
+    }
+    for (; turns > 0U; turns--) {
+      node->places[i] = clock->following[node->places[i]];
+    }
+    node->inputs[node->data->clocks_at + i] = (tac_real)node->places[i];
+  }
+}
+
+static void copy(tac_real *to, const tac_real *from, unsigned count) {
+  for (unsigned i = 0U; i < count; i++) {
+    to[i] = from[i];
+  }
+}
+
+/* Note the packets that a tick sends, and the input that it applies. */
+static void put_outputs(tac_node *node) {
+  const tac_node_data *data = node->data;
+  for (unsigned i = 0U; i < data->send_count; i++) {
+    if (node->outputs[data->sends[i].at] > (tac_real)0) {
+      tac_packet *packet = &node->sending[i];
+      packet->kind = (uint8_t)TAC_DATA;
+      packet->link = data->sends[i].link;
+      packet->entries = data->sends[i].entries;
+      packet->tick = node->tick;
+      copy(packet->values, &node->outputs[data->sends[i].at + 1U], packet->entries);
+      node->pending = (uint8_t)(node->pending | (1U << i));
+    }
+  }
+  if (data->applied >= 0 && !is_silent(node)) {
+    copy(node->input, &node->outputs[data->applied], data->applied_count);
+  }
+}
+
+/* Finish the tick before and go through this one as far as its outputs. */
+static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
+  const tac_node_data *data = node->data;
+  if (data->second != NULL && node->begun) {
+    collect_all(node, 1U, node->tick + 1U);
+    data->second(node->inputs, node->memory, node->outputs);
+  }
+  turn_clocks(node, tick);
+  node->tick = tick;
+  node->begun = true;
+  copy(node->inputs, measurement, data->measurement_count);
+  collect_all(node, 0U, tick);
+  if (data->draw != NULL) {
+    data->draw(node->generator, &node->inputs[data->drawn_at]);
+    if (drawn != NULL) {
+      copy(&node->inputs[data->drawn_at], drawn, data->drawn_count);
+    }
+  }
+  data->first(node->inputs, node->memory, node->outputs);
+  put_outputs(node);
+}
+
+/* Go through the ticks that were left out, without packets and input; a node that measures leaves them out. */
+static void make_up(tac_node *node, uint64_t tick) {
+  uint64_t left_out = tick - count_ticks(node);
+  if (left_out == 0U) {
+    return;
+  }
+  if (!node->begun) {
+    node->heard = tick;
+  } else {
+    node->counters.missed += (uint32_t)(left_out & UINT32_MAX);
+    if (node->data->measurement_count == 0U) {
+      uint64_t made_up = (left_out < (uint64_t)CAUGHT_UP) ? left_out : (uint64_t)CAUGHT_UP;
+      for (uint64_t behind = tick - made_up; behind < tick; behind++) {
+        advance(node, behind, NULL, NULL);
+      }
+    }
+  }
+  degrade(node, tick + 1U);
+}
+
+static bool is_measurement(const tac_node_data *data, const tac_real *measurement) {
+  bool found = data->measurement_count == 0U || measurement != NULL;
+  for (unsigned i = 0U; found && i < data->measurement_count; i++) {
+    found = measurement[i] >= -LARGEST_REAL && measurement[i] <= LARGEST_REAL;
+  }
+  return found;
+}
+
+bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
+  if (tick == UINT64_MAX || !is_measurement(node->data, measurement)) {
+    return false;
+  }
+  if (node->begun && tick <= node->tick) {
+    node->counters.repeated++;
+    return false;
+  }
+  make_up(node, tick);
+  advance(node, tick, measurement, drawn);
+  return true;
+}
+
+/* Forget the sequence numbers of an epoch that has ended. */
+static void begin_epoch(tac_node *node) {
+  node->epoch++;
+  for (unsigned i = 0U; i < node->data->send_count; i++) {
+    node->sequences[i] = 0U;
+  }
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    node->channels[i].told_sequence = 0U;
+  }
+}
+
+/* Number a packet and write it; 0: it holds what is no finite number. */
+static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, uint8_t *datagram) {
+  size_t size;
+  packet->epoch = node->epoch;
+  packet->loop = node->loop;
+  packet->sequence = *sequence;
+  if (*sequence == UINT32_MAX) {
+    begin_epoch(node);
+  } else {
+    (*sequence)++;
+  }
+  size = tac_encode(&node->data->wire, node->key, packet, datagram);
+  if (size == 0U) {
+    node->counters.unsent++;
+  }
+  return size;
+}
+
+static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
+  tac_channel *channel = &node->channels[i];
+  tac_packet packet;
+  packet.kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
+  packet.link = node->data->channels[i].link;
+  packet.entries = 0U;
+  packet.tick = channel->told;
+  channel->tells = false;
+  return hand_out(node, &packet, &channel->told_sequence, datagram);
+}
+
+size_t tac_send(tac_node *node, uint8_t *datagram) {
+  size_t size = 0U;
+  for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
+    if (node->channels[i].tells) {
+      size = acknowledge(node, i, datagram);
+    }
+  }
+  for (unsigned i = 0U; size == 0U && i < node->data->send_count; i++) {
+    if ((node->pending & (1U << i)) != 0U) {
+      node->pending = (uint8_t)(node->pending & ~(1U << i));
+      size = hand_out(node, &node->sending[i], &node->sequences[i], datagram);
+    }
+  }
+  return size;
+}
+
+const tac_real *tac_input(const tac_node *node) {
+  const tac_real *input = node->input;
+  if (node->data->applied < 0) {
+    input = NULL;
+  } else if (node->data->safe_input != NULL && is_silent(node)) {
+    input = node->data->safe_input;
+  } else {
+    /* the last one */
+  }
+  return input;
+}
+
+bool tac_degraded(const tac_node *node) {
+  return count_ticks(node) < node->degraded_until;
+}
+
+static void clear(tac_real *numbers, unsigned count) {
+  for (unsigned i = 0U; i < count; i++) {
+    numbers[i] = (tac_real)0;
+  }
+}
+
+void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
+  const tac_node_data *data = node->data;
+  node->key = key;
+  node->epoch = epoch;
+  node->loop = loop;
+  (void)memset(&node->counters, 0, sizeof node->counters);
+  node->tick = 0U;
+  node->begun = false;
+  node->heard = 0U;
+  node->degraded_until = 0U;
+  node->pending = 0U;
+  (void)memcpy(node->generator, data->generator, sizeof node->generator);
+  copy(node->memory, data->start, data->memory_count);
+  clear(node->inputs, data->input_count);
+  clear(node->outputs, data->output_count);
+  for (unsigned i = 0U; i < data->channel_count; i++) {
+    (void)memset(&node->channels[i], 0, sizeof node->channels[i]);
+  }
+  for (unsigned i = 0U; i < data->send_count; i++) {
+    node->sequences[i] = 0U;
+  }
+  for (unsigned i = 0U; i < data->clock_count; i++) {
+    node->places[i] = data->clocks[i].initial;
+  }
+  if (data->applied >= 0) {
+    clear(node->input, data->applied_count);
+  }
+}
