@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.special import ndtri
 
 from taciturn import _scipy
-from taciturn._arrays import Array
+from taciturn._arrays import Array, frozen
 
 
 class Lattice:
@@ -20,7 +22,7 @@ class Lattice:
     def __init__(self, points: int, dimensions: int) -> None:
         """Place the points."""
         self.dimensions = dimensions
-        self.places = _scipy.sobol(max(dimensions, 1), points, np.random.default_rng(points))
+        self.places = _places(points, max(dimensions, 1))
 
     def normals(self, draws: np.random.Generator, copies: int) -> Array:
         """Return standard normals, (copies, points, dimensions): every row is a draw, those of a copy spread evenly.
@@ -30,3 +32,9 @@ class Lattice:
         levels = (self.places + draws.random((copies, 1, self.places.shape[1]))) % 1.0
         found = np.asarray(ndtri(np.clip(levels, 1e-300, 1 - 1e-16)), dtype=np.float64)
         return found[..., : self.dimensions]
+
+
+@cache
+def _places(points: int, dimensions: int) -> Array:
+    """Return Sobol's points, always the same: they are a few kilobytes, and take longer than what they are for."""
+    return frozen(_scipy.sobol(dimensions, points, np.random.default_rng(points)))

@@ -26,6 +26,7 @@ SAFETY = 1.5
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
+BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,10 @@ class _Game:
             error: (batches, paths, n).
             w: (batches, noises, n).
         """
+        rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
+        return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
+
+    def _after(self, error: Array, w: Array) -> Array:
         mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
 
         def spread(weight: Array) -> Array:
