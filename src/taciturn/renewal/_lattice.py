@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
+import numpy.typing as npt
 from scipy.special import ndtri
 
 from taciturn import _scipy
@@ -24,12 +25,15 @@ class Lattice:
         self.dimensions = dimensions
         self.places = _places(points, max(dimensions, 1))
 
-    def normals(self, draws: np.random.Generator, copies: int) -> Array:
+    def normals(
+        self, draws: np.random.Generator, copies: int, wanted: slice | npt.NDArray[np.bool_] = slice(None)
+    ) -> Array:
         """Return standard normals, (copies, points, dimensions): every row is a draw, those of a copy spread evenly.
 
-        Each copy is shifted by a uniform draw of its own [cranley1976].
+        Each copy is shifted by a uniform draw of its own [cranley1976]; of those that are drawn, the wanted ones are
+        returned.
         """
-        levels = (self.places + draws.random((copies, 1, self.places.shape[1]))) % 1.0
+        levels = (self.places + draws.random((copies, 1, self.places.shape[1]))[wanted]) % 1.0
         found = np.asarray(ndtri(np.clip(levels, 1e-300, 1 - 1e-16)), dtype=np.float64)
         return found[..., : self.dimensions]
 
