@@ -183,7 +183,7 @@ class _Duel:
         total, least, when = np.zeros(going.shape), np.full(going.shape, np.inf), np.zeros(going.shape)
         sums = np.zeros((2, ABREAST))
         for check in range(1, LONGEST + 1):
-            live = going.any(axis=1)  # the other batches are done: what they are given is not looked at
+            live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
             w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
             expected[live] = game.after(error[live], np.concatenate([w, -w], axis=1))
             drawn = self.draws.standard_normal((*going.shape, self.rank))
