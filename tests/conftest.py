@@ -30,3 +30,15 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_CACHE_HOME", str((own.parent if "PYTEST_XDIST_WORKER" in os.environ else own) / "cache"))
         yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_each() -> Iterator[None]:
+    """Run programs on one thread where workers run side by side: two on every processor took a third longer."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    from taciturn.program.machine import one_thread  # after the environment above is set
+
+    with one_thread():
+        yield
