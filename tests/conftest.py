@@ -32,10 +32,10 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
-def one_thread_each() -> Iterator[None]:
-    """Run programs on one thread where workers run side by side: two on every processor took a third longer."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
+@pytest.fixture(autouse=True)
+def one_thread_each(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Run the full counts on one thread where workers run side by side: two on every processor took a third longer."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or request.node.get_closest_marker("evidence") is None:
         yield
         return
     from taciturn.program.machine import one_thread  # after the environment above is set
