@@ -127,10 +127,8 @@ typedef struct {
   void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: none */
   void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: nothing is drawn */
   const tac_real *start;      /* first values of the memory */
-  const tac_real *safe_input; /* of a watchdog; NULL: the last input is held */
   uint64_t generator[4];      /* of the draws */
   uint32_t remembers;         /* ticks after which a fault is forgotten; UINT32_MAX: never */
-  uint32_t watchdog;          /* ticks without a packet after which the input is the safe one; 0: never */
   uint16_t input_count;       /* of a tick */
   uint16_t memory_count;
   uint16_t output_count;
