@@ -22,7 +22,7 @@ from taciturn.runtime.packet import REFUSALS, Packet
 
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
-STRICT = "-std=c99 -Wall -Wextra -Wconversion -Wpedantic -Wshadow -Wstrict-prototypes -Werror".split()
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
 WAITING = 4  # ticks that a packet may be early
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
@@ -33,7 +33,7 @@ COUNTERS = (
 class Key(c.Structure):
     """The secret of a node."""
 
-    _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]  # noqa: RUF012
+    _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
 
 
 def key_of(secret: bytes | None) -> Key:
@@ -94,7 +94,7 @@ def compile_node(
     (folder / "device.h").write_text(found.header, encoding="ascii")
     (folder / "device.c").write_text(found.source, encoding="ascii")
     sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c", HERE / "shim.c", folder / "device.c"]
-    options = [*STRICT, "-O2", "-shared", "-fPIC", f"-I{CORE}", f"-I{folder}", "-o", str(folder / "device.so")]
+    options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{folder}", "-o", str(folder / "device.so")]
     subprocess.run([compiler, *options, *map(str, sources)], check=True)
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory"):
