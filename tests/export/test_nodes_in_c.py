@@ -132,6 +132,7 @@ class Pair:
     """The same node twice, given the same."""
 
     def __init__(self, found: Case, secret: bytes | None, seed: int) -> None:
+        """Start both before the first tick."""
         self.case, self.draws = found, np.random.default_rng(seed)
         self.host, self.device = found.host(epoch=9), Device(found.library, secret, 9, LOOP)
         self.wire = Wire(found.policy, found.network, secret)

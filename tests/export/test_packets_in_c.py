@@ -156,7 +156,8 @@ def test_the_verdict_on_changed_datagrams_is_that_of_the_host(payload: str, secr
     found, wire = device(payload, secret)
     draws, fate = np.random.default_rng(5), dict.fromkeys((*REFUSALS, "accepted"), 0)
     shapes = [(*name, entries) for name, entries in SHAPES.items()]
-    good = [wire.encode(Packet(kind, link, 5, 6, (0.25,) * entries)) for kind, link, entries in shapes]  # type: ignore[arg-type]
+    packets = [Packet(kind, link, 5, 6, (0.25,) * entries) for kind, link, entries in shapes]  # type: ignore[arg-type]
+    good = [wire.encode(packet) for packet in packets]
     for i in range(10_000):
         datagram = good[i % len(good)] if i % 10 == 0 else mutated(draws, good, secret is not None)
         expected = wire.decode(datagram)
