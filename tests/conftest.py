@@ -44,3 +44,15 @@ def kernel() -> None:
             pass
     except ProblemError as error:
         pytest.skip(f"{NOT_SHOWN}: kernel loss; {error}")
+
+
+@pytest.fixture(autouse=True)
+def one_thread_each(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Run the full counts on one thread where workers run side by side: two on every processor took a third longer."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or request.node.get_closest_marker("evidence") is None:
+        yield
+        return
+    from taciturn.program.machine import one_thread  # after the environment above is set
+
+    with one_thread():
+        yield

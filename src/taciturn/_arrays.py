@@ -25,7 +25,7 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
     Raises:
         ProblemError: not numeric, not finite, or of another shape.
     """
-    result = _numbers(name, value, _shape_text(shape, meaning))
+    result = _numbers(name, value, shape, meaning)
     if result.ndim != len(shape) or any(want not in (None, got) for got, want in zip(result.shape, shape, strict=True)):
         turned = zip(result.T.shape, shape, strict=False)
         transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
@@ -157,13 +157,14 @@ def quoted(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
-def _numbers(name: str, value: ArrayLike, expected: str) -> Array:
+def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
     try:
         given = np.asarray(value)
         if given.dtype.kind not in "biufO":  # text would be parsed, and an imaginary part dropped
             raise TypeError(f"it holds {given.dtype.type.__name__.strip('_')} values")
         return np.array(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
+        expected = _shape_text(shape, meaning)
         if "inhomogeneous" in str(error):
             raise ProblemError(f"{name} is ragged: its rows differ in length; expected the shape {expected}") from None
         raise ProblemError(f"{name} is not an array of numbers ({error}); expected the shape {expected}") from None

@@ -149,16 +149,17 @@ def resets(loop: Loop) -> Reset:
 
 def _price_of(F: Array, reset: Reset, rate: float) -> float:
     """Return the price at which a nearly optimal schedule sends about at a rate."""
-    from taciturn.renewal.fitted import fit_schedule, keep_errors, squares
+    from taciturn.renewal.fitted import Fitting, keep_errors, squares
 
     Gamma, noise, wanted = reset.square, reset.covariance, 1 / rate
+    fitting = Fitting(F, noise, Gamma, points=FEW)
 
     def thresholds(log_price: float) -> float:
         delta = np.exp(log_price)
         return float(np.log(keep_errors(F, noise, lambda e: squares(e, Gamma) > delta)[1] / wanted))
 
     def schedules(log_price: float) -> float:
-        found = fit_schedule(F, noise, Gamma, float(np.exp(log_price)), points=FEW)
+        found = fitting.at(float(np.exp(log_price)))
         return float(np.log(keep_errors(F, noise, lambda e: found.sends(e, Gamma))[1] / wanted))
 
     start = float(np.log(max(np.trace(Gamma @ noise), 1e-300)))

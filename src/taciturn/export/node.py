@@ -198,7 +198,7 @@ class _Data:
         """Return the data of the node, and the function that starts it."""
         layout, program, policy = self.layout, self.program, self.policy
         states, arrivals = program.parts[0].states, layout.arrivals
-        generator = seed_generators(self.seed, 1).view(np.uint64)[:, 0].tolist()
+        generator: list[int] = [int(word) for word in seed_generators(self.seed, 1).view(np.uint64).ravel()]
         count = len(packet_shapes(policy, self.network))
         applied = layout.applied
         fields: Mapping[str, object] = {

@@ -60,7 +60,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
-    links = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
+    links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     own = [f"{UNIFORM} {i}" for i in drawn_by_the_policy(loop)]
     return Vector(
         links,

@@ -266,25 +266,31 @@ def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
     }
 
 
+@cache
+def _named(kind: str) -> frozenset[str]:
+    """Return the names of all parameters of a policy kind's design function."""
+    return frozenset(inspect.signature(CATALOGUE[kind]).parameters)
+
+
 def _used(kind: str, network: Network, reference: Reference | None) -> dict[str, Any]:
     """Return what a policy kind is given beside its parameters.
 
     Raises:
         ProblemError: a network or a reference that it does not use.
     """
-    exact = network.without_rounding()  # how packets are written concerns every policy
-    unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(Network(), key)]
+    exact, usual = network.without_rounding(), Network()  # how packets are written concerns every policy
+    unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
     if unusual:
         _expect(kind, "network", f"network.{unusual[0]}", "ideal links")
     if reference is not None:
         _expect(kind, "reference", "[reference]", "no reference")
     offered = {"network": network, "reference": reference}
-    return {key: value for key, value in offered.items() if key in inspect.signature(CATALOGUE[kind]).parameters}
+    return {key: value for key, value in offered.items() if key in _named(kind)}
 
 
 def _expect(kind: str, name: str, given: str, expected: str) -> None:
     """Refuse what was given where the policy kind has no parameter of this name."""
-    if name not in inspect.signature(CATALOGUE[kind]).parameters:
+    if name not in _named(kind):
         raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}: remove it")
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from itertools import compress
 
-from taciturn.program.ops import EIGHT, LITERAL_ARGUMENTS, Op, Precision, Rows, State, Total, tiles
+from taciturn.program.ops import EIGHT, LITERAL, Op, Precision, Rows, State, Total, tiles
 
 BLOCK = 256  # coefficients of a matrix, zeros left out, from which on it is multiplied in loops instead of one by one
 FULL = 4  # coefficients of a column of such a matrix, at least
@@ -286,7 +286,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
     new = [0] * len(program.ops)
     for index in live:
         op = program.ops[index]
-        if op.name in LITERAL_ARGUMENTS:
+        if op.name in LITERAL:
             replaced = substitute(builder, op) if op.name in ("state", "input") else None
             new[index] = _copy(program, builder, op, new) if replaced is None else replaced
         else:  # nearly all
@@ -329,11 +329,12 @@ def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -
     same, known = list(range(len(program.ops))), dict[tuple[str, tuple[int, ...]], int]()
     for index in live:
         name, arguments = program.ops[index]
-        literal = LITERAL_ARGUMENTS.get(name, ())
         if name == "state":
             arguments = (leader[arguments[0]],)
-        else:
-            arguments = tuple([a if i in literal else same[a] for i, a in enumerate(arguments)])
+        elif name in LITERAL:
+            arguments = tuple([a if i == LITERAL[name] else same[a] for i, a in enumerate(arguments)])
+        else:  # nearly all
+            arguments = tuple([same[a] for a in arguments])
         same[index] = known.setdefault((name, arguments), index)
     return same
 
@@ -391,8 +392,7 @@ def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int
         return builder.state(program.states[first])
     if op.name == "input":
         return builder.input(program.inputs[first])
-    literal = LITERAL_ARGUMENTS[op.name]
-    return builder.emit(op.name, *(a if i in literal else new[a] for i, a in enumerate(op.arguments)))
+    return builder.emit(op.name, *(a if i == LITERAL[op.name] else new[a] for i, a in enumerate(op.arguments)))
 
 
 def _is(coefficient: Coefficient, number: float) -> bool:

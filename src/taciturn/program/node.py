@@ -167,7 +167,8 @@ class _Lowering:
     """One place of a policy while it is written down."""
 
     def __init__(self, policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision) -> None:
-        self.policy, self.site, self.precision = policy, site, precision
+        self.policy, self.site = policy, site
+        self.precision: Precision = precision
         self.payloads = encode_payloads(policy, network)
         self.steps = [step for step in policy.steps if step.at in site]
         if not self.steps:

@@ -39,19 +39,19 @@ TILE = 8  # rows of a product that are computed side by side
 WINDOW = 256  # ticks whose sum is kept in the precision of the program; sums of windows are doubles
 EIGHT = 8  # entries that a word can pick from: one vector of the widest kind
 
-LITERAL_ARGUMENTS: Mapping[str, tuple[int, ...]] = {  # positions (from 0) of arguments that are no operations
-    "const": (0,),
-    "state": (0,),
-    "input": (0,),
-    "word": (0,),
-    "half": (0,),
-    "lookup": (0,),
-    "pick": (0,),
-    "product": (0,),
-    "entry": (1,),
-    "shift_left": (1,),
-    "shift_right": (1,),
-    "rotate_left": (1,),
+LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is no operation
+    "const": 0,
+    "state": 0,
+    "input": 0,
+    "word": 0,
+    "half": 0,
+    "lookup": 0,
+    "pick": 0,
+    "product": 0,
+    "entry": 1,
+    "shift_left": 1,
+    "shift_right": 1,
+    "rotate_left": 1,
 }
 
 
@@ -69,10 +69,8 @@ class Op(NamedTuple):
     @property
     def reads(self) -> tuple[int, ...]:
         """The operations that this one reads."""
-        literal = LITERAL_ARGUMENTS.get(self.name)
-        if literal is None:
-            return self.arguments
-        return tuple(argument for position, argument in enumerate(self.arguments) if position not in literal)
+        literal = LITERAL.get(self.name)
+        return self.arguments if literal is None else self.arguments[:literal] + self.arguments[literal + 1 :]
 
 
 @dataclass(frozen=True)

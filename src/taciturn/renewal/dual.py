@@ -26,6 +26,7 @@ SAFETY = 1.5
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
+BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
 
 
 @dataclass(frozen=True)
@@ -123,6 +124,10 @@ class _Game:
             error: (batches, paths, n).
             w: (batches, noises, n).
         """
+        rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
+        return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
+
+    def _after(self, error: Array, w: Array) -> Array:
         mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
 
         def spread(weight: Array) -> Array:
@@ -178,8 +183,9 @@ class _Duel:
         total, least, when = np.zeros(going.shape), np.full(going.shape, np.inf), np.zeros(going.shape)
         sums = np.zeros((2, ABREAST))
         for check in range(1, LONGEST + 1):
-            w = self.lattice.normals(self.draws, ABREAST) @ game.half.T
-            expected = game.after(error, np.concatenate([w, -w], axis=1))
+            live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
+            w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
+            expected[live] = game.after(error[live], np.concatenate([w, -w], axis=1))
             drawn = self.draws.standard_normal((*going.shape, self.rank))
             error = error @ game.F.T + drawn @ game.half.T
             total = total + expected - game.now(error)

@@ -74,17 +74,92 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
         >>> 0 < found.gain < 10 and found.height > 0
         True
     """
+    return Fitting(F, noise, Gamma, seed, points).at(price)
+
+
+class Fitting:
+    """Fits schedules to many prices: those of half an octave share the errors, and what stands there.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        Gamma: Γ, (n, n), semidefinite.
+        seed: of the errors it is fitted to.
+        points: how many those are.
+    """
+
+    def __init__(self, F: Array, noise: Array, Gamma: Array, seed: int = 0, points: int = POINTS) -> None:
+        """Fit none yet."""
+        self._given = F, noise, Gamma, seed, points
+        self._grounds: tuple[float, _Ground] | None = None
+
+    def at(self, price: float) -> Fitted:
+        """Return nearly the best schedule at a price λ > 0, as ``fit_schedule``.
+
+        Raises:
+            ProblemError: at this price hardly anything is ever sent, or at none.
+        """
+        F, noise, Gamma, _, _ = self._given
+        half = root(noise)
+        if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
+            raise ProblemError(
+                "nothing is ever sent: the noise reaches no direction of the error that silence costs; expected some; "
+                "give the plant noise, or weigh the states that it reaches"
+            )
+        # the same errors for all prices of half an octave, so that what is found changes smoothly with the price
+        scale = float(np.sum(Gamma * noise)) or price
+        about = scale * 2.0 ** (round(2 * math.log2(price / scale)) / 2)
+        if self._grounds is None or self._grounds[0] != about:
+            self._grounds = about, _stand(about, *self._given)
+        return self._grounds[1].fit(price)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ground:
+    """Where a value is fitted: the terms of the quadratic at the errors, and at those a check later.
+
+    Args:
+        here: (errors, terms).
+        there: (errors · noises, terms).
+        cost: of the latter, (errors · noises,).
+        into: coordinates in which kept errors have about the covariance 1, (size, n).
+        interval: mean checks between sends of the threshold that keeps them.
+    """
+
+    here: Array
+    there: Array
+    cost: Array
+    into: Array
+    interval: float
+
+    def fit(self, price: float) -> Fitted:
+        """Return the schedule at a price, by value iteration."""
+        here, there, into = self.here, self.there, self.into
+        size = len(into)
+        gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
+        fit[: size + 1] = [np.log(price / 2), *[-0.2] * size]
+        for _ in range(ITERATIONS):
+            bell = there @ fit
+            np.exp(np.minimum(bell, np.log(price), out=bell), out=bell)
+            saved = self.cost - gain
+            saved -= bell
+            value = np.minimum(saved, 0.0, out=saved).reshape(len(here), -1).mean(axis=1)
+            value = np.minimum(value, -FLOOR * price)
+            weight = np.abs(value) / price
+            found = _least_squares(here * weight[:, None], np.log(-value) * weight)
+            change = max(abs(price + value[0] - gain) / price, np.abs(found - fit).max())
+            gain, fit = max(gain + DAMPING * (price + value[0] - gain), FLOOR * price), found
+            if change < SETTLED:
+                break
+        values, vectors = np.linalg.eigh(_weight(-2 * fit[1:], size))
+        Pi = into.T @ (vectors * np.maximum(values, 0.0)) @ vectors.T @ into
+        return Fitted(float(gain), float(np.exp(fit[0])), frozen(symmetrised(Pi)), self.interval)
+
+
+def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points: int) -> _Ground:
+    """Return errors that a threshold keeps, and what stands there."""
     half = root(noise)
-    if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
-        raise ProblemError(
-            "nothing is ever sent: the noise reaches no direction of the error that silence costs; expected some; give "
-            "the plant noise, or weigh the states that it reaches"
-        )
-    # the same errors for all prices of half an octave, so that what is found changes smoothly with the price
-    scale = float(np.sum(Gamma * noise)) or price
-    about = scale * 2.0 ** (round(2 * math.log2(price / scale)) / 2)
     kept, interval = keep_errors(F, noise, lambda e: squares(e, Gamma) > about, seed)
-    # coordinates in which kept errors have about the covariance 1
     units = np.where(kept.std(axis=0) > 0, kept.std(axis=0), 1.0)
     _, deviations, right = np.linalg.svd(kept / units / np.sqrt(len(kept)), full_matrices=False)
     seen = deviations > RANK * deviations[0]
@@ -94,24 +169,7 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
     x = np.vstack([np.zeros((1, len(F))), x])
     w = Lattice(NOISES, half.shape[1]).normals(draws, len(x)) @ half.T
     after = ((x @ F.T)[:, None] + np.concatenate([w, -w], axis=1)).reshape(-1, len(F))
-    cost = squares(after, Gamma)
-    here, there = _terms(x @ into.T), _terms(after @ into.T)
-    size = int(seen.sum())
-    gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
-    fit[: size + 1] = [np.log(price / 2), *[-0.2] * size]
-    for _ in range(ITERATIONS):
-        value = -np.exp(np.minimum(there @ fit, np.log(price)))
-        value = np.minimum(cost - gain + value, 0.0).reshape(len(x), -1).mean(axis=1)
-        value = np.minimum(value, -FLOOR * price)
-        weight = np.abs(value) / price
-        found = _least_squares(here * weight[:, None], np.log(-value) * weight)
-        change = max(abs(price + value[0] - gain) / price, np.abs(found - fit).max())
-        gain, fit = max(gain + DAMPING * (price + value[0] - gain), FLOOR * price), found
-        if change < SETTLED:
-            break
-    values, vectors = np.linalg.eigh(_weight(-2 * fit[1:], size))
-    Pi = into.T @ (vectors * np.maximum(values, 0.0)) @ vectors.T @ into
-    return Fitted(float(gain), float(np.exp(fit[0])), frozen(symmetrised(Pi)), interval)
+    return _Ground(_terms(x @ into.T), _terms(after @ into.T), squares(after, Gamma), into, interval)
 
 
 def _least_squares(rows: Array, values: Array) -> Array:
