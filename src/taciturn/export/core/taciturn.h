@@ -189,7 +189,7 @@ typedef struct {
   tac_key key;
   uint64_t tick;           /* the last one */
   uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
-  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun */
+  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun; UINT64_MAX: for ever */
   tac_counters counters;
   uint32_t epoch;
   uint16_t loop;

@@ -100,8 +100,8 @@ static bool is_newer(const tac_packet *packet, const tac_packet *known) {
   return packet->epoch > known->epoch || (packet->epoch == known->epoch && packet->sequence > known->sequence);
 }
 
-/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first tick
- * and is of one too far ahead. */
+/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first
+ * tick and is of one too far ahead. */
 static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
   tac_channel *channel = &node->channels[i];
   unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
@@ -434,7 +434,7 @@ const tac_real *tac_input(const tac_node *node) {
 }
 
 bool tac_degraded(const tac_node *node) {
-  return count_ticks(node) < node->degraded_until;
+  return count_ticks(node) < node->degraded_until || node->degraded_until == UINT64_MAX;
 }
 
 static void clear(tac_real *numbers, unsigned count) {
