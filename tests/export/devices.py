@@ -12,7 +12,7 @@ from typing import NamedTuple
 import pytest
 
 import taciturn
-from taciturn.export.node import Watch, print_node
+from taciturn.export.node import print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.policy import NodeName, Policy
@@ -83,12 +83,11 @@ def compile_node(
     network: Network,
     folder: Path,
     precision: Precision = "float64",
-    watch: Watch | None = None,
     seed: int = 0,
 ) -> Library:
     """Return a node of a policy as a library that is loaded."""
     compiler = needs_compiler()
-    found = print_node(policy, role, network, "device", precision=precision, watch=watch, seed=seed)
+    found = print_node(policy, role, network, "device", precision=precision, seed=seed)
     entries = max(entries for _, entries in packet_shapes(policy, network).values())
     write_sizes(folder, entries, precision)
     (folder / "device.h").write_text(found.header, encoding="ascii")
@@ -133,6 +132,11 @@ class Device:
         self.node = c.c_void_p(self.code.device_start(self._self, c.c_uint32(epoch), c.c_uint16(loop), self.key))
         self.wire = c.c_void_p(self.code.shim_wire(self.node))
         self._datagram = c.create_string_buffer(4096)
+
+    def watch(self, ticks: int, safe: Sequence[float] | None = None) -> None:
+        """Make the input safe after so many ticks of silence."""
+        self._safe = safe and (self.library.number * len(safe))(*safe)  # which the node points to
+        self.code.tac_watch(self.node, c.c_uint32(ticks), self._safe)
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram; empty: there is no such packet."""

@@ -80,9 +80,7 @@ static const tac_node_data data = {
     .first = first,
     .second = second,
     .start = start,
-    .safe_input = safe,
     .remembers = 100U,
-    .watchdog = 8U,
     .input_count = INPUTS,
     .memory_count = MEMORY,
     .output_count = OUTPUTS,
@@ -131,6 +129,7 @@ static void begin(uint32_t epoch) {
   self.node.sequences = self.sequences;
   self.node.places = self.places;
   tac_start(&self.node, epoch, 3U, key);
+  tac_watch(&self.node, 8U, safe);
 }
 
 /* Write a datagram that is as it should be, of about this tick, over an old one. */

@@ -21,7 +21,6 @@ from systems import make_system
 
 import taciturn
 from taciturn import Network
-from taciturn.export.node import Watch
 from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
 from taciturn.model.places import roles
@@ -57,6 +56,13 @@ class SmallInbox(Inbox):
                 del channel.waiting[tick]
                 self.counters["ahead"] += 1
         return super()._wait(channel, packet)
+
+
+class Watch(NamedTuple):
+    """After how many ticks of silence an input is safe, and which that is; 0: never, None: the last one."""
+
+    ticks: int = 0
+    safe: tuple[float, ...] | None = None
 
 
 class Case(NamedTuple):
@@ -115,17 +121,16 @@ def case(name: str, role: NodeName, watched: int) -> Case:
     """Return a node, compiled; one that acts and listens is watched."""
     loop = LOOPS[name]()
     node = Node(loop.policy, role, network=loop.network)
-    return compiled(name, role, WATCHES[watched] if node.actuates and node.inbox.channels else Watch())
+    ticks, safe = WATCHES[watched] if node.actuates and node.inbox.channels else Watch()
+    watch = Watch(ticks, safe and safe[: loop.policy.model.inputs])
+    return Case(loop.policy, loop.network, role, watch, compiled(name, role))
 
 
 @cache
-def compiled(name: str, role: NodeName, watch: Watch) -> Case:
+def compiled(name: str, role: NodeName) -> Library:
     """Return a node in C, compiled once."""
     loop = LOOPS[name]()
-    if watch.safe is not None:
-        watch = Watch(watch.ticks, watch.safe[: loop.policy.model.inputs])
-    library = compile_node(loop.policy, role, loop.network, Path(mkdtemp()), watch=watch, seed=SEED)
-    return Case(loop.policy, loop.network, role, watch, library)
+    return compile_node(loop.policy, role, loop.network, Path(mkdtemp()), seed=SEED)
 
 
 class Pair:
@@ -135,6 +140,7 @@ class Pair:
         """Start both before the first tick."""
         self.case, self.draws = found, np.random.default_rng(seed)
         self.host, self.device = found.host(epoch=9), Device(found.library, secret, 9, LOOP)
+        self.device.watch(*found.watch)
         self.wire = Wire(found.policy, found.network, secret)
         self.tick = -1
         self.numbers: dict[tuple[str, str], int] = {}  # sequence numbers that the device has given out

@@ -255,7 +255,8 @@ while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
 if (tac_input(node) != NULL) apply(tac_input(node));
 ```
 
-A datagram is the packet of one tick; it may be late, doubled, lost or forged, and the counters of the node
+Where the network may fall silent, `tac_watch(node, ticks, safe_input)` makes the input safe after so many ticks without
+a packet. A datagram is the packet of one tick; it may be late, doubled, lost or forged, and the counters of the node
 (`node->counters`) say what became of each. All sizes are in `taciturn_config.h`. Where the compiler may fuse a product
 and a sum, tell it not to (`-ffp-contract=off`): the bits are those of the design then.
 """

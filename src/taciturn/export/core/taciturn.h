@@ -187,6 +187,8 @@ typedef struct {
   uint16_t *places;        /* of the clocks */
   uint64_t generator[4];
   tac_key key;
+  const tac_real *safe_input; /* of the watchdog; NULL: the last input is held */
+  uint32_t watchdog;          /* ticks; 0: there is none */
   uint64_t tick;           /* the last one */
   uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
   uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun; UINT64_MAX: for ever */
@@ -201,6 +203,10 @@ typedef struct {
 /* Begin before the first tick. `epoch` is to grow with each start of a device that has forgotten all, as the seconds of
  * a clock do. The pointers of the node are set already (the generated function that calls this sets them). */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
+
+/* Make the input of the plant safe when no packet has come for so many ticks: `safe_input` from then on, or the last one
+ * where that is NULL. 0 ticks: never, as after tac_start. For a node that has the actuator and that packets reach. */
+void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
 /* Take a datagram that has come; false: it was refused, or is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);

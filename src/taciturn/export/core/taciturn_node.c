@@ -74,7 +74,7 @@ static void degrade(tac_node *node, uint64_t ticks) {
 
 static bool is_silent(const tac_node *node) {
   uint64_t ticks = count_ticks(node);
-  return node->data->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->data->watchdog;
+  return node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog;
 }
 
 /* Count a packet that comes too late; where every packet is to arrive, the newest such one is used in the next tick. */
@@ -425,8 +425,8 @@ const tac_real *tac_input(const tac_node *node) {
   const tac_real *input = node->input;
   if (node->data->applied < 0) {
     input = NULL;
-  } else if (node->data->safe_input != NULL && is_silent(node)) {
-    input = node->data->safe_input;
+  } else if (node->safe_input != NULL && is_silent(node)) {
+    input = node->safe_input;
   } else {
     /* the last one */
   }
@@ -443,6 +443,11 @@ static void clear(tac_real *numbers, unsigned count) {
   }
 }
 
+void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
+  node->watchdog = ticks;
+  node->safe_input = safe_input;
+}
+
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   const tac_node_data *data = node->data;
   node->key = key;
@@ -454,6 +459,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->heard = 0U;
   node->degraded_until = 0U;
   node->pending = 0U;
+  tac_watch(node, 0U, NULL);
   (void)memcpy(node->generator, data->generator, sizeof node->generator);
   copy(node->memory, data->start, data->memory_count);
   clear(node->inputs, data->input_count);
