@@ -204,8 +204,8 @@ typedef struct {
  * a clock do. The pointers of the node are set already (the generated function that calls this sets them). */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 
-/* Make the input of the plant safe when no packet has come for so many ticks: `safe_input` from then on, or the last one
- * where that is NULL. 0 ticks: never, as after tac_start. For a node that has the actuator and that packets reach. */
+/* Make the input of the plant safe when no packet has come for so many ticks: `safe_input` from then on, NULL: the last
+ * one. 0 ticks: never, as after tac_start. For a node that has the actuator and that packets reach. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
 /* Take a datagram that has come; false: it was refused, or is not new. */
