@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from taciturn._version import VERSION as __version__
+
 if TYPE_CHECKING:
     from taciturn import design as design
     from taciturn.analyse.limits import LowerBound as LowerBound
@@ -133,7 +135,6 @@ _HOME = {
     "tune": "study.tune",
     "tune_period": "study.periods",
 }
-__version__ = "0.1.0"
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place
 
 

@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from taciturn import __version__
 from taciturn._files import write_whole
+from taciturn._version import VERSION
 from taciturn.errors import ProblemError
 from taciturn.export.node import CNode, print_node, table
 from taciturn.export.vector import Vector, record_loop
@@ -147,7 +147,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed:
 
 
 def _title(what: str) -> str:
-    return f"{MARK} {__version__}: {what}. Do not edit. */"
+    return f"{MARK} {VERSION}: {what}. Do not edit. */"
 
 
 def _print_check(name: str, nodes: Sequence[CNode], vector: Vector, loop: Loop) -> str:
@@ -185,7 +185,7 @@ def _print_check(name: str, nodes: Sequence[CNode], vector: Vector, loop: Loop) 
 def _print_readme(name: str, nodes: Sequence[CNode], peers: Sequence[CNode], rows: int, kind: str, single: bool) -> str:
     example = nodes[0]
     return _README.format(
-        name=name, kind=kind, version=__version__, flags=FLAGS, rows=rows, example=example.name,
+        name=name, kind=kind, version=VERSION, flags=FLAGS, rows=rows, example=example.name,
         precision="single precision (float)" if single else "double precision (double)",
         nodes=table(
             [["node", "files", "operations per tick", "numbers that are constant"]]
