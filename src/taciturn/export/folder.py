@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from taciturn._files import write_whole
-from taciturn._version import VERSION
+from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.node import CNode, print_node, table
 from taciturn.export.vector import Vector, record_loop
@@ -98,13 +98,14 @@ class CFolder:
             ) from None
 
 
-def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed: int = 0) -> CFolder:
+def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
     """Return the nodes of a loop's policy as C99.
 
     Args:
         loop: plant, policy and network; its precision is that of the nodes.
         name: an identifier of C, with which all names begin.
         nodes: to be exported; omitted: all.
+        rows: ticks that the self-check compares, fewer where a mission ends.
         seed: of the draws of policy and self-check.
 
     Raises:
@@ -124,7 +125,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed:
     ]  # fmt: skip
     chosen = tuple(node for node in found if not nodes or node.role in nodes)
     peers = tuple(node for node in found if node not in chosen)
-    vector = record_loop(loop, min(ROWS, loop.horizon or ROWS), seed)
+    vector = record_loop(loop, min(rows, loop.horizon or rows), seed)
     core = files("taciturn.export") / "core"
     texts = {file: (core / file).read_text(encoding="utf-8") for file in (*CORE, *CHECK)}
     for node in found:
@@ -147,7 +148,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed:
 
 
 def _title(what: str) -> str:
-    return f"{MARK} {VERSION}: {what}. Do not edit. */"
+    return f"{MARK} {__version__}: {what}. Do not edit. */"
 
 
 def _print_check(name: str, nodes: Sequence[CNode], vector: Vector, loop: Loop) -> str:
@@ -185,7 +186,7 @@ def _print_check(name: str, nodes: Sequence[CNode], vector: Vector, loop: Loop) 
 def _print_readme(name: str, nodes: Sequence[CNode], peers: Sequence[CNode], rows: int, kind: str, single: bool) -> str:
     example = nodes[0]
     return _README.format(
-        name=name, kind=kind, version=VERSION, flags=FLAGS, rows=rows, example=example.name,
+        name=name, kind=kind, version=__version__, flags=FLAGS, rows=rows, example=example.name,
         precision="single precision (float)" if single else "double precision (double)",
         nodes=table(
             [["node", "files", "operations per tick", "numbers that are constant"]]
