@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
+    from taciturn.study.export import export_c as export_c
     from taciturn.study.losses import find_losses as find_losses
     from taciturn.study.network import NetworkRun as NetworkRun
     from taciturn.study.network import run_network as run_network
@@ -119,6 +120,7 @@ _HOME = {
     "course": "simulation.course",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
+    "export_c": "study.export",
     "find_losses": "study.losses",
     "from_control": "runtime.control",
     "load": "problem",
