@@ -57,7 +57,7 @@ def test_mistakes_are_told_in_a_sentence(
     ("policy", "told"),
     [
         ('kind = "optimal"\nprice = 1.0', "decides by a boundary that no node evaluates"),
-        ('kind = "integral"\nslope = 0.8', "is triggered in continuous time"),
+        ('kind = "integral"\nslope = 0.4', "is triggered in continuous time"),
     ],
 )
 def test_policies_that_cannot_live_on_a_device_say_why(run: Run, policy: str, told: str, tmp_path: Path) -> None:
