@@ -13,6 +13,8 @@ import pytest
 if TYPE_CHECKING:
     from conftest import Run
 
+PLANT = "[plant]\nA = [[0, 1], [0.5, -0.2]]\nB = [[0], [1]]\nW = [[0.1, 0], [0, 1]]\n"
+
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
 def test_two_masses_are_exported_compiled_and_compared(run: Run, tmp_path: Path) -> None:
@@ -57,13 +59,13 @@ def test_mistakes_are_told_in_a_sentence(
     ("policy", "told"),
     [
         ('kind = "optimal"\nprice = 1.0', "decides by a boundary that no node evaluates"),
-        ('kind = "integral"\nslope = 0.4', "is triggered in continuous time"),
+        ('kind = "integral"\nslope = 0.8', "is triggered in continuous time"),
     ],
 )
 def test_policies_that_cannot_live_on_a_device_say_why(run: Run, policy: str, told: str, tmp_path: Path) -> None:
     """Those for analysis alone, and those that are triggered in continuous time."""
-    plant = "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n" + ("" if "integral" in policy else "dt = 0.1\n")
+    dt = "" if "integral" in policy else "dt = 0.1\n"
     file = tmp_path / "policy.toml"
-    file.write_text(f"{plant}[cost]\nQ = [[1.0]]\nR = [[1.0]]\n[policy]\n{policy}\n")
+    file.write_text(f"{PLANT}{dt}[cost]\nQ = [[1, 0], [0, 1]]\nR = [[0.1]]\n[policy]\n{policy}\n")
     assert told in run("export", str(file), "--c", str(tmp_path / "nodes")).sentence
     assert not (tmp_path / "nodes").exists()
