@@ -13,7 +13,7 @@ import pytest
 if TYPE_CHECKING:
     from conftest import Run
 
-PLANT = "[plant]\nA = [[0, 1], [0.5, -0.2]]\nB = [[0], [1]]\nW = [[0.1, 0], [0, 1]]\n"
+PLANT = "[plant]\nA = [[0, 1], [0, 0]]\nB = [[0], [1]]\n"
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
@@ -64,8 +64,9 @@ def test_mistakes_are_told_in_a_sentence(
 )
 def test_policies_that_cannot_live_on_a_device_say_why(run: Run, policy: str, told: str, tmp_path: Path) -> None:
     """Those for analysis alone, and those that are triggered in continuous time."""
-    dt = "" if "integral" in policy else "dt = 0.1\n"
+    noise = "[plant.jumps]\nrate = 5\ncovariance = [[0, 0], [0, 0.5]]\n"
+    noise = noise if "integral" in policy else "W = [[0.1, 0], [0, 1]]\ndt = 0.1\n"
     file = tmp_path / "policy.toml"
-    file.write_text(f"{PLANT}{dt}[cost]\nQ = [[1, 0], [0, 1]]\nR = [[0.1]]\n[policy]\n{policy}\n")
+    file.write_text(f"{PLANT}{noise}[cost]\nQ = [[1, 0], [0, 1]]\nR = [[0.1]]\n[policy]\n{policy}\n")
     assert told in run("export", str(file), "--c", str(tmp_path / "nodes")).sentence
     assert not (tmp_path / "nodes").exists()
