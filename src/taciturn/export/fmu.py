@@ -14,6 +14,7 @@ from html import escape
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
@@ -27,7 +28,7 @@ from taciturn.export.description import (
     used_links,
 )
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, MARK, ROWS, print_folder
-from taciturn.export.node import CNode, Watch
+from taciturn.export.node import CNode
 from taciturn.loop import Loop
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
@@ -51,6 +52,7 @@ class Fmu:
 
     Args:
         name: of the model.
+        kind: of the policy.
         version: of FMI.
         token: that tells the unit from those of other policies, and of other versions of its sources.
         nodes: of the policy, all of them in the unit.
@@ -60,12 +62,34 @@ class Fmu:
     """
 
     name: str
+    kind: str
     version: Version
     token: str
     nodes: tuple[CNode, ...]
     files: Mapping[str, bytes]
     binary: str | None
     notes: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return what the unit is, for JSON."""
+        return {
+            "policy": self.kind,
+            "name": self.name,
+            "fmi": self.version,
+            "token": self.token,
+            "nodes": [node.role for node in self.nodes],
+            "binary": self.binary,
+            "files": sorted(self.files),
+            "notes": list(self.notes),
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return what is printed of it: names, and what stands behind them."""
+        return [
+            ("policy", self.kind),
+            ("unit", f"FMI {self.version}, co-simulation, of {' and '.join(node.role for node in self.nodes)}"),
+            ("binary", self.binary or "none"),
+        ]
 
     def archive(self) -> bytes:
         """Return the bytes of the file: the same for the same content."""
@@ -97,7 +121,6 @@ def print_fmu(
     name: str,
     *,
     version: Version = "3.0",
-    watch: Watch | None = None,
     seed: int = 0,
     compiler: str | None = "cc",
 ) -> Fmu:
@@ -111,7 +134,6 @@ def print_fmu(
         loop: plant, policy and network; its precision is that of the nodes.
         name: an identifier of C.
         version: of FMI.
-        watch: what a node with the actuator does that hears nothing.
         seed: of the policy's own draws.
         compiler: that makes a binary for this machine; None, or one that is not there: sources alone.
 
@@ -130,7 +152,7 @@ def print_fmu(
     """
     if version not in HEADERS:
         raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
-    folder = print_folder(loop, name, watch=watch, seed=seed)
+    folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}
     core = files("taciturn.export") / "core"
@@ -155,7 +177,7 @@ def print_fmu(
     place, missing = _place(name, version, compiler)
     if place is not None and compiler is not None:
         held[place] = _compile(texts, compiled, version, compiler)
-    return Fmu(name, version, token, folder.nodes, held, place, () if place else (missing,))
+    return Fmu(name, folder.kind, version, token, folder.nodes, held, place, () if place else (missing,))
 
 
 def _place(name: str, version: Version, compiler: str | None) -> tuple[str | None, str]:

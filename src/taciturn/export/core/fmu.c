@@ -129,14 +129,14 @@ static const char *check_step(fmu_unit *unit, double time, double step) {
   if (state->phase != FMU_STEPPING) {
     return "the unit does not run; expected a step after the initialization and before the end";
   }
-  if (!is_same(step, FMU_TICK, time)) {
-    (void)snprintf(unit->sentence, sizeof unit->sentence,
-                   "the step is %.9g s long; expected %.9g s, which is one tick of the policy", step, FMU_TICK);
-    return unit->sentence;
-  }
   if (!is_same(time, state->time, time)) {
     (void)snprintf(unit->sentence, sizeof unit->sentence,
                    "the step begins at %.9g s; expected %.9g s, where the last one ended", time, state->time);
+    return unit->sentence;
+  }
+  if (!is_same(step, FMU_TICK, time)) {
+    (void)snprintf(unit->sentence, sizeof unit->sentence,
+                   "the step is %.9g s long; expected %.9g s, which is one tick of the policy", step, FMU_TICK);
     return unit->sentence;
   }
   for (unsigned i = 0U; i < (unsigned)FMU_MEASURED; i++) {
@@ -188,6 +188,7 @@ static void point_as(tac_node *node, const tac_node *other) {
   node->sequences = other->sequences;
   node->places = other->places;
   node->key = other->key;
+  node->safe_input = other->safe_input;
 }
 
 /* Return the node of a state that stands where a node stands in another. */
