@@ -26,7 +26,7 @@ from systems import make_system
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export.description import Version
+from taciturn.export.description import Version, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
 from taciturn.loop import Loop
 
@@ -127,7 +127,7 @@ def test_instances_are_apart_and_a_reset_begins_anew(make: Make, version: Versio
 def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make: Make, version: Version) -> None:
     """Another step, another time, a measurement that is no number, an unknown variable, a wrong order."""
     loop, _, folder = make("two-mass", version)
-    vector, tick = record(loop, 30), loop.policy.tick
+    vector, tick = record(loop, 30), tick_length(loop)
     instance = Instance(folder)
 
     def refused(sentence: str, action: Callable[[], object]) -> None:
@@ -275,7 +275,7 @@ def test_a_lost_packet_does_not_arrive(make: Make) -> None:
         inputs[lost] = []
         for tick in range(50):
             instance.set({**given(loop, vector, tick), "lost_sensor": False, "lost_actuator": lost})
-            instance.step(tick * loop.policy.tick, loop.policy.tick)
+            instance.step(tick * tick_length(loop), tick_length(loop))
             inputs[lost] += instance.get("u[1]")
         assert instance.get("sends_actuator")[0] > 0
         instance.close()
@@ -290,8 +290,8 @@ def test_a_simulation_may_begin_at_any_time_and_add_up_its_steps(make: Make) -> 
     instance = Instance(folder).start(time)
     for tick in range(300):
         instance.set(given(loop, vector, tick))
-        instance.step(time, loop.policy.tick)
-        time += loop.policy.tick
+        instance.step(time, tick_length(loop))
+        time += tick_length(loop)
         assert instance.get("time") == [time]
     instance.close()
 

@@ -14,7 +14,7 @@ from export.devices import HERE, needs_compiler
 from fmpy.simulation import instantiate_fmu
 
 import taciturn
-from taciturn.export.description import Version, may_lose
+from taciturn.export.description import Version, may_lose, tick_length
 from taciturn.export.fmu import Fmu, print_fmu
 from taciturn.export.vector import Vector, drawn_by_the_policy, record_loop
 from taciturn.loop import Loop
@@ -113,11 +113,11 @@ def given(loop: Loop, vector: Vector, tick: int) -> dict[str, Any]:
 
 def differing_ticks(instance: Instance, loop: Loop, vector: Vector, ticks: Iterable[int]) -> list[int]:
     """Step an instance, and return the ticks in which a decision or a bit of the input differs."""
-    wrong, tick_length = list[int](), loop.policy.tick
+    wrong, seconds = list[int](), tick_length(loop)
     inputs = [f"u[{i + 1}]" for i in range(vector.applied.shape[1])]
     for tick in ticks:
         instance.set(given(loop, vector, tick))
-        instance.step(tick * tick_length, tick_length)
+        instance.step(tick * seconds, seconds)
         applied = np.array(instance.get(*inputs), dtype=np.float64)
         sent = [bool(value) for value in instance.get(*(f"sent_{link}" for link in vector.links))]
         same = applied.tobytes() == vector.applied[tick].astype(np.float64).tobytes()
@@ -140,7 +140,7 @@ def drive(driver: Path, library: Path, unit: Fmu, loop: Loop, vector: Vector) ->
     np.hstack([vector.measured, 1 - vector.arrived, vector.sent, vector.applied]).astype(np.float64).tofile(rows)
     sizes: Sequence[object] = (int(may_lose(loop)), vector.measured.shape[1], vector.applied.shape[1])
     links = [str(LINKS.index(link)) for link in vector.links]
-    command = [driver, library, unit.token, repr(loop.policy.tick), rows, *map(str, sizes), *links]
+    command = [driver, library, unit.token, repr(tick_length(loop)), rows, *map(str, sizes), *links]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     return int(done.stdout)

@@ -46,6 +46,11 @@ def used_links(loop: Loop) -> tuple[LinkName, ...]:
     return tuple(sorted(found, key=LINKS.index))
 
 
+def tick_length(loop: Loop) -> float:
+    """Return the seconds of a tick; 1 where the problem does not say."""
+    return loop.problem.plant.dt or 1.0
+
+
 def may_lose(loop: Loop) -> bool:
     """Return whether packets may be lost, by the network that the policy is for."""
     return loop.network.protocol != "ideal"
@@ -96,7 +101,7 @@ def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple
         sources: files to compile.
         ticks: that an importer may try.
     """
-    tick, variables = loop.policy.tick, list_variables(loop)
+    tick, variables = tick_length(loop), list_variables(loop)
     new = version == "3.0"
     root = Xml.Element("fmiModelDescription", {
         "fmiVersion": version, "modelName": name, "instantiationToken" if new else "guid": token,

@@ -25,6 +25,7 @@ from taciturn.export.description import (
     describe_build,
     list_variables,
     may_lose,
+    tick_length,
     used_links,
 )
 from taciturn.export.folder import CORE, EXCHANGE, FLAGS, MARK, ROWS, print_folder
@@ -230,7 +231,7 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
     """Return what tells a unit apart, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
-        mark=MARK, token=token, stamp=digest[:16], tick=loop.policy.tick.hex(),
+        mark=MARK, token=token, stamp=digest[:16], tick=tick_length(loop).hex(),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
@@ -243,7 +244,7 @@ def _print_page(loop: Loop, name: str) -> str:
         f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{escape(one.text)}</td></tr>"
         for one in list_variables(loop)
     )
-    return _PAGE.format(name=name, kind=escape(loop.policy.kind), tick=loop.policy.tick, rows=rows)
+    return _PAGE.format(name=name, kind=escape(loop.policy.kind), tick=tick_length(loop), rows=rows)
 
 
 def _truth(value: bool) -> str:
