@@ -214,7 +214,8 @@ def test_the_sources_alone_are_enough(tmp_path: Path, version: Version, monkeypa
     unit.write(tmp_path / "unit.fmu")
     shutil.unpack_archive(tmp_path / "unit.fmu", tmp_path / "unpacked", "zip")
     assert not (tmp_path / "unpacked" / "binaries").exists()
-    build_platform_binary(tmp_path / "unpacked", generator="Unix Makefiles")
+    (tmp_path / "build").mkdir()
+    build_platform_binary(tmp_path / "unpacked", tmp_path / "build", generator="Unix Makefiles")
     instance = Instance(tmp_path / "unpacked").start()
     assert differing_ticks(instance, loop, record(loop, 100), range(100)) == []
     instance.close()
@@ -239,6 +240,8 @@ def test_without_a_compiler_a_note_says_so_and_one_that_fails_is_told(tmp_path: 
         unit.write(failing / "unit.fmu")
     with pytest.raises(ProblemError, match=r"expected '3\.0' or '2\.0'"):
         print_fmu(loop, "unit", version="1.0")  # type: ignore[arg-type]
+    with pytest.raises(ProblemError, match="expected an identifier of C"):
+        print_fmu(loop, "two-mass")
 
 
 def test_a_unit_is_the_same_whenever_it_is_made(make: Make, tmp_path: Path) -> None:

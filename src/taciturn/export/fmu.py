@@ -142,7 +142,8 @@ def print_fmu(
         The unit; its notes tell where there is no binary.
 
     Raises:
-        ProblemError: the nodes cannot be separated or are too large, FMI has no such version, or the compiler fails.
+        ProblemError: the nodes cannot be separated or are too large, FMI has no such version, the name is no
+            identifier, or the compiler fails.
 
     Example:
         >>> import taciturn
@@ -153,6 +154,8 @@ def print_fmu(
     """
     if version not in HEADERS:
         raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
+    if not (name.isidentifier() and name.isascii()):
+        raise ProblemError(f"the name of the unit is {name!r}; expected an identifier of C, as two_mass")
     folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}
@@ -160,7 +163,8 @@ def print_fmu(
     for file in (*UNIT, f"fmi{version[0]}.c"):
         texts[file] = (core / file).read_text(encoding="utf-8")
     texts["fmu_data.c"] = _print_start(folder.nodes, loop)
-    digest = hashlib.blake2s(repr(sorted(texts.items())).encode(), digest_size=16).hexdigest()
+    told = repr((tick_length(loop), sorted(texts.items())))
+    digest = hashlib.blake2s(told.encode(), digest_size=16).hexdigest()
     token = f"{{{fingerprint(loop.policy, loop.network):016x}-{digest}}}"
     texts["fmu_data.h"] = _print_data(folder.nodes, loop, token, digest)
     compiled = tuple(sorted(file for file in texts if file.endswith(".c")))
