@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from catalogue import POLICIES, closed
+from catalogue import POLICIES
 from export.devices import STRICT
 from export.units import FMI, SEED, Instance, build_driver, differing_ticks, drive, given, make_unit, record
 from fmpy.build import build_platform_binary
@@ -22,7 +22,6 @@ from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
 from runtime.test_nodes import CONTINUOUS
 from runtime.test_nodes import build as build_loop
-from systems import make_system
 
 import taciturn
 from taciturn.errors import ProblemError
@@ -35,8 +34,8 @@ PROBLEMS = ("two-mass", "rover", "lossy-double-integrator")
 LOSSY = "lossy-double-integrator"
 LOOPS: dict[str, Callable[[], Loop]] = {
     **{name: (lambda name=name: taciturn.load(name).close(taciturn.load(name).design())) for name in PROBLEMS},
-    "several inputs": lambda: closed(POLICIES["lqg joint model"](make_system(11, 3, 2, 2))),
-    "own draws": lambda: closed(POLICIES["stochastic"](make_system(11, 3, 2, 2))),
+    "several inputs": lambda: build_loop("lqg joint model"),
+    "own draws": lambda: build_loop("stochastic"),
     "single precision": lambda: replace(LOOPS["two-mass"](), precision="float32"),
 }
 Make = Callable[[str, Version], tuple[Loop, Fmu, Path]]
@@ -75,9 +74,10 @@ def test_a_unit_is_valid_and_decides_as_the_loop(make: Make, name: str, version:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_state_is_taken_up_again_in_any_instance(make: Make, version: Version) -> None:
+@pytest.mark.parametrize("name", ["two-mass", LOSSY, "own draws"])
+def test_a_state_is_taken_up_again_in_any_instance(make: Make, name: str, version: Version) -> None:
     """What goes on from a state is the same, in its instance, in another and from bytes; changed bytes are refused."""
-    loop, _, folder = make(LOSSY, version)
+    loop, _, folder = make(name, version)
     vector = record(loop, 100)
     one, other = Instance(folder).start(), Instance(folder)
     assert differing_ticks(one, loop, vector, range(40)) == []
