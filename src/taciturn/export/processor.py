@@ -1,0 +1,177 @@
+"""Processor in the loop: a node on an emulated board, asked tick by tick over its serial port."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import subprocess
+import time
+import weakref
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple
+
+from taciturn.errors import ProblemError
+from taciturn.export.cortex import Board, emulate
+
+BEGIN = 0x54  # first byte of a frame: see board/loop.c
+GONE_THROUGH, DEGRADED, HAS_INPUT = 1, 2, 4
+AGAIN = 1.0  # seconds after which a question is repeated
+PIECE = 1024  # bytes of a frame that are handed to the emulator at once
+SPACE = 1 << 20  # bytes of answers that may wait
+
+
+class Answer(NamedTuple):
+    """What a node does in a tick.
+
+    Args:
+        gone: whether it went through the tick: false where it is not later than the last, or a measurement is missing.
+        degraded: whether something has happened that its theory does not know.
+        datagrams: that it sends, in order.
+        input: of the plant; None where the node has none.
+    """
+
+    gone: bool
+    degraded: bool
+    datagrams: tuple[bytes, ...]
+    input: tuple[float, ...] | None
+
+
+class NodeOnBoard:
+    """A node that runs on an emulated board, until the end of a ``with`` block.
+
+    Args:
+        board: the board.
+        program: from ``compile_for`` with ``in_the_loop(node)``.
+        patience: seconds that it may take to begin, and each answer.
+
+    Raises:
+        ProblemError: no emulator, or the program does not begin in time.
+    """
+
+    def __init__(self, board: Board, program: Path, patience: float = 30.0) -> None:
+        """Start it, and wait until it has said that it listens."""
+        self._name, self._patience = board.processor, patience
+        self._bytes = bytearray()
+        self._ears = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._ears.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SPACE)
+        self._ears.bind(("127.0.0.1", 0))
+        self._ears.settimeout(AGAIN)
+        self._board: tuple[str, int] | None = None  # where it sends from: known when it has begun
+        port = self._ears.getsockname()[1]
+        serial = ["-serial", f"udp:127.0.0.1:{port}@127.0.0.1:0", "-semihosting-config", "enable=on,target=native"]
+        try:
+            command = emulate(board, program, serial)
+            self._process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+                process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends this
+            )  # fmt: skip
+        except ProblemError:
+            self._ears.close()
+            raise
+        self.close = weakref.finalize(self, _end, self._process, self._ears)  # also when the interpreter ends
+        try:
+            self._wait(b"")
+        except ProblemError:
+            self.close()
+            raise
+
+    def __enter__(self) -> NodeOnBoard:
+        """Return it: it runs already."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End the emulator."""
+        self.close()
+
+    def step(
+        self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None
+    ) -> Answer:
+        """Have the node go through a tick.
+
+        Args:
+            tick: later than the last.
+            datagrams: that have come since then.
+            measurement: of the plant, where the node measures.
+
+        Raises:
+            ProblemError: no answer in time, or the emulator has ended.
+        """
+        numbers = [float(value) for value in (() if measurement is None else measurement)]
+        body = struct.pack(">QB", tick, len(datagrams))
+        body += b"".join(struct.pack(">H", len(one)) + one for one in datagrams)
+        body += struct.pack(f">B{len(numbers)}d", len(numbers), *numbers)
+        frame = struct.pack(">BH", BEGIN, len(body)) + body + struct.pack(">I", zlib.crc32(body))
+        found = self._wait(frame)
+        while found[:8] != body[:8]:  # an answer that came late, of a question that was repeated
+            found = self._wait(b"")
+        return _read(found)
+
+    def _wait(self, frame: bytes) -> bytes:
+        """Send a frame, again and again if need be, and return the body of the next that comes."""
+        end = time.monotonic() + self._patience
+        asked = 0.0
+        while (found := self._next()) is None:
+            now = time.monotonic()
+            if self._process.poll() is not None or now > end:
+                raise ProblemError(self._sentence())
+            if now - asked > AGAIN and self._board is not None:
+                for first in range(0, len(frame), PIECE):
+                    self._ears.sendto(frame[first : first + PIECE], self._board)
+                asked = now
+            try:
+                piece, self._board = self._ears.recvfrom(1 << 16)
+                self._bytes += piece
+            except TimeoutError:
+                pass
+        return found
+
+    def _next(self) -> bytes | None:
+        """Return the body of the first whole frame among the bytes that have come; what is none is dropped."""
+        while (first := self._bytes.find(BEGIN)) >= 0:
+            del self._bytes[:first]
+            if len(self._bytes) < 3:
+                return None
+            end = 3 + int.from_bytes(self._bytes[1:3], "big")
+            if len(self._bytes) < end + 4:
+                return None
+            body, told = bytes(self._bytes[3:end]), int.from_bytes(self._bytes[end : end + 4], "big")
+            if zlib.crc32(body) == told:
+                del self._bytes[: end + 4]
+                return body
+            del self._bytes[0]
+        self._bytes.clear()
+        return None
+
+    def _sentence(self) -> str:
+        """Return why there is no answer."""
+        if self._process.poll() is None:
+            return f"the {self._name} has not answered for {self._patience:g} s; expected the program of a node"
+        assert self._process.stderr is not None
+        said = self._process.stderr.read().decode(errors="replace").split()
+        return f"the emulator of the {self._name} has ended ({' '.join(said)}); expected it to run"
+
+
+def _end(process: subprocess.Popen[bytes], ears: socket.socket) -> None:
+    process.kill()
+    process.wait()
+    ears.close()
+    if process.stderr is not None:
+        process.stderr.close()
+
+
+def _read(body: bytes) -> Answer:
+    """Return an answer as it stands in a frame."""
+    flags, count = struct.unpack_from(">BB", body, 8)
+    at, datagrams = 10, list[bytes]()
+    for _ in range(count):
+        size = int.from_bytes(body[at : at + 2], "big")
+        datagrams.append(body[at + 2 : at + 2 + size])
+        at += 2 + size
+    numbers = struct.unpack_from(f">{body[at]}d", body, at + 1)
+    applied = tuple(map(float, numbers)) if flags & HAS_INPUT else None
+    return Answer(bool(flags & GONE_THROUGH), bool(flags & DEGRADED), tuple(datagrams), applied)
