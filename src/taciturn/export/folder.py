@@ -6,11 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from taciturn import __version__
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
-from taciturn.export.node import CNode, Watch, print_node, table
+from taciturn.export.node import CNode, print_node, table
 from taciturn.export.vector import Vector, record_loop
 from taciturn.loop import Loop
 from taciturn.model.packets import packet_shapes
@@ -34,6 +35,7 @@ class CFolder:
 
     Args:
         name: of the policy, as an identifier.
+        kind: of the policy.
         nodes: those that are exported.
         peers: the others, which the self-check needs to talk to.
         vector: what the self-check compares.
@@ -42,11 +44,39 @@ class CFolder:
     """
 
     name: str
+    kind: str
     nodes: tuple[CNode, ...]
     peers: tuple[CNode, ...]
     vector: Vector
     files: dict[str, str]
     single: bool
+
+    @property
+    def precision(self) -> str:
+        """Of the numbers."""
+        return "float32" if self.single else "float64"
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn export --c --json``."""
+        return {
+            "policy": self.kind,
+            "name": self.name,
+            "precision": self.precision,
+            "nodes": [
+                {"role": node.role, "type": node.name, "operations": node.operations, "constants": node.constants}
+                for node in self.nodes
+            ],
+            "ticks": len(self.vector.sent),
+            "files": sorted(self.files),
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return what is printed of it: names, and what stands behind them."""
+        return [
+            ("policy", f"{self.kind}, in {self.precision}"),
+            *((node.role, f"{node.operations} operations per tick, {node.constants} constants") for node in self.nodes),
+            ("self-check", f"{len(self.vector.sent)} ticks"),
+        ]
 
     def write(self, folder: Path) -> None:
         """Write the files, and remove what an earlier export left.
@@ -68,16 +98,13 @@ class CFolder:
             ) from None
 
 
-def print_folder(
-    loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), watch: Watch | None = None, seed: int = 0
-) -> CFolder:
+def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed: int = 0) -> CFolder:
     """Return the nodes of a loop's policy as C99.
 
     Args:
         loop: plant, policy and network; its precision is that of the nodes.
         name: an identifier of C, with which all names begin.
         nodes: to be exported; omitted: all.
-        watch: what a node with the actuator does that hears nothing.
         seed: of the draws of policy and self-check.
 
     Raises:
@@ -91,7 +118,7 @@ def print_folder(
     found = [
         print_node(
             policy, role, network, f"{name}_{role}" if not nodes or role in nodes else f"selfcheck_{role}",
-            precision=precision, watch=watch, seed=seed,
+            precision=precision, seed=seed,
         )
         for role in known
     ]  # fmt: skip
@@ -116,7 +143,7 @@ def print_folder(
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), policy.kind, precision == "float32"),
     }  # fmt: skip
-    return CFolder(name, chosen, peers, vector, texts, precision == "float32")
+    return CFolder(name, policy.kind, chosen, peers, vector, texts, precision == "float32")
 
 
 def _title(what: str) -> str:
@@ -228,7 +255,8 @@ while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
 if (tac_input(node) != NULL) apply(tac_input(node));
 ```
 
-A datagram is the packet of one tick; it may be late, doubled, lost or forged, and the counters of the node
+Where the network may fall silent, `tac_watch(node, ticks, safe_input)` makes the input safe after so many ticks without
+a packet. A datagram is the packet of one tick; it may be late, doubled, lost or forged, and the counters of the node
 (`node->counters`) say what became of each. All sizes are in `taciturn_config.h`. Where the compiler may fuse a product
 and a sum, tell it not to (`-ffp-contract=off`): the bits are those of the design then.
 """

@@ -61,7 +61,8 @@ class _Printer:
 
     def __init__(self, program: Program, name: str, places: Sequence[int]) -> None:
         self.program, self.name, self.places = program, name, places
-        self.live = needed(program, [*program.following, *program.outputs.values()])
+        moved = [op for i, op in enumerate(program.following) if self._moves(i, op)]
+        self.live = needed(program, [*moved, *program.outputs.values()])
         self.types: dict[int, str] = {}  # of the operations
         self.names: dict[int, str] = {}  # of those that are written where they are read
         self.arrays: list[str] = []

@@ -127,10 +127,8 @@ typedef struct {
   void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: none */
   void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: nothing is drawn */
   const tac_real *start;      /* first values of the memory */
-  const tac_real *safe_input; /* of a watchdog; NULL: the last input is held */
   uint64_t generator[4];      /* of the draws */
   uint32_t remembers;         /* ticks after which a fault is forgotten; UINT32_MAX: never */
-  uint32_t watchdog;          /* ticks without a packet after which the input is the safe one; 0: never */
   uint16_t input_count;       /* of a tick */
   uint16_t memory_count;
   uint16_t output_count;
@@ -189,9 +187,11 @@ typedef struct {
   uint16_t *places;        /* of the clocks */
   uint64_t generator[4];
   tac_key key;
+  const tac_real *safe_input; /* of the watchdog; NULL: the last input is held */
+  uint32_t watchdog;          /* ticks; 0: there is none */
   uint64_t tick;           /* the last one */
   uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
-  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun */
+  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun; UINT64_MAX: for ever */
   tac_counters counters;
   uint32_t epoch;
   uint16_t loop;
@@ -203,6 +203,10 @@ typedef struct {
 /* Begin before the first tick. `epoch` is to grow with each start of a device that has forgotten all, as the seconds of
  * a clock do. The pointers of the node are set already (the generated function that calls this sets them). */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
+
+/* Make the input of the plant safe when no packet has come for so many ticks: `safe_input` from then on, NULL: the last
+ * one. 0 ticks: never, as after tac_start. For a node that has the actuator and that packets reach. */
+void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
 /* Take a datagram that has come; false: it was refused, or is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);

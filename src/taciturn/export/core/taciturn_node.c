@@ -74,7 +74,7 @@ static void degrade(tac_node *node, uint64_t ticks) {
 
 static bool is_silent(const tac_node *node) {
   uint64_t ticks = count_ticks(node);
-  return node->data->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->data->watchdog;
+  return node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog;
 }
 
 /* Count a packet that comes too late; where every packet is to arrive, the newest such one is used in the next tick. */
@@ -100,8 +100,8 @@ static bool is_newer(const tac_packet *packet, const tac_packet *known) {
   return packet->epoch > known->epoch || (packet->epoch == known->epoch && packet->sequence > known->sequence);
 }
 
-/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first tick
- * and is of one too far ahead. */
+/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first
+ * tick and is of one too far ahead. */
 static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
   tac_channel *channel = &node->channels[i];
   unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
@@ -425,8 +425,8 @@ const tac_real *tac_input(const tac_node *node) {
   const tac_real *input = node->input;
   if (node->data->applied < 0) {
     input = NULL;
-  } else if (node->data->safe_input != NULL && is_silent(node)) {
-    input = node->data->safe_input;
+  } else if (node->safe_input != NULL && is_silent(node)) {
+    input = node->safe_input;
   } else {
     /* the last one */
   }
@@ -434,13 +434,18 @@ const tac_real *tac_input(const tac_node *node) {
 }
 
 bool tac_degraded(const tac_node *node) {
-  return count_ticks(node) < node->degraded_until;
+  return count_ticks(node) < node->degraded_until || node->degraded_until == UINT64_MAX;
 }
 
 static void clear(tac_real *numbers, unsigned count) {
   for (unsigned i = 0U; i < count; i++) {
     numbers[i] = (tac_real)0;
   }
+}
+
+void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
+  node->watchdog = ticks;
+  node->safe_input = safe_input;
 }
 
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
@@ -454,6 +459,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->heard = 0U;
   node->degraded_until = 0U;
   node->pending = 0U;
+  tac_watch(node, 0U, NULL);
   (void)memcpy(node->generator, data->generator, sizeof node->generator);
   copy(node->memory, data->start, data->memory_count);
   clear(node->inputs, data->input_count);

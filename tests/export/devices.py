@@ -1,0 +1,204 @@
+"""Compiles nodes in C for this machine, and speaks with them."""
+
+from __future__ import annotations
+
+import ctypes as c
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+import taciturn
+from taciturn.export.node import print_node
+from taciturn.model.network import Network
+from taciturn.model.packets import packet_shapes
+from taciturn.model.policy import NodeName, Policy
+from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, KINDS, LINKS, TAG_SIZE
+from taciturn.program.ops import Precision
+from taciturn.runtime.packet import REFUSALS, Packet
+
+CORE = Path(taciturn.__file__).parent / "export" / "core"
+HERE = Path(__file__).parent
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
+WAITING = 4  # ticks that a packet may be early
+COUNTERS = (
+    "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
+    *REFUSALS, "unsent", "missed", "repeated",
+)  # fmt: skip
+
+
+class Key(c.Structure):
+    """The secret of a node."""
+
+    _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
+
+
+def key_of(secret: bytes | None) -> Key:
+    """Return a secret as C has it."""
+    return Key(secret, 0 if secret is None else len(secret))
+
+
+def needs_compiler() -> str:
+    """Return the C compiler of this machine, or skip the test."""
+    found = shutil.which("cc")
+    if found is None:
+        pytest.skip("NOT SHOWN: what is C needs a compiler, and there is no `cc`")
+    return found
+
+
+def write_sizes(folder: Path, entries: int, precision: Precision = "float64") -> None:
+    """Write the header with the sizes of the largest packet."""
+    sizes = {
+        "TAC_FLOAT32": int(precision == "float32"),
+        "TAC_VALUES": max(1, entries),
+        "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
+        "TAC_WAITING": WAITING,
+    }
+    text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+    (folder / "taciturn_config.h").write_text(text, encoding="ascii")
+
+
+class Library(NamedTuple):
+    """A node of a policy, compiled.
+
+    Args:
+        code: its functions.
+        number: the type of its numbers.
+        packet: the type of its packets.
+        sizes: entries of measurement, input and memory.
+    """
+
+    code: c.CDLL
+    number: type[c.c_double] | type[c.c_float]
+    packet: type[c.Structure]
+    sizes: tuple[int, int, int]
+
+
+def compile_node(
+    policy: Policy,
+    role: NodeName,
+    network: Network,
+    folder: Path,
+    precision: Precision = "float64",
+    seed: int = 0,
+) -> Library:
+    """Return a node of a policy as a library that is loaded."""
+    compiler = needs_compiler()
+    found = print_node(policy, role, network, "device", precision=precision, seed=seed)
+    entries = max(entries for _, entries in packet_shapes(policy, network).values())
+    write_sizes(folder, entries, precision)
+    (folder / "device.h").write_text(found.header, encoding="ascii")
+    (folder / "device.c").write_text(found.source, encoding="ascii")
+    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c", HERE / "shim.c", folder / "device.c"]
+    options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{folder}", "-o", str(folder / "device.so")]
+    subprocess.run([compiler, *options, *map(str, sources)], check=True)
+    code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
+    for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory"):
+        getattr(code, name).restype = c.c_void_p
+    for name in ("shim_size", "tac_encode", "tac_send"):
+        getattr(code, name).restype = c.c_size_t
+    for name in ("tac_receive", "tac_step", "tac_degraded"):
+        getattr(code, name).restype = c.c_bool
+    memory = found.header.split("tac_real memory[")[1].split("]")[0]
+    sizes = policy.model.outputs, policy.model.inputs, int(memory)
+    return Library(code, number, _packet(number, max(1, entries)), sizes)
+
+
+def _packet(number: type, entries: int) -> type[c.Structure]:
+    fields = [
+        ("tick", c.c_uint64), ("sequence", c.c_uint32), ("epoch", c.c_uint32), ("loop", c.c_uint16),
+        ("kind", c.c_uint8), ("link", c.c_uint8), ("entries", c.c_uint8), ("values", number * entries),
+    ]  # fmt: skip
+    return type("CPacket", (c.Structure,), {"_fields_": fields})
+
+
+class Device:
+    """A node in C that runs.
+
+    Args:
+        library: of which node.
+        secret: of its packets.
+        epoch: of its start.
+        loop: which of many.
+    """
+
+    def __init__(self, library: Library, secret: bytes | None = None, epoch: int = 0, loop: int = 0) -> None:
+        """Start before the first tick."""
+        self.library, self.code, self.key = library, library.code, key_of(secret)
+        self._self = c.create_string_buffer(b"\xa5" * self.code.shim_size())  # what memory holds that nobody cleared
+        self.node = c.c_void_p(self.code.device_start(self._self, c.c_uint32(epoch), c.c_uint16(loop), self.key))
+        self.wire = c.c_void_p(self.code.shim_wire(self.node))
+        self._datagram = c.create_string_buffer(4096)
+
+    def watch(self, ticks: int, safe: Sequence[float] | None = None) -> None:
+        """Make the input safe after so many ticks of silence."""
+        self._safe = safe and (self.library.number * len(safe))(*safe)  # which the node points to
+        self.code.tac_watch(self.node, c.c_uint32(ticks), self._safe)
+
+    def encode(self, packet: Packet) -> bytes:
+        """Return a packet as a datagram; empty: there is no such packet."""
+        given = self.library.packet()
+        given.tick, given.sequence, given.epoch, given.loop = packet.tick, packet.sequence, packet.epoch, packet.loop
+        given.kind, given.link = KINDS.index(packet.kind), LINKS.index(packet.link)
+        given.entries = len(packet.values)
+        given.values[: len(packet.values)] = packet.values
+        size = self.code.tac_encode(self.wire, self.key, c.byref(given), self._datagram)
+        return self._datagram.raw[:size]
+
+    def decode(self, datagram: bytes) -> Packet | str:
+        """Return the packet of a datagram, or why it is none."""
+        found = self.library.packet()
+        # memory of just its size, so that a checker of addresses sees what is read behind it
+        given = (c.c_uint8 * len(datagram)).from_buffer_copy(datagram)
+        verdict = self.code.tac_decode(self.wire, self.key, given, c.c_size_t(len(datagram)), c.byref(found))
+        if verdict:
+            return REFUSALS[verdict - 1]
+        values = tuple(found.values[: found.entries])
+        kind, link = KINDS[found.kind], LINKS[found.link]
+        return Packet(kind, link, found.tick, found.sequence, values, found.epoch, found.loop)
+
+    def receive(self, datagram: bytes) -> bool:
+        """Take a datagram."""
+        return self.code.tac_receive(self.node, datagram, c.c_size_t(len(datagram)))
+
+    def step(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
+        """Go through a tick."""
+        given = None if measurement is None else (self.library.number * len(measurement))(*measurement)
+        return self.code.tac_step(self.node, c.c_uint64(tick), given, None)
+
+    def send(self) -> list[bytes]:
+        """Return the datagrams that are to be sent."""
+        found = list[bytes]()
+        while size := self.code.tac_send(self.node, self._datagram):
+            found.append(self._datagram.raw[:size])
+        return found
+
+    @property
+    def input(self) -> tuple[float, ...] | None:
+        """Input of the plant."""
+        found = self.code.tac_input(self.node)
+        return found and tuple((self.library.number * self.library.sizes[1]).from_address(found))
+
+    @property
+    def memory(self) -> list[float]:
+        """All that it remembers."""
+        return list((self.library.number * self.library.sizes[2]).from_address(self.code.shim_memory(self.node)))
+
+    @property
+    def degraded(self) -> bool:
+        """Whether something has happened that its theory does not know."""
+        return self.code.tac_degraded(self.node)
+
+    @property
+    def waiting(self) -> int:
+        """Packets that wait for their tick."""
+        return self.code.shim_waiting(self.node)
+
+    @property
+    def counters(self) -> dict[str, int]:
+        """What it has counted, without what it has not met."""
+        found = (c.c_uint32 * len(COUNTERS)).from_address(self.code.shim_counters(self.node))
+        return {name: count for name, count in zip(COUNTERS, found, strict=True) if count}

@@ -1,0 +1,50 @@
+"""The core in C is what its page promises: strict C99 for several compilers, without data, allocation or libraries."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from export.devices import CORE, STRICT, write_sizes
+
+FILES = ("taciturn_packet", "taciturn_node")
+COMPILERS = {"gcc": [], "clang": [], "arm-none-eabi-gcc": ["-mcpu=cortex-m3", "-mthumb"]}
+TOOLS = {"gcc": "", "clang": "", "arm-none-eabi-gcc": "arm-none-eabi-"}
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("level", ["-O0", "-O2", "-Os"])
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_the_core_is_strict_c99_and_holds_no_data(tmp_path: Path, compiler: str, level: str, precision: str) -> None:
+    """No warning, no byte of mutable data, and of libraries memcpy and memset and the compiler's own arithmetic."""
+    if shutil.which(compiler) is None:
+        pytest.skip(f"NOT SHOWN: there is no {compiler}")
+    write_sizes(tmp_path, 4, precision)  # type: ignore[arg-type]
+    for name in FILES:
+        made = tmp_path / f"{name}.o"
+        options = [*COMPILERS[compiler], *STRICT, level, f"-I{CORE}", f"-I{tmp_path}"]
+        subprocess.run([compiler, *options, "-c", str(CORE / f"{name}.c"), "-o", str(made)], check=True)
+        listed = _output(f"{TOOLS[compiler]}nm", str(made)).splitlines()
+        kinds = {line.split()[-1]: line.split()[-2] for line in listed}
+        needed = {symbol for symbol, kind in kinds.items() if kind == "U"}
+        known = {"memcpy", "memset", "tac_decode", "tac_encode"}
+        assert {symbol for symbol in needed - known if not symbol.startswith(("__aeabi_", "__gnu_thumb"))} == set()
+        assert not {symbol for symbol, kind in kinds.items() if kind in "dDbBcC"}
+        shown = {symbol for symbol, kind in kinds.items() if kind == "T"}
+        header = (CORE / "taciturn.h").read_text(encoding="ascii")
+        assert shown == {symbol for symbol in shown if f"{symbol}(" in header} != set()
+
+
+def test_lines_are_no_longer_than_120_characters_and_end_where_they_end() -> None:
+    """As in Python."""
+    for path in (*CORE.iterdir(), *Path(__file__).parent.glob("*.c")):
+        for line in path.read_text(encoding="ascii").splitlines():
+            assert len(line) <= 120, f"{path.name}: {line}"
+            assert line == line.rstrip(), f"{path.name}: {line}"
+            assert "\t" not in line, f"{path.name}: {line}"
+
+
+def _output(*command: str) -> str:
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout

@@ -1,0 +1,321 @@
+"""Nodes in C do what the host's nodes do, whatever arrives: outputs, memory, counters and degradation, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import NamedTuple
+from unittest.mock import patch
+
+import numpy as np
+import pytest
+from catalogue import POLICIES, closed
+from export.devices import WAITING, Device, Library, compile_node
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parity.loops import every_feature
+from runtime.test_packets import KEY
+from systems import make_system
+
+import taciturn
+from taciturn import Network
+from taciturn.loop import Loop
+from taciturn.model.network import Network as AnyNetwork
+from taciturn.model.places import roles
+from taciturn.model.policy import NodeName, Policy
+from taciturn.runtime.inbox import Channel, Inbox
+from taciturn.runtime.node import Node, Stepped
+from taciturn.runtime.packet import Packet, Wire
+
+WIDTH = 64  # of the window of a device
+LOOP, SEED = 7, 3
+
+
+class SmallInbox(Inbox):
+    """The inbox of a device: few packets wait, each in the place of its tick.
+
+    Before the first tick the newer of two keeps a place; then whichever is nearer.
+    """
+
+    def take(self, packet: Packet, past: int) -> bool:
+        """Take a packet in that a tick wants which is not further ahead than places are."""
+        channel = self.channels.get((packet.kind, packet.link))
+        self.past = past
+        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (channel.lag if channel else 0)):
+            return super().take(packet, past)
+
+    def _wait(self, channel: Channel, packet: Packet) -> None:
+        for tick in [t for t in channel.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
+            if self.past < 0 and tick > packet.tick:
+                return self._miss(channel, packet)
+            if self.past < 0:
+                self._miss(channel, channel.waiting.pop(tick))
+            elif tick > self.past:  # else it is late, and found to be so when it is looked for
+                del channel.waiting[tick]
+                self.counters["ahead"] += 1
+        return super()._wait(channel, packet)
+
+
+class Watch(NamedTuple):
+    """After how many ticks of silence an input is safe, and which that is; 0: never, None: the last one."""
+
+    ticks: int = 0
+    safe: tuple[float, ...] | None = None
+
+
+class Case(NamedTuple):
+    """A node, on the host and in C."""
+
+    policy: Policy
+    network: AnyNetwork
+    role: NodeName
+    watch: Watch
+    library: Library
+
+    def host(self, epoch: int) -> Node:
+        """Return it on the host, with the inbox of a device."""
+        ticks, safe = self.watch.ticks or None, "hold" if self.watch.safe is None else self.watch.safe
+        node = Node(
+            self.policy, self.role, network=self.network, epoch=epoch, seed=SEED, loop=LOOP, watchdog=ticks, safe=safe
+        )
+        inbox = node.inbox
+        node.inbox = SmallInbox(inbox.channels, LOOP, self.network.protocol == "ideal", node.counters, node._degrade)
+        return node
+
+
+def ideal() -> Loop:
+    """Return a loop whose theory takes every packet to arrive."""
+    return taciturn.load("two-mass").close(taciturn.load("two-mass").design())
+
+
+def lossy(**more: object) -> Loop:
+    """Return a loop with packets on both links, and losses."""
+    problem = taciturn.load("lossy-double-integrator")
+    loop = problem.close(problem.design())
+    network = Network("udp", 0.3, 0.6, **more)  # type: ignore[arg-type]
+    return taciturn.close(problem.plant, loop.policy, network, problem.cost)
+
+
+LOOPS: dict[str, Callable[[], Loop]] = {
+    "ideal": cache(ideal),
+    "lossy": cache(lossy),
+    "int16": cache(lambda: lossy(payload="int16", sensor_range=40.0, actuator_range=20.0)),
+    "delayed": cache(lambda: closed(POLICIES["lossy tcp, delayed"](make_system(11, 3, 2, 2, True)))),
+    "stochastic": cache(lambda: closed(POLICIES["stochastic"](make_system(11, 3, 2, 2, False)))),
+    "remote": cache(lambda: closed(POLICIES["remote"](make_system(11, 3, 2, 2, False)))),
+    "told": cache(lambda: every_feature(make_system(5, 3, 2, 2, False), 1)),
+    "untold": cache(lambda: every_feature(make_system(5, 3, 2, 2, False), 3)),
+}
+WATCHES = (Watch(), Watch(5, (0.25, -0.5)), Watch(3))
+
+
+@cache
+def places() -> list[tuple[str, NodeName]]:
+    """Return every node of these loops."""
+    return [(name, role) for name, build in LOOPS.items() for role in roles(build().policy)]
+
+
+def case(name: str, role: NodeName, watched: int) -> Case:
+    """Return a node, compiled; one that acts and listens is watched."""
+    loop = LOOPS[name]()
+    node = Node(loop.policy, role, network=loop.network)
+    ticks, safe = WATCHES[watched] if node.actuates and node.inbox.channels else Watch()
+    watch = Watch(ticks, safe and safe[: loop.policy.model.inputs])
+    return Case(loop.policy, loop.network, role, watch, compiled(name, role))
+
+
+@cache
+def compiled(name: str, role: NodeName) -> Library:
+    """Return a node in C, compiled once."""
+    loop = LOOPS[name]()
+    return compile_node(loop.policy, role, loop.network, Path(mkdtemp()), seed=SEED)
+
+
+class Pair:
+    """The same node twice, given the same."""
+
+    def __init__(self, found: Case, secret: bytes | None, seed: int) -> None:
+        """Start both before the first tick."""
+        self.case, self.draws = found, np.random.default_rng(seed)
+        self.host, self.device = found.host(epoch=9), Device(found.library, secret, 9, LOOP)
+        self.device.watch(*found.watch)
+        self.wire = Wire(found.policy, found.network, secret)
+        self.tick = -1
+        self.numbers: dict[tuple[str, str], int] = {}  # sequence numbers that the device has given out
+        self.sequences: dict[tuple[str, str], int] = {}  # of the next packet to come
+        self.packets, self.recoveries, self.was_degraded = 0, 0, False
+        inbox = self.host.inbox
+        sizes = {name: channel.size for name, channel in inbox.channels.items()}
+        self.sizes = {
+            **sizes,
+            **{("mark", link): 0 for _, link in sizes},
+            ("input", "plant"): found.policy.model.inputs,
+        }
+
+    def receive(self, which: int, ahead: int, behind: int, epoch: int, loop: int) -> None:
+        """Give both a packet, so many ticks and sequence numbers from the next one."""
+        kind, link = name = list(self.sizes)[which % len(self.sizes)]
+        sequence = max(0, self.sequences.get(name, 0) - behind)
+        self.sequences[name] = max(self.sequences.get(name, 0), sequence + 1)
+        values = tuple(self.draws.normal(0, 5, self.sizes[name]).tolist())
+        packet = Packet(kind, link, max(0, self.tick + ahead), sequence, values, epoch, loop)  # type: ignore[arg-type]
+        datagram = self.wire.encode(packet)
+        read = self.wire.decode(datagram)
+        assert isinstance(read, Packet)
+        assert self.device.receive(datagram) == self.host.sort_in([read])
+
+    def step(self, gap: int) -> None:
+        """Let both go through a tick, and compare all that they do and know."""
+        tick = max(0, self.tick + gap)
+        y = self.draws.normal(0, 3, self.case.policy.model.outputs).tolist() if self.host.measures else None
+        later = tick > self.host.tick
+        stepped = self.host.step(tick, y)
+        assert self.device.step(tick, y) == later
+        self.tick = self.host.tick
+        assert self.device.input == stepped.input
+        assert self.device.degraded == self.host.degraded
+        self.recoveries += self.was_degraded > self.device.degraded
+        self.was_degraded = self.device.degraded
+        numbers = [value for name in self.host.memory.values() for value in name]
+        assert self.device.memory[: len(numbers)] == numbers
+        self.compare_packets(stepped)
+
+    def compare_packets(self, stepped: Stepped) -> None:
+        """Check that the newest packets of the host are those of the device, in its own numbers."""
+        expected = {(packet.kind, packet.link): packet for packet in stepped.packets}
+        found = [self.wire.decode(datagram) for datagram in self.device.send()]
+        assert sorted(map(str, found)) == sorted(
+            str(packet._replace(sequence=self.numbers.get(name, 0))) for name, packet in expected.items()
+        )
+        for name in expected:
+            self.numbers[name] = self.numbers.get(name, 0) + 1
+        self.packets += len(found)
+
+    def compare_counts(self) -> None:
+        """Check that both have counted the same."""
+        counters = {k: n for k, n in self.host.counters.items() if n and not k.startswith("sent ")}
+        assert self.device.counters == counters
+        assert self.device.waiting == self.host.inbox.waiting
+
+
+FATES = st.tuples(
+    st.just("packet"), st.integers(0, 5), st.sampled_from([0, 0, 1, 1, 1, 2, -1, -2, 3, 4, 5, 6, 9, 40]),
+    st.sampled_from([0, 0, 0, 0, 1, 2, -1, -3, 5, 63, 64, 65, -64, -200]), st.sampled_from([1, 1, 1, 1, 1, 2, 0]),
+    st.sampled_from([LOOP] * 9 + [0]),
+)  # fmt: skip
+STEPS = st.tuples(st.just("step"), st.sampled_from([1] * 12 + [0, 2, 3, 5, 17]))
+EVENTS = st.lists(FATES | STEPS, min_size=10, max_size=60)
+
+
+@patch("taciturn.runtime.window.WIDTH", WIDTH)
+def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> Pair:
+    """Give a node on the host and in C what happens, and compare after each tick."""
+    pair = Pair(found, secret, seed)
+    for what, *rest in [*events, ("step", 1), ("step", 1)]:
+        if what == "packet":
+            pair.receive(*rest)
+        else:
+            pair.step(*rest)
+            pair.compare_counts() if rest[0] <= 1 else None
+    return pair
+
+
+@pytest.mark.parametrize(("name", "role"), places())
+@given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1), st.sampled_from([None, KEY]))
+@settings(deadline=None, max_examples=30)
+def test_a_node_in_c_does_and_counts_what_the_host_does(
+    name: str, role: NodeName, events: list[tuple], watched: int, seed: int, secret: bytes | None
+) -> None:
+    """Packets that are late, doubled, reordered, replayed, early, of another loop or missing, and ticks left out."""
+    play(case(name, role, watched), events, secret, seed)
+
+
+def random_events(draws: np.random.Generator, count: int) -> list[tuple]:
+    """Return what happens to a node for long: mostly as it should."""
+    found = list[tuple]()
+    for _ in range(count):
+        for _ in range(draws.integers(0, 4)):
+            usual = draws.random() < 0.8
+            ahead, behind = (1, 0) if usual else (int(draws.integers(-3, 8)), int(draws.integers(-3, 70)))
+            loop = LOOP if draws.random() < 0.95 else 0
+            found.append(("packet", int(draws.integers(6)), ahead, behind, 1 + int(len(found) > count), loop))
+        found.append(("step", int(draws.choice([0, 1, 2, 9], p=[0.05, 0.85, 0.05, 0.05]))))
+    return found
+
+
+def test_all_that_can_become_of_a_packet_does_and_is_counted_alike() -> None:
+    """600 ticks of each node, and as many in peace: every counter moves, packets leave, and nodes recover."""
+    met, recoveries, packets = set[str](), 0, 0
+    for name, role in places():
+        events = [*random_events(np.random.default_rng(4), 600), *[("step", 1)] * 600]
+        pair = play(case(name, role, 1), events, KEY, 5)
+        met |= set(pair.device.counters)
+        recoveries += pair.recoveries
+        packets += pair.packets
+    assert met == {
+        "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
+        "missed", "repeated",
+    }  # fmt: skip
+    assert recoveries > 3
+    assert packets > 1000
+
+
+@pytest.mark.parametrize("gap", [9_000, 10_001, 25_000])
+@pytest.mark.parametrize("name", ["ideal", "lossy", "told", "delayed"])
+def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(name: str, gap: int) -> None:
+    """Up to 10,000 ticks are gone through again, and the newest packet of each link is sent."""
+    for role in ("controller", "actuator"):
+        if role in roles(LOOPS[name]().policy):
+            play(case(name, role, 0), [("step", 1)] * 3 + [("step", gap), *[("step", 1)] * 3], None, 1)
+
+
+def test_a_node_that_begins_late_has_joined() -> None:
+    """A first tick that is not 0, with packets that wait for it, for others, and for one far away."""
+    for name, role in places():
+        for seed in range(4):
+            draws = np.random.default_rng(seed)
+            early = [("packet", i, int(draws.integers(0, 60)), 0, 1, LOOP) for i in draws.integers(0, 6, 40).tolist()]
+            play(case(name, role, 1), [*early, ("step", 40), *early, *[("step", 1)] * 70], None, seed)
+
+
+def test_the_last_sequence_number_ends_an_epoch() -> None:
+    """4294967295 is given out once; the next packet begins a new epoch."""
+    found = case("ideal", "controller", 0)
+    node, wire = Device(found.library, None, 9, LOOP), Wire(found.policy, found.network)
+    node.code.shim_number(node.node, 2**32 - 2)
+    numbers = []
+    for tick in range(100):
+        node.step(tick, [100.0 * (-1) ** tick, 50.0])
+        packets = [wire.decode(datagram) for datagram in node.send()]
+        numbers += [(packet.epoch, packet.sequence) for packet in packets if isinstance(packet, Packet)]
+    assert numbers[:4] == [(9, 2**32 - 2), (9, 2**32 - 1), (10, 0), (10, 1)]
+
+
+def test_what_is_no_tick_and_no_measurement_changes_nothing() -> None:
+    """A measurement that is missing or not finite, a tick that is past, and the one that has no number."""
+    found = case("ideal", "controller", 0)
+    node = Device(found.library)
+    assert node.step(0, [1.0, 2.0])
+    node.send()
+    before = node.memory
+    for y in (None, [1.0, float("nan")], [float("-inf"), 1.0]):
+        assert not node.step(1, y)
+    assert not node.step(2**64 - 1, [1.0, 2.0])
+    assert node.counters == {}
+    assert not node.step(0, [1.0, 2.0])
+    assert node.counters == {"repeated": 1}
+    assert (node.memory, node.send(), node.degraded) == (before, [], False)
+    assert node.step(2**64 - 2, [1.0, 2.0])
+    assert node.degraded
+
+
+def test_a_packet_that_holds_no_finite_number_is_not_sent_but_counted() -> None:
+    """A plant that has left the range of numbers: its measurement is finite, and what follows of it is not."""
+    found = case("ideal", "controller", 0)
+    node = Device(found.library)
+    for tick in range(50):
+        node.step(tick, [1.7e308, -1.7e308])
+        assert all(isinstance(Wire(found.policy, found.network).decode(one), Packet) for one in node.send())
+    assert node.counters["unsent"] > 0
