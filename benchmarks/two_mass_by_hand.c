@@ -123,49 +123,58 @@ static bool do_nothing(memory *self, const tac_real *y, tac_real *command) {
 }
 
 typedef bool (*way)(memory *self, const tac_real *y, tac_real *command);
-static volatile const way ways[WAYS] = {do_nothing, step_by_loops, step_by_hand, step_by_symmetry};
+typedef void (*part)(const tac_real *inputs, tac_real *states, tac_real *outputs);
+
+static void do_no_part(const tac_real *inputs, tac_real *states, tac_real *outputs) {
+  (void)inputs;
+  (void)states;
+  (void)outputs;
+}
+
+/* Return the instructions of a tick, those of a call that does nothing included. */
+static __attribute__((noinline)) uint32_t count_way(way step, memory *own, const tac_real *y, tac_real *command,
+                                                    bool *sent) {
+  uint32_t before = board_now();
+  bool found = step(own, y, command);
+  uint32_t after = board_now();
+  *sent = found;
+  return board_instructions(before, after);
+}
+
+static __attribute__((noinline)) uint32_t count_part(part step, const tac_real *inputs, tac_real *states,
+                                                     tac_real *outputs) {
+  uint32_t before = board_now();
+  step(inputs, states, outputs);
+  return board_instructions(before, board_now());
+}
+
+static const way ways[WAYS] = {do_nothing, step_by_loops, step_by_hand, step_by_symmetry};
 static const char *const names[WAYS] = {"generated", "loops", "hand", "symmetry"};
 
 int main(void) {
   static memory memories[WAYS];
-  uint64_t totals[WAYS] = {0};
-  uint32_t longest[WAYS] = {0};
-  unsigned differing[WAYS] = {0};
-  tac_real command = 0;
+  static uint64_t totals[WAYS];
+  static uint32_t longest[WAYS];
+  static unsigned differing[WAYS];
   const size_t width = selfcheck_measured + selfcheck_drawn + 2U * selfcheck_link_count + selfcheck_applied;
   tac_node *node = selfcheck_nodes[0].start();
-  tac_real *const states = node->memory;
-  tac_real *const outputs = node->outputs;
-  void (*const first)(const tac_real *, tac_real *, tac_real *) = node->data->first;
-  way idle;
-  uint32_t before;
-  uint32_t after;
-  uint32_t around;
+  tac_real command = 0;
+  bool sent;
+  uint32_t around[2]; /* of a call that does nothing */
   board_start_timer();
-  idle = ways[0];
-  before = board_now();
-  (void)idle(&memories[0], selfcheck_vector, &command);
-  after = board_now();
-  around = board_instructions(before, after);
+  around[0] = count_part(do_no_part, selfcheck_vector, node->memory, node->outputs);
+  around[1] = count_way(do_nothing, &memories[0], selfcheck_vector, &command, &sent);
   for (size_t tick = 0U; tick < selfcheck_rows; tick++) {
     const tac_real *row = &selfcheck_vector[tick * width];
     const bool expected = row[selfcheck_measured + selfcheck_drawn + selfcheck_link_count] > 0;
     for (size_t i = 0U; i < WAYS; i++) {
       uint32_t instructions;
-      bool sent;
       if (i == 0U) {
-        before = board_now();
-        first(row, states, outputs);
-        after = board_now();
-        sent = outputs[node->data->sends[0].at] > 0;
+        instructions = count_part(node->data->first, row, node->memory, node->outputs) - around[0];
+        sent = node->outputs[node->data->sends[0].at] > 0;
       } else {
-        const way step = ways[i];
-        memory *const own = &memories[i];
-        before = board_now();
-        sent = step(own, row, &command);
-        after = board_now();
+        instructions = count_way(ways[i], &memories[i], row, &command, &sent) - around[1];
       }
-      instructions = board_instructions(before, after) - around;
       totals[i] += instructions;
       longest[i] = (instructions > longest[i]) ? instructions : longest[i];
       differing[i] += (sent != expected) ? 1U : 0U;

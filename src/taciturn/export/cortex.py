@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -26,6 +25,7 @@ PACKAGES = {  # of Debian
 }
 COUNTING = ("-icount", "shift=7")  # board.h tells why
 PATIENCE = 60.0  # seconds that a run may take
+LONGEST = 500  # characters of what a tool has said
 
 
 class Board(NamedTuple):
@@ -148,7 +148,8 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
     """
     with TemporaryDirectory() as name:
         into = Path(name)
-        _compile(board, folder, self_check(folder), into, level)
+        sources = [name for name in self_check(folder).files if name != "selfcheck.c"]
+        _compile(board, folder, Main(tuple(sources)), into, level)
         symbols = _call("arm-none-eabi-nm", ["-S", "selfcheck_data.o"], into).splitlines()
         known = {words[3]: int(words[1], 16) for words in map(str.split, symbols) if len(words) == 4}
         found = {node.role: _sections(into, [node.name])._replace(memory=known[node.role]) for node in folder.nodes}
@@ -283,6 +284,3 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
             said = f"the C library is missing, apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
         raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected it to succeed")
     return done.stdout
-
-
-LONGEST = 500  # characters of what a tool has said

@@ -18,7 +18,8 @@ from taciturn.export.cortex import Board, emulate
 
 BEGIN = 0x54  # first byte of a frame: see board/loop.c
 GONE_THROUGH, DEGRADED, HAS_INPUT = 1, 2, 4
-AGAIN = 1.0  # seconds after which a question is repeated
+NO_TICK = b"\xff" * 8
+AGAIN = 0.5  # seconds after which a question is repeated
 PIECE = 1024  # bytes of a frame that are handed to the emulator at once
 SPACE = 1 << 20  # bytes of answers that may wait
 
@@ -55,12 +56,12 @@ class NodeOnBoard:
         """Start it, and wait until it has said that it listens."""
         self._name, self._patience = board.processor, patience
         self._bytes = bytearray()
-        self._ears = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._ears.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SPACE)
-        self._ears.bind(("127.0.0.1", 0))
-        self._ears.settimeout(AGAIN)
+        self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SPACE)
+        self._line.bind(("127.0.0.1", 0))
+        self._line.settimeout(AGAIN)
         self._board: tuple[str, int] | None = None  # where it sends from: known when it has begun
-        port = self._ears.getsockname()[1]
+        port = self._line.getsockname()[1]
         serial = ["-serial", f"udp:127.0.0.1:{port}@127.0.0.1:0", "-semihosting-config", "enable=on,target=native"]
         try:
             command = emulate(board, program, serial)
@@ -69,11 +70,11 @@ class NodeOnBoard:
                 process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends this
             )  # fmt: skip
         except ProblemError:
-            self._ears.close()
+            self._line.close()
             raise
-        self.close = weakref.finalize(self, _end, self._process, self._ears)  # also when the interpreter ends
+        self.close = weakref.finalize(self, _end, self._process, self._line)  # also when the interpreter ends
         try:
-            self._wait(b"")
+            self._wait(b"", NO_TICK)
         except ProblemError:
             self.close()
             raise
@@ -88,9 +89,7 @@ class NodeOnBoard:
         """End the emulator."""
         self.close()
 
-    def step(
-        self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None
-    ) -> Answer:
+    def step(self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None) -> Answer:
         """Have the node go through a tick.
 
         Args:
@@ -106,25 +105,22 @@ class NodeOnBoard:
         body += b"".join(struct.pack(">H", len(one)) + one for one in datagrams)
         body += struct.pack(f">B{len(numbers)}d", len(numbers), *numbers)
         frame = struct.pack(">BH", BEGIN, len(body)) + body + struct.pack(">I", zlib.crc32(body))
-        found = self._wait(frame)
-        while found[:8] != body[:8]:  # an answer that came late, of a question that was repeated
-            found = self._wait(b"")
-        return _read(found)
+        return _read(self._wait(frame, body[:8]))
 
-    def _wait(self, frame: bytes) -> bytes:
-        """Send a frame, again and again if need be, and return the body of the next that comes."""
+    def _wait(self, frame: bytes, tick: bytes) -> bytes:
+        """Send a frame, again and again if need be, and return the body of the answer that is of a tick."""
         end = time.monotonic() + self._patience
-        asked = 0.0
-        while (found := self._next()) is None:
+        asked = -AGAIN
+        while (found := self._next()) is None or found[:8] != tick:  # of another: a question was repeated
             now = time.monotonic()
             if self._process.poll() is not None or now > end:
                 raise ProblemError(self._sentence())
             if now - asked > AGAIN and self._board is not None:
                 for first in range(0, len(frame), PIECE):
-                    self._ears.sendto(frame[first : first + PIECE], self._board)
+                    self._line.sendto(frame[first : first + PIECE], self._board)
                 asked = now
             try:
-                piece, self._board = self._ears.recvfrom(1 << 16)
+                piece, self._board = self._line.recvfrom(1 << 16)
                 self._bytes += piece
             except TimeoutError:
                 pass
@@ -151,15 +147,16 @@ class NodeOnBoard:
         """Return why there is no answer."""
         if self._process.poll() is None:
             return f"the {self._name} has not answered for {self._patience:g} s; expected the program of a node"
-        assert self._process.stderr is not None
-        said = self._process.stderr.read().decode(errors="replace").split()
-        return f"the emulator of the {self._name} has ended ({' '.join(said)}); expected it to run"
+        errors = self._process.stderr
+        said = "" if errors is None or errors.closed else errors.read().decode(errors="replace")
+        why = " ".join(said.split()) or f"code {self._process.returncode}"
+        return f"the emulator of the {self._name} has ended ({why}); expected it to run"
 
 
-def _end(process: subprocess.Popen[bytes], ears: socket.socket) -> None:
+def _end(process: subprocess.Popen[bytes], line: socket.socket) -> None:
     process.kill()
     process.wait()
-    ears.close()
+    line.close()
     if process.stderr is not None:
         process.stderr.close()
 
