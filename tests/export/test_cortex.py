@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import runpy
 import time
 from functools import cache
 from pathlib import Path
@@ -28,6 +29,7 @@ from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.network import losses
 
+ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
     "chapter 2": ("two-mass", {}),
     "chapter 2, model": ("two-mass", {"actuation": "model"}),
@@ -154,6 +156,15 @@ def test_a_tick_takes_more_than_its_step_and_less_than_all() -> None:
         assert 0 < counts.step.mean < counts.tick.mean < counts.all.mean
         assert counts.step.longest == counts.step.mean
         assert counts.all.longest > counts.all.mean
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("device", ["M3 float64", "M4F float64", "M3 float32", "M4F float32"])
+def test_a_generated_step_takes_no_more_than_a_tenth_more_than_one_by_hand(device: str) -> None:
+    """On the same measurements, with the same decisions; this is a count of instructions, no time."""
+    ways = runpy.run_path(str(ROOT / "benchmarks" / "devices.py"))["contest"](device)
+    assert {found["other decisions"] for found in ways.values()} == {0}
+    assert ways["generated"]["mean"] <= 1.1 * min(ways["loops"]["mean"], ways["hand"]["mean"])
 
 
 def test_the_sizes_of_nodes_are_those_of_their_parts() -> None:
