@@ -76,12 +76,10 @@ def folder_of(name: str, precision: Precision = "float64") -> CFolder:
     return print_folder(loop_of(name, precision), "device")
 
 
-def check(board: Board, name: str, into: Path, precision: Precision = "float64", ticks: int = 0) -> str:
+def check(board: Board, name: str, precision: Precision = "float64", ticks: int = 0) -> str:
     """Run the self-check on a board, with what is compiled in or so many ticks of another seed; return what it says."""
-    folder = folder_of(name, precision)
     vector = record_loop(loop_of(name, precision), ticks, seed=1) if ticks else None
-    program = cortex.compile_for(board, folder, cortex.self_check(folder), into)
-    return cortex.run_on(board, program, vector, single=folder.single, patience=SECONDS)
+    return cortex.check_on(board, folder_of(name, precision), vector, patience=SECONDS)
 
 
 @pytest.mark.parametrize(
@@ -89,32 +87,32 @@ def check(board: Board, name: str, into: Path, precision: Precision = "float64",
     [*((name, M3) for name in ORDINARY), *((name, M4F) for name in ORDINARY[::2])],
     ids=lambda value: value.processor if isinstance(value, Board) else value,
 )
-def test_nodes_on_a_board_decide_and_apply_what_the_design_does(name: str, board: Board, tmp_path: Path) -> None:
+def test_nodes_on_a_board_decide_and_apply_what_the_design_does(name: str, board: Board) -> None:
     """Hundreds of ticks with their packets: every decision, and every bit of the input."""
-    said = check(board, name, tmp_path)
+    said = check(board, name)
     assert f"{len(folder_of(name).vector.sent)} ticks compared, every decision and every bit" in said
 
 
 @pytest.mark.parametrize("name", SINGLE)
-def test_nodes_in_single_precision_have_the_bits_of_the_loop_in_it(name: str, tmp_path: Path) -> None:
+def test_nodes_in_single_precision_have_the_bits_of_the_loop_in_it(name: str) -> None:
     """What the floating-point unit of the M4F computes is what the loop in single precision does."""
-    assert "every bit of the input agrees" in check(M4F, name, tmp_path, "float32")
+    assert "every bit of the input agrees" in check(M4F, name, "float32")
     assert folder_of(name, "float32").vector.applied.tobytes() != folder_of(name).vector.applied.tobytes()
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("board", [M3, M4F], ids=lambda board: board.processor)
 @pytest.mark.parametrize("name", POLICIES)
-def test_nodes_on_a_board_agree_for_long(name: str, board: Board, tmp_path: Path) -> None:
+def test_nodes_on_a_board_agree_for_long(name: str, board: Board) -> None:
     """100,000 ticks of each policy, those behind the end of a mission too; one to two seconds each."""
-    assert f"{EVIDENCE} ticks compared" in check(board, name, tmp_path, ticks=EVIDENCE)
+    assert f"{EVIDENCE} ticks compared" in check(board, name, ticks=EVIDENCE)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ORDINARY)
-def test_nodes_in_single_precision_agree_for_long(name: str, tmp_path: Path) -> None:
+def test_nodes_in_single_precision_agree_for_long(name: str) -> None:
     """100,000 ticks of each policy on the floating-point unit."""
-    assert f"{EVIDENCE} ticks compared" in check(M4F, name, tmp_path, "float32", EVIDENCE)
+    assert f"{EVIDENCE} ticks compared" in check(M4F, name, "float32", EVIDENCE)
 
 
 def test_one_bit_that_differs_is_found_on_the_board(tmp_path: Path) -> None:
@@ -266,6 +264,18 @@ def test_a_node_that_misses_its_measurement_says_so(controller: Path) -> None:
     with NodeOnBoard(M3, controller) as node:
         assert not node.step(0).gone
         assert node.step(1, [b"no packet"], [0.5, 0.5]).gone
+
+
+def test_a_question_that_fits_no_frame_is_refused(controller: Path) -> None:
+    """Another number of ticks, datagrams or measurements than a frame can say is a mistake of whoever asks."""
+    with NodeOnBoard(M3, controller) as node:
+        for tick, datagrams, measurement in ((-1, [], [1.0]), (2**64 - 1, [], [1.0]), (0, [b""] * 9, [1.0])):
+            with pytest.raises(ProblemError, match="expected a tick from 0 to"):
+                node.step(tick, datagrams, measurement)
+        with pytest.raises(ProblemError, match="256 measurements"):
+            node.step(0, [], [1.0] * 256)
+        with pytest.raises(ProblemError, match="more than 65535 bytes"):
+            node.step(0, [bytes(1 << 16)])
 
 
 def own(text: str, into: Path) -> Path:

@@ -192,6 +192,26 @@ def run_on(
         return _call("qemu-system-arm", emulate(board, program, options)[1:], Path(folder), patience)
 
 
+def check_on(
+    board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
+) -> str:
+    """Run the self-check on a board, and return the sentence with which it passes.
+
+    Args:
+        board: the board.
+        folder: the nodes.
+        vector: what it compares; omitted: what is compiled in.
+        level: of optimisation.
+        patience: seconds that it may take.
+
+    Raises:
+        ProblemError: no compiler or no emulator, or a bit differs: in which tick.
+    """
+    with TemporaryDirectory() as name:
+        program = compile_for(board, folder, self_check(folder), Path(name), level)
+        return run_on(board, program, vector, single=folder.single, patience=patience).strip()
+
+
 def emulate(board: Board, program: Path, options: Sequence[str]) -> list[str]:
     """Return the command that runs a program on a board.
 
@@ -274,7 +294,14 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
     command = [find_tool(tool), *arguments]
     try:
         done = subprocess.run(
-            command, cwd=folder, capture_output=True, text=True, timeout=patience, check=False, stdin=subprocess.DEVNULL
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=patience,
+            check=False,
+            stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
         raise ProblemError(f"{tool} has not ended after {patience:g} s; expected it to be faster") from None

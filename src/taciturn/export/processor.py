@@ -19,6 +19,8 @@ from taciturn.export.cortex import Board, emulate
 BEGIN = 0x54  # first byte of a frame: see board/loop.c
 GONE_THROUGH, DEGRADED, HAS_INPUT = 1, 2, 4
 NO_TICK = b"\xff" * 8
+LAST = 2**64 - 1  # which is no tick
+MOST_DATAGRAMS, MOST_NUMBERS, LARGEST = 8, 255, 0xFFFF  # of a question; bytes of a datagram
 AGAIN = 0.5  # seconds after which a question is repeated
 PIECE = 1024  # bytes of a frame that are handed to the emulator at once
 SPACE = 1 << 20  # bytes of answers that may wait
@@ -94,13 +96,20 @@ class NodeOnBoard:
 
         Args:
             tick: later than the last.
-            datagrams: that have come since then.
+            datagrams: that have come since then, at most 8.
             measurement: of the plant, where the node measures.
 
         Raises:
-            ProblemError: no answer in time, or the emulator has ended.
+            ProblemError: what does not fit into a frame, no answer in time, or the emulator has ended.
         """
         numbers = [float(value) for value in (() if measurement is None else measurement)]
+        if not 0 <= tick < LAST or len(datagrams) > MOST_DATAGRAMS or len(numbers) > MOST_NUMBERS:
+            raise ProblemError(
+                f"tick {tick} comes with {len(datagrams)} datagrams and {len(numbers)} measurements; expected a tick "
+                f"from 0 to 2^64 - 2, at most {MOST_DATAGRAMS} datagrams and at most {MOST_NUMBERS} measurements"
+            )
+        if any(len(one) > LARGEST for one in datagrams):
+            raise ProblemError(f"a datagram has more than {LARGEST} bytes; expected those of the policy's nodes")
         body = struct.pack(">QB", tick, len(datagrams))
         body += b"".join(struct.pack(">H", len(one)) + one for one in datagrams)
         body += struct.pack(f">B{len(numbers)}d", len(numbers), *numbers)
