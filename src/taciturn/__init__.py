@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from taciturn._version import __version__
+
 if TYPE_CHECKING:
     from taciturn import design as design
     from taciturn.analyse.limits import LowerBound as LowerBound
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
     from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
+    from taciturn.study.export import export_c as export_c
     from taciturn.study.losses import find_losses as find_losses
     from taciturn.study.network import NetworkRun as NetworkRun
     from taciturn.study.network import run_network as run_network
@@ -117,6 +120,7 @@ _HOME = {
     "course": "simulation.course",
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
+    "export_c": "study.export",
     "find_losses": "study.losses",
     "from_control": "runtime.control",
     "load": "problem",
@@ -133,7 +137,6 @@ _HOME = {
     "tune": "study.tune",
     "tune_period": "study.periods",
 }
-__version__ = "0.1.0"
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place
 
 

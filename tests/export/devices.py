@@ -96,7 +96,7 @@ def compile_node(
     options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{folder}", "-o", str(folder / "device.so")]
     subprocess.run([compiler, *options, *map(str, sources)], check=True)
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
-    for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory"):
+    for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p
     for name in ("shim_size", "tac_encode", "tac_send"):
         getattr(code, name).restype = c.c_size_t
@@ -186,6 +186,10 @@ class Device:
     def memory(self) -> list[float]:
         """All that it remembers."""
         return list((self.library.number * self.library.sizes[2]).from_address(self.code.shim_memory(self.node)))
+
+    def inputs(self, count: int) -> list[float]:
+        """The first inputs of its last tick."""
+        return list((self.library.number * count).from_address(self.code.shim_inputs(self.node)))
 
     @property
     def degraded(self) -> bool:

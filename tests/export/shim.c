@@ -5,6 +5,7 @@ size_t shim_size(void);
 const tac_wire *shim_wire(const tac_node *node);
 const tac_counters *shim_counters(const tac_node *node);
 const tac_real *shim_memory(const tac_node *node);
+const tac_real *shim_inputs(const tac_node *node);
 unsigned shim_waiting(const tac_node *node);
 void shim_number(tac_node *node, uint32_t sequence);
 
@@ -22,6 +23,10 @@ const tac_counters *shim_counters(const tac_node *node) {
 
 const tac_real *shim_memory(const tac_node *node) {
   return node->memory;
+}
+
+const tac_real *shim_inputs(const tac_node *node) {
+  return node->inputs;
 }
 
 unsigned shim_waiting(const tac_node *node) {

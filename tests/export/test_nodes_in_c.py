@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -98,6 +99,14 @@ def lossy(**more: object) -> Loop:
     return taciturn.close(problem.plant, loop.policy, network, problem.cost)
 
 
+def everything(seed: int) -> Loop:
+    """Return a loop with every feature, and a clock that does not come back to where it began."""
+    loop = every_feature(make_system(5, 3, 2, 2, False), seed)
+    clocks = [replace(one, table=np.array([1, 2, 1])) if one.name == "clock" else one for one in loop.policy.locations]
+    policy = replace(loop.policy, locations=tuple(clocks))
+    return taciturn.close(loop.problem.plant, policy, loop.network, loop.problem.cost)
+
+
 LOOPS: dict[str, Callable[[], Loop]] = {
     "ideal": cache(ideal),
     "lossy": cache(lossy),
@@ -105,8 +114,8 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "delayed": cache(lambda: closed(POLICIES["lossy tcp, delayed"](make_system(11, 3, 2, 2, True)))),
     "stochastic": cache(lambda: closed(POLICIES["stochastic"](make_system(11, 3, 2, 2, False)))),
     "remote": cache(lambda: closed(POLICIES["remote"](make_system(11, 3, 2, 2, False)))),
-    "told": cache(lambda: every_feature(make_system(5, 3, 2, 2, False), 1)),
-    "untold": cache(lambda: every_feature(make_system(5, 3, 2, 2, False), 3)),
+    "told": cache(lambda: everything(1)),
+    "untold": cache(lambda: everything(3)),
 }
 WATCHES = (Watch(), Watch(5, (0.25, -0.5)), Watch(3))
 
@@ -178,6 +187,7 @@ class Pair:
         assert self.device.degraded == self.host.degraded
         self.recoveries += self.was_degraded > self.device.degraded
         self.was_degraded = self.device.degraded
+        assert self.device.inputs(len(self.host._inputs)) == list(self.host._inputs)
         numbers = [value for name in self.host.memory.values() for value in name]
         assert self.device.memory[: len(numbers)] == numbers
         self.compare_packets(stepped)
@@ -269,6 +279,15 @@ def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(name: str, gap: 
     for role in ("controller", "actuator"):
         if role in roles(LOOPS[name]().policy):
             play(case(name, role, 0), [("step", 1)] * 3 + [("step", gap), *[("step", 1)] * 3], None, 1)
+
+
+def test_a_packet_of_a_later_epoch_supersedes_one_of_its_tick() -> None:
+    """A sender that began anew has smaller sequence numbers, and is believed."""
+    for name, role in places():
+        for which in range(6):
+            older = [("packet", which, 0, 0, 1, LOOP)] * 3
+            events = [("step", 1), *older, ("packet", which, 1, 0, 1, LOOP), ("packet", which, 1, 3, 2, LOOP)]
+            play(case(name, role, 1), [*events, ("step", 1), ("step", 1), ("step", 1)], None, which)
 
 
 def test_a_node_that_begins_late_has_joined() -> None:

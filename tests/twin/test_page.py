@@ -146,9 +146,10 @@ def test_what_people_ask_reaches_the_run_and_all_pages(page: Page) -> None:
     page.begin(ROVER)
     assert reader.take(2)[1] == ("asked", {"ask": "pause", "value": 1.0})
     assert ask(page, "pause", 0) == 200
-    page.begin(ROVER)
+    assert reader.next() == ("asked", {"ask": "pause", "value": 0.0})
+    page.begin(ROVER)  # a reader that is behind is told the new round alone
     page.put(ROWS[0])
-    assert [kind for kind, _ in reader.take(3)] == ["asked", "begin", "tick"]
+    assert [kind for kind, _ in reader.take(2)] == ["begin", "tick"]
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from taciturn import __version__
 from taciturn._files import write_whole
+from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.export.node import CNode, print_node, table
 from taciturn.export.vector import Vector, record_loop
@@ -98,13 +98,14 @@ class CFolder:
             ) from None
 
 
-def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed: int = 0) -> CFolder:
+def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
     """Return the nodes of a loop's policy as C99.
 
     Args:
         loop: plant, policy and network; its precision is that of the nodes.
         name: an identifier of C, with which all names begin.
         nodes: to be exported; omitted: all.
+        rows: ticks that the self-check compares, fewer where a mission ends.
         seed: of the draws of policy and self-check.
 
     Raises:
@@ -124,7 +125,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), seed:
     ]  # fmt: skip
     chosen = tuple(node for node in found if not nodes or node.role in nodes)
     peers = tuple(node for node in found if node not in chosen)
-    vector = record_loop(loop, min(ROWS, loop.horizon or ROWS), seed)
+    vector = record_loop(loop, min(rows, loop.horizon or rows), seed)
     core = files("taciturn.export") / "core"
     texts = {file: (core / file).read_text(encoding="utf-8") for file in (*CORE, *CHECK)}
     for node in found:

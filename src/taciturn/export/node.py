@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from taciturn import __version__
+from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes

@@ -8,6 +8,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._modes import factor
+from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.policy import ENDS, Draw, LinkName, Send
 from taciturn.program import machine
@@ -48,6 +49,9 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
         loop: the loop; in single precision where its nodes compute so.
         ticks: to run.
         seed: of noise, losses and draws.
+
+    Raises:
+        ProblemError: the loop is so unstable that it leaves the range of numbers.
     """
     program, plant = loop.open_program(), loop.problem.plant
     generator = np.random.default_rng(seed)
@@ -62,7 +66,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
     found = {name: values[:, 0] for name, values in outputs.items()}
     links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
     own = [f"{UNIFORM} {i}" for i in drawn_by_the_policy(loop)]
-    return Vector(
+    vector = Vector(
         links,
         _columns([found[f"y {i}"] for i in range(plant.outputs)], ticks),
         _columns([inputs[program.inputs.index(name)] for name in own], ticks),
@@ -70,6 +74,13 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
         _columns([found[f"sent {link}"] for link in links], ticks),
         _columns([found[f"applied {i}"] for i in range(plant.inputs)], ticks),
     )
+    finite = np.isfinite(vector.rows).all(axis=1)
+    if not finite.all():
+        raise ProblemError(
+            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} ticks; "
+            "expected a policy that stabilises it over this network"
+        )
+    return vector
 
 
 def drawn_by_the_policy(loop: Loop) -> list[int]:

@@ -1,0 +1,69 @@
+"""Policies are exported at the command line: what it answers, and what a user can get wrong."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+if TYPE_CHECKING:
+    from conftest import Run
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
+def test_two_masses_are_exported_compiled_and_compared(run: Run, tmp_path: Path) -> None:
+    """The whole way, as the page has it."""
+    answer = run("export", "two-mass", "--c", str(tmp_path), "--json")
+    assert (answer.code, answer.err) == (0, "")
+    document = json.loads(answer.out)
+    assert [node["role"] for node in document["nodes"]] == ["controller", "actuator"]
+    sources = map(str, tmp_path.glob("*.c"))
+    subprocess.run(["cc", *sources, "-lm", "-o", str(tmp_path / "selfcheck")], check=True)
+    done = subprocess.run([str(tmp_path / "selfcheck")], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith(f"two_mass: {document['ticks']} ticks compared")
+
+
+def test_an_export_is_told(run: Run, tmp_path: Path) -> None:
+    """A line for each node."""
+    answer = run("export", "rover", "--c", str(tmp_path), "--node", "sensor")
+    assert answer.code == 0
+    assert [line.split()[0] for line in answer.out.splitlines()] == ["policy", "sensor", "self-check"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "told"),
+    [
+        ([], "neither --c nor --fmu is given; expected where to write to"),
+        (["--c", "/proc/nodes"], "the folder /proc/nodes cannot be written to"),
+        (["--c", "nodes", "--node", "camera"], "the node is 'camera'; expected one of controller, actuator"),
+        (["--c", "nodes", "--precision", "float16"], "precision is 'float16'; expected"),
+        (["--c", "nodes", "--seed", "-1"], "seed is -1"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(
+    run: Run, arguments: list[str], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 2, one line, nothing written."""
+    monkeypatch.chdir(tmp_path)
+    assert told in run("export", "two-mass", *arguments).sentence
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("policy", "told"),
+    [
+        ('kind = "optimal"\nprice = 1.0', "decides by a boundary that no node evaluates"),
+        ('kind = "integral"\nslope = 0.4', "is triggered in continuous time"),
+    ],
+)
+def test_policies_that_cannot_live_on_a_device_say_why(run: Run, policy: str, told: str, tmp_path: Path) -> None:
+    """Those for analysis alone, and those that are triggered in continuous time."""
+    plant = "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n" + ("" if "integral" in policy else "dt = 0.1\n")
+    file = tmp_path / "policy.toml"
+    file.write_text(f"{plant}[cost]\nQ = [[1.0]]\nR = [[1.0]]\n[policy]\n{policy}\n")
+    assert told in run("export", str(file), "--c", str(tmp_path / "nodes")).sentence
+    assert not (tmp_path / "nodes").exists()

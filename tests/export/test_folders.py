@@ -1,0 +1,247 @@
+"""Folders of C99: what they compute has the bits of the design, whatever compiles them."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from catalogue import POLICIES
+from export.devices import STRICT, needs_compiler
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from parity.loops import every_feature
+from runtime.test_nodes import CONTINUOUS, build
+from systems import System, make_system, systems
+
+import taciturn
+from taciturn import Cost, Network, Plant, Reference, design
+from taciturn.errors import ProblemError
+from taciturn.export import node
+from taciturn.export.folder import MARK, CFolder, print_folder
+from taciturn.export.node import identifier
+from taciturn.export.vector import record_loop
+from taciturn.loop import Loop
+from taciturn.program.ir import Program
+from taciturn.study.export import bear_single, export_c
+
+AGREES = "ticks compared, every decision and every bit of the input agrees"
+SOME = (
+    "lqg joint model", "stochastic", "rollout", "self-triggered", "remote", "lossy tcp, delayed", "lossy udp, 30 steps",
+    "near-optimal", "variance", "integral",
+)  # fmt: skip
+BUILDS = [(compiler, level) for compiler in ("gcc", "clang") for level in ("-O0", "-O2")]
+
+
+def two_mass() -> Loop:
+    """Return the loop of the two masses."""
+    problem = taciturn.load("two-mass")
+    return problem.close(problem.design())
+
+
+def compile_check(folder: Path, compiler: str = "", options: Sequence[str] = ("-O1",)) -> Path:
+    """Return the self-check of a folder, compiled with every warning an error."""
+    compiler = compiler or needs_compiler()
+    if shutil.which(compiler) is None:
+        pytest.skip(f"NOT SHOWN: what {compiler} makes of exported nodes; there is none")
+    check = folder / "selfcheck"
+    sources = sorted(map(str, folder.glob("*.c")))
+    subprocess.run([compiler, *STRICT, *options, "-ffp-contract=off", *sources, "-lm", "-o", str(check)], check=True)
+    return check
+
+
+def run_check(check: Path, *arguments: str) -> tuple[int, str]:
+    """Return how a self-check ends, and its last line."""
+    done = subprocess.run([str(check), *arguments], capture_output=True, text=True, check=False)
+    assert not done.stderr
+    return done.returncode, done.stdout.strip().rpartition("\n")[2]
+
+
+def write(folder: Path, found: CFolder) -> Path:
+    """Write a folder, and return it."""
+    found.write(folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", SOME)
+def test_nodes_in_c_decide_as_the_design(name: str, tmp_path: Path) -> None:
+    """Schedules, draws, memories, missions, losses, acknowledgements, bells, several labels: 500 ticks."""
+    loop = build(name)
+    check = compile_check(write(tmp_path, print_folder(loop, "policy")))
+    assert run_check(check) == (0, f"policy: {min(500, loop.horizon or 500)} {AGREES}")
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+def test_nodes_in_c_decide_as_the_design_for_100_000_ticks(name: str, tmp_path: Path) -> None:
+    """Every policy with a tick, by gcc and clang, optimised or not: the bits of the build that has those of NumPy."""
+    loop = build(name)
+    ticks = min(100_000, loop.horizon or 100_000)
+    found = print_folder(loop, "policy", rows=1)
+    rows = record_loop(loop, ticks, 4).rows
+    rows.tofile(tmp_path / "rows")
+    assert rows[:, -len(found.vector.links) - found.vector.applied.shape[1] :].any()
+    for compiler, level in BUILDS:
+        check = compile_check(write(tmp_path / compiler / level, found), compiler, [level])
+        assert run_check(check, str(tmp_path / "rows")) == (0, f"policy: {ticks} {AGREES}")
+
+
+@pytest.mark.parametrize(("compiler", "level"), BUILDS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_compilers_agree(compiler: str, level: str, precision: str, tmp_path: Path) -> None:
+    """Nodes over links that lose packets, in both precisions, by both compilers, optimised or not."""
+    problem = taciturn.load("lossy-double-integrator")
+    loop = replace(problem.close(problem.design()), precision=precision)
+    check = compile_check(write(tmp_path, print_folder(loop, "lossy")), compiler, [level])
+    assert run_check(check) == (0, f"lossy: 100 {AGREES}")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@given(system=systems(states=4), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=4, deadline=None)
+def test_every_feature_of_a_policy_is_printed(
+    precision: str, system: System, seed: int, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """Losses, acknowledgements, clocks, locations, memories, draws and bells, all at once."""
+    loop = replace(every_feature(system, seed), precision=precision)
+    check = compile_check(write(tmp_path_factory.mktemp("every"), print_folder(loop, "every", rows=40)))
+    assert run_check(check) == (0, f"every: 40 {AGREES}")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_large_matrices_are_multiplied_in_loops(precision: str, tmp_path: Path) -> None:
+    """A plant of twenty states: the bits are those of the tiles."""
+    found = print_folder(replace(large(20), precision=precision), "large")
+    assert "for (size_t j = 0;" in found.files["large_controller.c"]
+    assert run_check(compile_check(write(tmp_path, found))) == (0, f"large: 500 {AGREES}")
+
+
+def large(n: int) -> Loop:
+    """Return the loop of a plant with so many states."""
+    system = make_system(3, n, 2, n // 2, False)
+    return taciturn.close(system.plant, design.lqg(system.plant, system.cost, theta=0.2, actuation="model"))
+
+
+def test_a_wrong_bit_is_found(tmp_path: Path) -> None:
+    """The self-check fails where a gain is off by one unit in the last place, or a decision is another."""
+    folder = write(tmp_path, print_folder(two_mass(), "two_mass"))
+    source = folder / "two_mass_controller.c"
+    text = source.read_text()
+    for old, new in (("0x1.4c784858cabbbp-1", "0x1.4c784858cabbcp-1"), ("<=", ">")):
+        assert text.count(old) >= 1
+        source.write_text(text.replace(old, new, 1))
+        code, line = run_check(compile_check(folder))
+        assert code == 1
+        assert line.startswith("tick ")
+        assert "expected" in line
+
+
+def test_one_node_is_exported_and_the_others_check_it(tmp_path: Path) -> None:
+    """Its library holds that node alone; the other ones are the self-check's."""
+    found = print_folder(two_mass(), "two_mass", nodes=["actuator"])
+    assert [one.role for one in found.nodes] == ["actuator"]
+    assert [one.role for one in found.peers] == ["controller"]
+    library = found.files["CMakeLists.txt"].partition("add_executable")[0]
+    assert "two_mass_actuator.c" in library
+    assert "controller" not in library
+    assert run_check(compile_check(write(tmp_path, found)))[0] == 0
+
+
+@pytest.mark.skipif(shutil.which("cmake") is None, reason="there is no cmake")
+def test_the_build_file_builds(tmp_path: Path) -> None:
+    """And its test passes."""
+    write(tmp_path, print_folder(two_mass(), "two_mass"))
+    subprocess.run(["cmake", "-B", "build", "."], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(["cmake", "--build", "build"], cwd=tmp_path, check=True, capture_output=True)
+    subprocess.run(["ctest", "--test-dir", "build"], cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path) -> None:
+    """What an earlier export left goes; what somebody else wrote stays."""
+    (tmp_path / "mine.c").write_text("int mine;\n")
+    write(tmp_path, print_folder(two_mass(), "old"))
+    write(tmp_path, print_folder(two_mass(), "new"))
+    names = {path.name for path in tmp_path.glob("*.[ch]")}
+    assert {"mine.c", "new_controller.c", "new_actuator.h"} <= names
+    assert not any(name.startswith("old") for name in names)
+    assert (tmp_path / "new_controller.c").read_text().startswith(MARK)
+
+
+def test_the_same_problem_gives_the_same_files() -> None:
+    """No date, no path, no order that changes."""
+    assert print_folder(two_mass(), "same").files == print_folder(two_mass(), "same").files
+
+
+@pytest.mark.parametrize(
+    ("text", "name"), [("two-mass", "two_mass"), ("3 tanks", "p3_tanks"), ("Größe 1", "gr_e_1"), ("***", "p")]
+)
+def test_names_become_identifiers(text: str, name: str) -> None:
+    """Letters, digits and underscores of ASCII, no digit first."""
+    assert identifier(text) == name
+
+
+def test_a_vector_holds_what_a_loop_did() -> None:
+    """Packets that came were sent, and sends are neither none nor all."""
+    problem = taciturn.load("lossy-double-integrator")
+    vector = record_loop(problem.close(problem.design()), 100, seed=3)
+    assert set(vector.links) == {"sensor", "actuator"}
+    assert (vector.arrived <= vector.sent).all()
+    assert 0 < vector.arrived.sum() < vector.sent.sum()
+    assert vector.rows.shape == (100, 2 + 0 + 2 + 2 + 1)
+
+
+def test_a_loop_that_leaves_the_range_of_numbers_is_refused() -> None:
+    """A policy that was designed for another plant."""
+    plant, cost = Plant([[0.9]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+    loop = taciturn.close(Plant([[9.0]], [[1.0]], [[1.0]]), design.lqg(plant, cost, theta=0.1), cost=cost)
+    with pytest.raises(ProblemError, match=r"leaves the range of float64 after \d+ ticks"):
+        print_folder(loop, "unstable")
+
+
+def test_what_a_device_cannot_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A node with more numbers than the core's data can say."""
+    monkeypatch.setitem(node.MOST, "memory", 3)
+    with pytest.raises(ProblemError, match="has 5 numbers in its memory; expected at most 3 on a device"):
+        print_folder(two_mass(), "two_mass")
+
+
+def test_what_has_no_nodes_is_refused(tmp_path: Path) -> None:
+    """A policy without a tick, one for analysis, a node that is none, a folder that cannot be."""
+    problem = taciturn.load("two-mass")
+    with pytest.raises(ProblemError, match="the node is 'sensor'; expected one of controller, actuator"):
+        export_c(problem, tmp_path, nodes=["sensor"])
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ProblemError, match=r"the folder .*file/x cannot be written to \(Not a directory\)"):
+        export_c(problem, tmp_path / "file" / "x")
+    with pytest.raises(ProblemError, match="precision is 'float16'; expected"):
+        export_c(problem, tmp_path, precision="float16")  # type: ignore[arg-type]
+    assert not (tmp_path / "x").exists()
+
+
+def test_single_precision_is_refused_where_the_loop_does_not_bear_it() -> None:
+    """Ten kilometres from the origin it cannot tell tenths of a millimetre apart; at a metre it can."""
+    assert bear_single(hovering(1.0)).precision == "float32"
+    with pytest.raises(ProblemError, match=r"precision is 'float32', in which the loop costs .*'; expected 'float64'"):
+        bear_single(hovering(1e4))
+
+
+def hovering(place: float) -> Loop:
+    """Return a loop that keeps a robot at a place, to a tenth of a millimetre."""
+    followed = Reference(np.full((101, 1), place), np.zeros((100, 1)))
+    plant, cost = Plant([[1.0]], [[1.0]], [[1e-8]], mean=[place]), Cost([[1.0]], [[1.0]], horizon=100)
+    network = Network("udp", 0.1, 0.1)
+    return taciturn.close(plant, design.lossy_lqg(plant, cost, price=1e-9, network=network, reference=followed))
+
+
+def test_programs_that_need_a_library_of_mathematics_are_not_printed() -> None:
+    """No node takes a root: if one did, it would be said."""
+    from taciturn.program.c import print_c
+    from taciturn.program.ops import Op
+
+    program = Program((Op("input", (0,)), Op("sqrt", (0,))), (), (), ("x",), (), (), {}, {"root": 1})
+    with pytest.raises(AssertionError, match="C knows no sqrt"):
+        print_c(program, "root", [0])
