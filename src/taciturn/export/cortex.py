@@ -103,7 +103,7 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
     objects = _compile(board, folder, main, into, level)
     program = into / "program.elf"
     linked = ["-nostartfiles", "--specs=rdimon.specs", "-T", "board.ld", "-o", program.name]
-    _call("arm-none-eabi-gcc", [*board.flags, level, *main.flags, *linked, *objects], into)
+    _call("arm-none-eabi-gcc", [*board.flags, level, *main.flags, *linked, *objects, "-lm"], into)
     return program
 
 
