@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as Xml
 
-from taciturn import __version__
+from taciturn._version import __version__
 from taciturn.loop import Loop
 from taciturn.model.policy import LinkName, Send
 from taciturn.model.wire import LINKS
