@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from taciturn import _print
 from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
+
+if TYPE_CHECKING:
+    from taciturn.export.cortex import Sizes
 
 
 @app.command()
@@ -28,6 +31,8 @@ def export(
     """Write a policy as C99 for a device, or as a unit for other simulators: with the same decisions, bit for bit."""
     import taciturn
     from taciturn.errors import ProblemError
+    from taciturn.export.cortex import measure_somewhere
+    from taciturn.export.folder import CFolder
 
     if (c is None) == (fmu is None):
         given = "neither --c nor --fmu is" if c is None else "--c and --fmu are both"
@@ -47,7 +52,27 @@ def export(
             found = taciturn.export_fmu(
                 problem, fmu, name=name, version=version, precision=exact, seed=seed, progress=progress
             )
+    document, lines = found.document(), found.lines()
+    if isinstance(found, CFolder):
+        measured = measure_somewhere(found)
+        sizes = {} if measured is None else {name: one._asdict() for name, one in measured[1].items()}
+        document["sizes"] = None if measured is None else {"processor": measured[0], **sizes}
+        lines += _lines(measured)
     if as_json:
-        print_json(found.document())
+        print_json(document)
     else:
-        _print.pairs(found.lines())
+        _print.pairs(lines)
+
+
+def _lines(measured: tuple[str, dict[str, Sizes]] | None) -> list[tuple[str, str]]:
+    """Return what is printed of the sizes of nodes."""
+    if measured is None:
+        return [("sizes", "not measured, as there is no compiler: apt install gcc-arm-none-eabi, or gcc")]
+    processor, sizes = measured
+    return [
+        (
+            f"size, {name}",
+            f"{one.code} bytes of code, {one.constants} of constants, {one.memory} of memory ({processor})",
+        )
+        for name, one in sizes.items()
+    ]

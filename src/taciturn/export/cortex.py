@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 import subprocess
 from collections.abc import Mapping, Sequence
@@ -22,6 +23,9 @@ PACKAGES = {  # of Debian
     "arm-none-eabi-size": "binutils-arm-none-eabi",
     "arm-none-eabi-nm": "binutils-arm-none-eabi",
     "qemu-system-arm": "qemu-system-arm",
+    "cc": "gcc libc6-dev",
+    "size": "binutils",
+    "nm": "binutils",
 }
 COUNTING = ("-icount", "shift=7")  # board.h tells why
 PATIENCE = 60.0  # seconds that a run may take
@@ -35,11 +39,18 @@ class Board(NamedTuple):
         processor: its name.
         machine: what QEMU calls the board.
         flags: of the compiler.
+        prefix: of the names of its tools.
     """
 
     processor: str
     machine: str
     flags: tuple[str, ...]
+    prefix: str = "arm-none-eabi-"
+
+    @property
+    def compiler(self) -> str:
+        """Name of the compiler."""
+        return f"{self.prefix}gcc" if self.prefix else "cc"
 
 
 M3 = Board("Cortex-M3", "mps2-an385", ("-mcpu=cortex-m3", "-mthumb"))
@@ -47,6 +58,7 @@ M4F = Board(
     "Cortex-M4F", "mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 )  # whose floating-point unit knows single precision alone
 BOARDS: Mapping[str, Board] = {"m3": M3, "m4f": M4F}
+HOST = Board(platform.machine(), "", (), "")  # this machine, which no emulator runs
 
 
 class Main(NamedTuple):
@@ -100,24 +112,27 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
     Raises:
         ProblemError: no compiler, or it refuses.
     """
-    objects = _compile(board, folder, main, into, level)
+    objects = _compile(board, folder, (*main.files, "startup.c"), into, level, main)
     program = into / "program.elf"
     linked = ["-nostartfiles", "--specs=rdimon.specs", "-T", "board.ld", "-o", program.name]
-    _call("arm-none-eabi-gcc", [*board.flags, level, *main.flags, *linked, *objects, "-lm"], into)
+    _call(board.compiler, [*board.flags, level, *main.flags, *linked, *objects, "-lm"], into)
     return program
 
 
-def _compile(board: Board, folder: CFolder, main: Main, into: Path, level: Level) -> list[str]:
-    """Write all sources and compile them; return the names of the objects."""
+def _compile(
+    board: Board, folder: CFolder, sources: Sequence[str], into: Path, level: Level, main: Main | None = None
+) -> list[str]:
+    """Write all sources and compile some of them, and those that a program brings; return the names of the objects."""
+    main = main or Main(())
     folder.write(into)
     ours = files("taciturn.export") / "board"
     for name in ("board.h", "board.ld", "startup.c", "loop.c", "measure.c"):
         write_whole(into / name, (ours / name).read_bytes())
     for name, text in main.own.items():
         write_whole(into / name, text.encode())
-    sources = ["startup.c", *main.files, *(name for name in main.own if name.endswith(".c"))]
+    sources = [*sources, *(name for name in main.own if name.endswith(".c"))]
     warned = [flag for flag in FLAGS.split() if not flag.startswith("-O")]
-    _call("arm-none-eabi-gcc", [*warned, "-Werror", level, *board.flags, *main.flags, "-c", *sources], into)
+    _call(board.compiler, [*warned, "-Werror", level, *board.flags, *main.flags, "-c", *sources], into)
     return [Path(name).with_suffix(".o").name for name in sources]
 
 
@@ -148,17 +163,35 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
     """
     with TemporaryDirectory() as name:
         into = Path(name)
-        sources = [name for name in self_check(folder).files if name != "selfcheck.c"]
-        _compile(board, folder, Main(tuple(sources)), into, level)
-        symbols = _call("arm-none-eabi-nm", ["-S", "selfcheck_data.o"], into).splitlines()
+        _compile(board, folder, [name for name in self_check(folder).files if name != "selfcheck.c"], into, level)
+        symbols = _call(f"{board.prefix}nm", ["-S", "selfcheck_data.o"], into).splitlines()
         known = {words[3]: int(words[1], 16) for words in map(str.split, symbols) if len(words) == 4}
-        found = {node.role: _sections(into, [node.name])._replace(memory=known[node.role]) for node in folder.nodes}
-        return {**found, "core": _sections(into, [Path(name).stem for name in CORE if name.endswith(".c")])}
+        found = {
+            node.role: _sections(board, into, [node.name])._replace(memory=known[node.role]) for node in folder.nodes
+        }
+        return {**found, "core": _sections(board, into, [Path(name).stem for name in CORE if name.endswith(".c")])}
 
 
-def _sections(into: Path, stems: Sequence[str]) -> Sizes:
+def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
+    """Return what each node takes on a Cortex-M, or on this machine where that has no compiler; None: neither has.
+
+    Args:
+        folder: the nodes; optimised for size.
+
+    Returns:
+        The processor and the sizes of each node, and of the ``"core"``.
+    """
+    for board in (M4F if folder.single else M3, HOST):
+        try:
+            return board.processor, measure_sizes(board, folder, "-Os")
+        except ProblemError:  # no such compiler
+            continue
+    return None
+
+
+def _sections(board: Board, into: Path, stems: Sequence[str]) -> Sizes:
     sizes = [0, 0, 0]
-    for line in _call("arm-none-eabi-size", ["-A", *(f"{stem}.o" for stem in stems)], into).splitlines():
+    for line in _call(f"{board.prefix}size", ["-A", *(f"{stem}.o" for stem in stems)], into).splitlines():
         for kind, begins in enumerate(((".text",), (".rodata",), (".data", ".bss"))):
             if line.startswith(begins):
                 sizes[kind] += int(line.split()[1])
