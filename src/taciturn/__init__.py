@@ -60,6 +60,7 @@ if TYPE_CHECKING:
     from taciturn.study.evaluate import Evaluation as Evaluation
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.export import export_c as export_c
+    from taciturn.study.export import export_fmu as export_fmu
     from taciturn.study.losses import find_losses as find_losses
     from taciturn.study.network import NetworkRun as NetworkRun
     from taciturn.study.network import run_network as run_network
@@ -121,6 +122,7 @@ _HOME = {
     "difference": "simulation.average",
     "evaluate": "study.evaluate",
     "export_c": "study.export",
+    "export_fmu": "study.export",
     "find_losses": "study.losses",
     "from_control": "runtime.control",
     "load": "problem",

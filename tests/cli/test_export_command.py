@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import zipfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,8 @@ import pytest
 
 if TYPE_CHECKING:
     from conftest import Run
+
+PLANT = "[plant]\nA = [[0, 1], [0, 0]]\nB = [[0], [1]]\n"
 
 
 @pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
@@ -34,10 +37,28 @@ def test_an_export_is_told(run: Run, tmp_path: Path) -> None:
     assert [line.split()[0] for line in answer.out.splitlines()] == ["policy", "sensor", "self-check"]
 
 
+@pytest.mark.parametrize("version", ["3.0", "2.0"])
+def test_two_masses_become_a_unit(run: Run, version: str, tmp_path: Path) -> None:
+    """Of either version; what it does is tested elsewhere."""
+    path = tmp_path / "two-mass.fmu"
+    answer = run("export", "two-mass", "--fmu", str(path), "--fmi", version, "--json")
+    assert (answer.code, answer.err) == (0, "")
+    document = json.loads(answer.out)
+    assert (document["name"], document["fmi"]) == ("two_mass", version)
+    assert "modelDescription.xml" in zipfile.ZipFile(path).namelist()
+    assert run("export", "two-mass", "--fmu", str(path)).out.splitlines()[0].split() == ["policy", "lqg"]
+
+
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "neither --c nor --fmu is given; expected where to write to"),
+        ([], "neither --c nor --fmu is given; expected one of them: where to write to"),
+        (["--c", "nodes", "--fmu", "unit.fmu"], "--c and --fmu are both given; expected one of them"),
+        (["--fmu", "unit.fmu", "--node", "actuator"], "--node is given without --c"),
+        (["--c", "nodes", "--fmi", "2.0"], "--fmi is given without --fmu"),
+        (["--fmu", "unit.fmu", "--fmi", "1.0"], "the version of FMI is '1.0'; expected '3.0' or '2.0'"),
+        (["--fmu", "unit.zip"], "expected a name that ends in .fmu"),
+        (["--fmu", "/proc/unit.fmu"], "/proc/unit.fmu cannot be written"),
         (["--c", "/proc/nodes"], "the folder /proc/nodes cannot be written to"),
         (["--c", "nodes", "--node", "camera"], "the node is 'camera'; expected one of controller, actuator"),
         (["--c", "nodes", "--precision", "float16"], "precision is 'float16'; expected"),
@@ -57,13 +78,14 @@ def test_mistakes_are_told_in_a_sentence(
     ("policy", "told"),
     [
         ('kind = "optimal"\nprice = 1.0', "decides by a boundary that no node evaluates"),
-        ('kind = "integral"\nslope = 0.4', "is triggered in continuous time"),
+        ('kind = "integral"\nslope = 0.8', "is triggered in continuous time"),
     ],
 )
 def test_policies_that_cannot_live_on_a_device_say_why(run: Run, policy: str, told: str, tmp_path: Path) -> None:
     """Those for analysis alone, and those that are triggered in continuous time."""
-    plant = "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n" + ("" if "integral" in policy else "dt = 0.1\n")
+    noise = "[plant.jumps]\nrate = 5\ncovariance = [[0, 0], [0, 0.5]]\n"
+    noise = noise if "integral" in policy else "W = [[0.1, 0], [0, 1]]\ndt = 0.1\n"
     file = tmp_path / "policy.toml"
-    file.write_text(f"{plant}[cost]\nQ = [[1.0]]\nR = [[1.0]]\n[policy]\n{policy}\n")
+    file.write_text(f"{PLANT}{noise}[cost]\nQ = [[1, 0], [0, 1]]\nR = [[0.1]]\n[policy]\n{policy}\n")
     assert told in run("export", str(file), "--c", str(tmp_path / "nodes")).sentence
     assert not (tmp_path / "nodes").exists()

@@ -220,6 +220,19 @@ def test_an_interrupted_sweep_says_where_it_goes_on(tmp_path: Path) -> None:
     assert all(store.read("".join(file.parts[-2:])) for file in files(tmp_path / "s"))
 
 
+def test_an_interrupt_within_a_submission_ends_the_pool() -> None:
+    """Work that is noted and not queued yet is not waited for."""
+    text = (
+        "from unittest.mock import patch\n"
+        "from taciturn.study.workers import processes\n"
+        "if __name__ == '__main__':\n"
+        "    with processes(2) as pool, patch.object(pool._work_ids, 'put', side_effect=KeyboardInterrupt):\n"
+        "        pool.submit(abs, 1)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", text], stderr=subprocess.PIPE, text=True, check=False, timeout=60)
+    assert done.stderr.strip().endswith("KeyboardInterrupt")
+
+
 def test_the_processes_of_a_killed_sweep_end(tmp_path: Path) -> None:
     """They would wait for work for ever."""
     grid = "theta=" + ",".join(f"{0.1 + 0.01 * i:.2f}" for i in range(200))

@@ -212,7 +212,8 @@ def test_what_is_vendored_is_what_the_list_says() -> None:
     """Every file by its digest, with version and licence."""
     text = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"`(src/[^`]+)` \| `(\w{64})`", text))
-    assert set(listed) == {str(path.relative_to(ROOT)) for path in ROOT.glob("src/taciturn/twin/web/uPlot*")}
+    vendored = [*ROOT.glob("src/taciturn/twin/web/uPlot*"), *ROOT.glob("src/taciturn/export/fmi/*")]
+    assert set(listed) == {str(path.relative_to(ROOT)) for path in vendored}
     for name, digest in listed.items():
         assert hashlib.sha256((ROOT / name).read_bytes()).hexdigest() == digest, name
     version = re.search(r"\(v([\d.]+)\)", (ROOT / "src/taciturn/twin/web/uPlot.iife.min.js").read_text("utf-8")[:300])

@@ -21,22 +21,32 @@ def export(
         typer.Option("--node", metavar="sensor|controller|actuator", help="With --c: this node alone. Default: all."),
     ] = None,
     precision: Annotated[str, typer.Option(help="Of their numbers: float64 or float32.")] = "float64",
+    fmi: Annotated[str | None, typer.Option(metavar="3.0|2.0", help="With --fmu: version. Default: 3.0.")] = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:
     """Write a policy as C99 for a device, or as a unit for other simulators: with the same decisions, bit for bit."""
     import taciturn
     from taciturn.errors import ProblemError
-    from taciturn.study.export import export_c
 
-    if c is None:
-        raise ProblemError("neither --c nor --fmu is given; expected where to write to")
-    problem = taciturn.load(file)
+    if (c is None) == (fmu is None):
+        given = "neither --c nor --fmu is" if c is None else "--c and --fmu are both"
+        raise ProblemError(f"{given} given; expected one of them: where to write to")
+    for option, value, needed, missing in (("--node", nodes, "--c", c is None), ("--fmi", fmi, "--fmu", fmu is None)):
+        if value and missing:
+            raise ProblemError(f"{option} is given without {needed}; expected both, or neither")
+    problem, name, exact = taciturn.load(file), Path(file).stem, cast("Any", precision)
     with progress_bar("comparing precisions") as progress:
-        found = export_c(
-            problem, c, name=Path(file).stem, nodes=cast("Any", nodes or ()), precision=cast("Any", precision),
-            seed=seed, progress=progress,
-        )  # fmt: skip
+        if c is not None:
+            found = taciturn.export_c(
+                problem, c, name=name, nodes=cast("Any", nodes or ()), precision=exact, seed=seed, progress=progress
+            )
+        else:
+            assert fmu is not None
+            version = cast("Any", fmi or "3.0")
+            found = taciturn.export_fmu(
+                problem, fmu, name=name, version=version, precision=exact, seed=seed, progress=progress
+            )
     if as_json:
         print_json(found.document())
     else:

@@ -21,6 +21,7 @@ from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
 CORE = ("taciturn.h", "taciturn_packet.c", "taciturn_node.c")
+EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
 WAITING = 4  # packets that came early, for each link: a power of two
 ROWS = 500  # ticks of the self-check
@@ -127,7 +128,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
     peers = tuple(node for node in found if node not in chosen)
     vector = record_loop(loop, min(rows, loop.horizon or rows), seed)
     core = files("taciturn.export") / "core"
-    texts = {file: (core / file).read_text(encoding="utf-8") for file in (*CORE, *CHECK)}
+    texts = {file: (core / file).read_text(encoding="utf-8") for file in (*CORE, *EXCHANGE, *CHECK)}
     for node in found:
         texts |= {f"{node.name}.h": node.header, f"{node.name}.c": node.source}
     shapes = packet_shapes(policy, network).values()
@@ -140,7 +141,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         "selfcheck_data.c": _print_check(name, found, vector, loop),
         "CMakeLists.txt": _CMAKE.format(
             name=name, files="\n  ".join([*CORE[1:], *(f"{node.name}.c" for node in chosen)]), flags=FLAGS,
-            check="\n  ".join([CHECK[1], "selfcheck_data.c", *(f"{node.name}.c" for node in peers)]),
+            check="\n  ".join([CHECK[1], EXCHANGE[1], "selfcheck_data.c", *(f"{node.name}.c" for node in peers)]),
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), policy.kind, precision == "float32"),
     }  # fmt: skip

@@ -42,13 +42,14 @@ class Vector:
         return np.hstack([self.measured, self.drawn, self.arrived, self.sent, self.applied])
 
 
-def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
+def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> Vector:
     """Run a loop by the parity build of its program, whose bits are those of NumPy.
 
     Args:
         loop: the loop; in single precision where its nodes compute so.
         ticks: to run.
         seed: of noise, losses and draws.
+        drawn: the policy's own draws, (ticks, draws), instead of those of the seed.
 
     Raises:
         ProblemError: the loop is so unstable that it leaves the range of numbers.
@@ -61,15 +62,17 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0) -> Vector:
         values = generator.standard_normal((ticks, spread.shape[1])) @ spread.T
         supplied |= {f"{name} {i}": column for i, column in enumerate(values.T)}
     inputs = np.array([supplied[name] if name in supplied else generator.random(ticks) for name in program.inputs])
+    own = [program.inputs.index(f"{UNIFORM} {i}") for i in drawn_by_the_policy(loop)]
+    if drawn is not None:
+        inputs[own] = drawn.T
     run = machine.Kernel(program, "parity").run if machine.available() else interpreter.run
     outputs = run(program, loop.start(program, 1, seed), ticks, inputs.T[:, :, None]).outputs
     found = {name: values[:, 0] for name, values in outputs.items()}
     links: tuple[LinkName, ...] = tuple(step.link for step in loop.policy.steps if isinstance(step, Send))
-    own = [f"{UNIFORM} {i}" for i in drawn_by_the_policy(loop)]
     vector = Vector(
         links,
         _columns([found[f"y {i}"] for i in range(plant.outputs)], ticks),
-        _columns([inputs[program.inputs.index(name)] for name in own], ticks),
+        _columns([inputs[i] for i in own], ticks),
         _columns([found[f"arrived {link}"] for link in links], ticks),
         _columns([found[f"sent {link}"] for link in links], ticks),
         _columns([found[f"applied {i}"] for i in range(plant.inputs)], ticks),

@@ -35,7 +35,8 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         return
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
-    with ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent) as pool:
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent)
+    try:
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is this process's alone
         try:
             for _ in range(workers):
@@ -43,6 +44,8 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         finally:
             signal.signal(signal.SIGINT, before)
         yield pool
+    finally:  # without cancelling, work whose submission Ctrl-C has cut in two would be waited for
+        pool.shutdown(cancel_futures=True)
 
 
 def _end_with_parent() -> None:

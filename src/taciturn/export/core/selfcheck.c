@@ -8,66 +8,11 @@
 #include <string.h>
 
 #include "selfcheck.h"
+#include "taciturn_exchange.h"
 
-#define NODES 3
-#define WAITING 8
 #define NUMBERS 1024
-#define KIND_AT 5
-#define LINK_AT 6
 
-typedef struct {
-  uint8_t bytes[TAC_DATAGRAM];
-  size_t size;
-} datagram;
-
-static tac_node *nodes[NODES];
-static datagram boxes[NODES][WAITING];
-static size_t counts[NODES];
-
-static size_t listener(unsigned kind, unsigned link)
-{
-  for (size_t i = 0; i < selfcheck_node_count; ++i) {
-    for (size_t c = 0; c < nodes[i]->data->channel_count; ++c) {
-      const tac_channel_data *channel = &nodes[i]->data->channels[c];
-      if ((channel->kind == kind) && (channel->link == link)) {
-        return i;
-      }
-    }
-  }
-  return NODES;
-}
-
-static size_t place_of(unsigned link)
-{
-  size_t i = 0;
-  while ((i < selfcheck_link_count) && (selfcheck_links[i] != link)) {
-    ++i;
-  }
-  return i;
-}
-
-/* Hand the packets of a node on, but for those that are lost; note which links were used. */
-static bool deliver(tac_node *node, const tac_real *arrived, bool *sent)
-{
-  datagram next;
-  while ((next.size = tac_send(node, next.bytes)) > 0u) {
-    const unsigned kind = next.bytes[KIND_AT];
-    const unsigned link = next.bytes[LINK_AT];
-    const size_t to = listener(kind, link);
-    if (kind == TAC_DATA) {
-      sent[place_of(link)] = true;
-    }
-    if ((to == NODES) || ((kind == TAC_DATA) && !(arrived[place_of(link)] > 0))) {
-      continue;
-    }
-    if (counts[to] == WAITING) {
-      return false;
-    }
-    boxes[to][counts[to]] = next;
-    ++counts[to];
-  }
-  return true;
-}
+static tac_exchange exchange;
 
 static bool step(uint64_t tick, const tac_real *row)
 {
@@ -75,28 +20,27 @@ static bool step(uint64_t tick, const tac_real *row)
   const tac_real *arrived = drawn + selfcheck_drawn;
   const tac_real *expected = arrived + selfcheck_link_count;
   const tac_real *applied = expected + selfcheck_link_count;
-  bool sent[] = {false, false, false};
-  for (size_t i = 0; i < selfcheck_node_count; ++i) {
-    tac_node *node = nodes[i];
-    for (size_t k = 0; k < counts[i]; ++k) {
-      (void)tac_receive(node, boxes[i][k].bytes, boxes[i][k].size);
-    }
-    counts[i] = 0;
-    if (!tac_step(node, tick, row, (node->data->drawn_count > 0u) ? drawn : NULL) || !deliver(node, arrived, sent)) {
-      printf("tick %lu: the %s does not go on\n", (unsigned long)tick, selfcheck_nodes[i].name);
-      return false;
-    }
-    const tac_real *input = tac_input(node);
-    if ((input != NULL) && (memcmp(input, applied, selfcheck_applied * sizeof *input) != 0)) {
-      printf("tick %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[0],
-             (double)applied[0]);
-      return false;
-    }
+  bool lost[TAC_LINKS] = {false, false};
+  bool sent[TAC_LINKS];
+  for (size_t i = 0; i < selfcheck_link_count; ++i) {
+    lost[selfcheck_links[i]] = !(arrived[i] > 0);
+  }
+  const size_t done = tac_exchange_step(&exchange, tick, row, drawn, lost, sent);
+  if (done < exchange.count) {
+    printf("tick %lu: the %s does not go on\n", (unsigned long)tick, selfcheck_nodes[done].name);
+    return false;
+  }
+  const tac_real *input = tac_exchange_input(&exchange);
+  if ((input != NULL) && (memcmp(input, applied, selfcheck_applied * sizeof *input) != 0)) {
+    printf("tick %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[0],
+           (double)applied[0]);
+    return false;
   }
   for (size_t i = 0; i < selfcheck_link_count; ++i) {
-    if (sent[i] != (expected[i] > 0)) {
+    const bool used = sent[selfcheck_links[i]];
+    if (used != (expected[i] > 0)) {
       printf("tick %lu: link %u was %s\n", (unsigned long)tick, (unsigned)selfcheck_links[i],
-             sent[i] ? "used; expected silence" : "silent; expected a packet");
+             used ? "used; expected silence" : "silent; expected a packet");
       return false;
     }
   }
@@ -121,8 +65,9 @@ int main(int count, char **arguments)
     return 2;
   }
   for (size_t i = 0; i < selfcheck_node_count; ++i) {
-    nodes[i] = selfcheck_nodes[i].start();
+    exchange.nodes[i] = selfcheck_nodes[i].start();
   }
+  exchange.count = selfcheck_node_count;
   for (;;) {
     const tac_real *row = held;
     if (file != NULL) {
@@ -140,7 +85,7 @@ int main(int count, char **arguments)
     ++tick;
   }
   for (size_t i = 0; i < selfcheck_node_count; ++i) {
-    if (tac_degraded(nodes[i])) {
+    if (tac_degraded(exchange.nodes[i])) {
       printf("the %s is degraded; expected that nothing is lost but what is to be\n", selfcheck_nodes[i].name);
       return 1;
     }

@@ -1,0 +1,76 @@
+/* Carries datagrams between the nodes of one process. */
+#include "taciturn_exchange.h"
+
+enum { KIND_AT = 5, LINK_AT = 6 }; /* bytes of a datagram */
+
+/* Return which node listens to packets of a kind on a link; `count`: none. */
+static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigned link) {
+  for (size_t i = 0U; i < exchange->count; i++) {
+    const tac_node_data *data = exchange->nodes[i]->data;
+    for (unsigned c = 0U; c < data->channel_count; c++) {
+      if (data->channels[c].kind == kind && data->channels[c].link == link) {
+        return i;
+      }
+    }
+  }
+  return exchange->count;
+}
+
+/* Hand on what a node sends, but for what is lost; note which links were used. false: a box is full. */
+static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, bool *sent) {
+  tac_datagram next;
+  while ((next.size = tac_send(node, next.bytes)) > 0U) {
+    unsigned kind = next.bytes[KIND_AT];
+    unsigned link = next.bytes[LINK_AT];
+    size_t to = find_listener(exchange, kind, link);
+    bool data = kind == (unsigned)TAC_DATA && link < (unsigned)TAC_LINKS;
+    if (data) {
+      sent[link] = true;
+    }
+    if (to == exchange->count || (data && lost[link])) {
+      continue;
+    }
+    if (exchange->waiting[to] == (size_t)TAC_BOX) {
+      return false;
+    }
+    exchange->boxes[to][exchange->waiting[to]] = next;
+    exchange->waiting[to]++;
+  }
+  return true;
+}
+
+size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
+                         const bool *lost, bool *sent) {
+  size_t i = 0U;
+  for (size_t link = 0U; link < (size_t)TAC_LINKS; link++) {
+    sent[link] = false;
+  }
+  for (; i < exchange->count; i++) {
+    tac_node *node = exchange->nodes[i];
+    for (size_t k = 0U; k < exchange->waiting[i]; k++) {
+      (void)tac_receive(node, exchange->boxes[i][k].bytes, exchange->boxes[i][k].size);
+    }
+    exchange->waiting[i] = 0U;
+    if (!tac_step(node, tick, measurement, (node->data->drawn_count > 0U) ? drawn : NULL) ||
+        !deliver(exchange, node, lost, sent)) {
+      break;
+    }
+  }
+  return i;
+}
+
+const tac_real *tac_exchange_input(const tac_exchange *exchange) {
+  const tac_real *input = NULL;
+  for (size_t i = 0U; input == NULL && i < exchange->count; i++) {
+    input = tac_input(exchange->nodes[i]);
+  }
+  return input;
+}
+
+bool tac_exchange_degraded(const tac_exchange *exchange) {
+  bool degraded = false;
+  for (size_t i = 0U; i < exchange->count; i++) {
+    degraded = degraded || tac_degraded(exchange->nodes[i]);
+  }
+  return degraded;
+}

@@ -1,0 +1,177 @@
+"""What a functional mock-up unit says of itself: its variables, and the files in XML that list them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+from xml.etree import ElementTree as Xml
+
+from taciturn._version import __version__
+from taciturn.loop import Loop
+from taciturn.model.policy import LinkName, Send
+from taciturn.model.wire import LINKS
+
+Version = Literal["3.0", "2.0"]
+REFERENCES = {"time": 0, "degraded": 1, "lost": 16, "sent": 32, "sends": 48, "y": 1024, "u": 2048}  # of first ones
+_TYPES = {
+    "number": {"3.0": "Float64", "2.0": "Real"},
+    "truth": {"3.0": "Boolean", "2.0": "Boolean"},
+    "count": {"3.0": "UInt64", "2.0": "Integer"},
+}
+_STARTS = {"number": "0", "truth": "false"}  # of inputs
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of a unit.
+
+    Args:
+        name: as FMI structures it.
+        reference: by which it is read and written.
+        kind: of its value: a real number, a truth value, or a whole number that only grows.
+        causality: who sets it.
+        text: what it is.
+    """
+
+    name: str
+    reference: int
+    kind: Literal["number", "truth", "count"]
+    causality: Literal["independent", "input", "output"]
+    text: str
+
+
+def used_links(loop: Loop) -> tuple[LinkName, ...]:
+    """Return the links between nodes that packets go over, in the order of their numbers."""
+    found: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    return tuple(sorted(found, key=LINKS.index))
+
+
+def tick_length(loop: Loop) -> float:
+    """Return the seconds of a tick; 1 where the problem does not say."""
+    return loop.problem.plant.dt or 1.0
+
+
+def may_lose(loop: Loop) -> bool:
+    """Return whether packets may be lost, by the network that the policy is for."""
+    return loop.network.protocol != "ideal"
+
+
+def list_variables(loop: Loop) -> tuple[Variable, ...]:
+    """Return the variables of the unit of a loop's policy, but for the time."""
+    links, first, model = used_links(loop), REFERENCES, loop.policy.model
+    found = [
+        Variable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
+        for i in range(model.outputs)
+    ]
+    if may_lose(loop):
+        found += [
+            Variable(
+                f"lost_{link}", first["lost"] + LINKS.index(link), "truth", "input",
+                f"A packet that is sent on the {link} link in the next step is lost",
+            )
+            for link in links
+        ]  # fmt: skip
+    found += [
+        Variable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"Input {i + 1} of the plant")
+        for i in range(model.inputs)
+    ]
+    for link in links:
+        found += [
+            Variable(
+                f"sent_{link}", first["sent"] + LINKS.index(link), "truth", "output",
+                f"A packet was sent on the {link} link in the last step",
+            ),
+            Variable(
+                f"sends_{link}", first["sends"] + LINKS.index(link), "count", "output",
+                f"Packets that were sent on the {link} link so far",
+            ),
+        ]  # fmt: skip
+    what = "Something has happened that the theory of the policy does not know"
+    return (*found, Variable("degraded", first["degraded"], "truth", "output", what))
+
+
+def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
+    """Return the model description of a unit.
+
+    Args:
+        loop: whose policy it is.
+        name: of the model, and of its files.
+        version: of FMI.
+        token: that tells the unit apart.
+        sources: files to compile.
+        ticks: that an importer may try.
+    """
+    tick, variables = tick_length(loop), list_variables(loop)
+    new = version == "3.0"
+    root = Xml.Element("fmiModelDescription", {
+        "fmiVersion": version, "modelName": name, "instantiationToken" if new else "guid": token,
+        "description": f"Event-triggered policy of kind {loop.policy.kind}, one tick a step",
+        "generationTool": f"taciturn {__version__}", "variableNamingConvention": "structured",
+    })  # fmt: skip
+    capabilities = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "false"}
+    capabilities |= {f"canGetAndSetFMU{'State' if new else 'state'}": "true"}
+    capabilities |= {f"canSerializeFMU{'State' if new else 'state'}": "true"}
+    if new:
+        Xml.SubElement(root, "CoSimulation", {**capabilities, "fixedInternalStepSize": repr(tick)})
+    else:
+        unit = Xml.SubElement(root, "CoSimulation", {**capabilities, "canNotUseMemoryManagementFunctions": "true"})
+        listed = Xml.SubElement(unit, "SourceFiles")
+        for source in sources:
+            Xml.SubElement(listed, "File", {"name": source})
+    categories = Xml.SubElement(root, "LogCategories")
+    Xml.SubElement(categories, "Category", {"name": "logStatusError", "description": "Why something was refused"})
+    Xml.SubElement(
+        root, "DefaultExperiment", {"startTime": "0", "stopTime": repr(tick * ticks), "stepSize": repr(tick)}
+    )
+    _list(root, variables, version)
+    _structure(root, variables, version)
+    return _text(root)
+
+
+def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
+    """Return how the sources of a unit of FMI 3.0 are built."""
+    root = Xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
+    build = Xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
+    listed = Xml.SubElement(build, "SourceFileSet", {"language": "C99"})
+    for source in sources:
+        Xml.SubElement(listed, "SourceFile", {"name": source})
+    return _text(root)
+
+
+def _list(root: Xml.Element, variables: tuple[Variable, ...], version: Version) -> None:
+    listed = Xml.SubElement(root, "ModelVariables")
+    if version == "3.0":
+        time = {"name": "time", "valueReference": str(REFERENCES["time"]), "causality": "independent"}
+        Xml.SubElement(listed, "Float64", {**time, "variability": "continuous", "description": "Time in seconds"})
+    for one in variables:
+        said = {
+            "name": one.name, "valueReference": str(one.reference), "description": one.text,
+            "causality": one.causality, "variability": "discrete",
+        }  # fmt: skip
+        start = {"start": _STARTS[one.kind]} if one.causality == "input" else {}
+        initial = {"initial": "calculated"} if one.causality == "output" else {}
+        if version == "3.0":
+            Xml.SubElement(listed, _TYPES[one.kind][version], {**said, **initial, **start})
+        else:
+            Xml.SubElement(
+                Xml.SubElement(listed, "ScalarVariable", {**said, **initial}), _TYPES[one.kind][version], start
+            )
+
+
+def _structure(root: Xml.Element, variables: tuple[Variable, ...], version: Version) -> None:
+    """List the outputs: only a step changes them, so that none depends on an input of the same time."""
+    structure = Xml.SubElement(root, "ModelStructure")
+    for old, new in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
+        parent = structure if version == "3.0" else Xml.SubElement(structure, old)
+        for i, one in enumerate(variables, start=1):
+            if one.causality != "output":
+                continue
+            if version == "3.0":
+                Xml.SubElement(parent, new, {"valueReference": str(one.reference), "dependencies": ""})
+            else:
+                Xml.SubElement(parent, "Unknown", {"index": str(i), "dependencies": ""})
+
+
+def _text(root: Xml.Element) -> bytes:
+    Xml.indent(root)
+    return Xml.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"

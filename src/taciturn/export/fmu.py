@@ -1,0 +1,305 @@
+"""Writes a policy as a functional mock-up unit, for co-simulation by FMI 3.0 or 2.0 in any simulator."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+import shutil
+import subprocess
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from html import escape
+from importlib.resources import files
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from taciturn._files import write_whole
+from taciturn.errors import ProblemError
+from taciturn.export.description import (
+    REFERENCES,
+    Version,
+    describe,
+    describe_build,
+    list_variables,
+    may_lose,
+    tick_length,
+    used_links,
+)
+from taciturn.export.folder import CORE, EXCHANGE, FLAGS, MARK, ROWS, print_folder
+from taciturn.export.node import CNode
+from taciturn.loop import Loop
+from taciturn.model.packets import fingerprint
+from taciturn.model.wire import LINKS
+
+UNIT = ("fmu.h", "fmu.c")
+HEADERS: Mapping[Version, tuple[str, ...]] = {
+    "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
+    "2.0": ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h"),
+}
+SHARED = "-fPIC -shared -fvisibility=hidden"  # only the functions of FMI are seen from outside
+_SYSTEMS = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib"), "Windows": ("windows", ".dll")}
+_MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
+_OLD = {"x86_64-linux": "linux64", "x86_64-darwin": "darwin64", "x86_64-windows": "win64"}  # as FMI 2.0 names them
+_DAY = (1980, 1, 1, 0, 0, 0)  # of every file of an archive: the first there is
+_PATIENCE = 600.0  # seconds for a compiler
+
+
+@dataclass(frozen=True, eq=False)
+class Fmu:
+    """A functional mock-up unit.
+
+    Args:
+        name: of the model.
+        kind: of the policy.
+        version: of FMI.
+        token: that tells the unit from those of other policies, and of other versions of its sources.
+        nodes: of the policy, all of them in the unit.
+        files: what the archive holds, by path.
+        binary: path of the compiled library among them; None: there is none.
+        notes: what the user should know.
+    """
+
+    name: str
+    kind: str
+    version: Version
+    token: str
+    nodes: tuple[CNode, ...]
+    files: Mapping[str, bytes]
+    binary: str | None
+    notes: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return what the unit is, for JSON."""
+        return {
+            "policy": self.kind,
+            "name": self.name,
+            "fmi": self.version,
+            "token": self.token,
+            "nodes": [node.role for node in self.nodes],
+            "binary": self.binary,
+            "files": sorted(self.files),
+            "notes": list(self.notes),
+        }
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Return what is printed of it: names, and what stands behind them."""
+        return [
+            ("policy", self.kind),
+            ("unit", f"FMI {self.version}, co-simulation, of {' and '.join(node.role for node in self.nodes)}"),
+            ("binary", self.binary or "none"),
+        ]
+
+    def archive(self) -> bytes:
+        """Return the bytes of the file: the same for the same content."""
+        buffer = BytesIO()
+        with zipfile.ZipFile(buffer, "w") as held:
+            for path in sorted(self.files, key=lambda path: (path != "modelDescription.xml", path)):
+                entry = zipfile.ZipInfo(path, _DAY)
+                entry.compress_type, entry.create_system, entry.external_attr = zipfile.ZIP_DEFLATED, 3, 0o644 << 16
+                held.writestr(entry, self.files[path])
+        return buffer.getvalue()
+
+    def write(self, path: Path) -> None:
+        """Write the unit.
+
+        Raises:
+            ProblemError: the name does not end in ``.fmu``, or the file cannot be written.
+        """
+        if path.suffix != ".fmu":
+            raise ProblemError(f"the unit is to be written to {path}; expected a name that ends in .fmu")
+        try:
+            write_whole(path, self.archive())
+        except OSError as error:
+            reason = error.strerror or str(error)
+            raise ProblemError(f"{path} cannot be written ({reason}); expected a path that can be") from None
+
+
+def print_fmu(
+    loop: Loop,
+    name: str,
+    *,
+    version: Version = "3.0",
+    seed: int = 0,
+    compiler: str | None = "cc",
+) -> Fmu:
+    """Return the policy of a loop as a functional mock-up unit.
+
+    All nodes are in it, and a step is one tick of them: they take the packets that have come, step and send. Inputs are
+    the measurements ``y[i]`` and, where packets may be lost, ``lost_LINK``; outputs are ``u[i]``, ``sent_LINK``,
+    ``sends_LINK`` and ``degraded``.
+
+    Args:
+        loop: plant, policy and network; its precision is that of the nodes.
+        name: an identifier of C.
+        version: of FMI.
+        seed: of the policy's own draws.
+        compiler: that makes a binary for this machine; None, or one that is not there: sources alone.
+
+    Returns:
+        The unit; its notes tell where there is no binary.
+
+    Raises:
+        ProblemError: the nodes cannot be separated or are too large, FMI has no such version, the name is no
+            identifier, or the compiler fails.
+
+    Example:
+        >>> import taciturn
+        >>> problem = taciturn.load("two-mass")
+        >>> unit = print_fmu(problem.close(problem.design()), "two_mass", compiler=None)
+        >>> [path for path in unit.files if path.startswith("binaries")], unit.notes[0][:22]
+        ([], 'the unit has no binary')
+    """
+    if version not in HEADERS:
+        raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
+    if not (name.isidentifier() and name.isascii()):
+        raise ProblemError(f"the name of the unit is {name!r}; expected an identifier of C, as two_mass")
+    folder = print_folder(loop, name, seed=seed)
+    own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
+    texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}
+    core = files("taciturn.export") / "core"
+    for file in (*UNIT, f"fmi{version[0]}.c"):
+        texts[file] = (core / file).read_text(encoding="utf-8")
+    texts["fmu_data.c"] = _print_start(folder.nodes, loop)
+    told = repr((tick_length(loop), sorted(texts.items())))
+    digest = hashlib.blake2s(told.encode(), digest_size=16).hexdigest()
+    token = f"{{{fingerprint(loop.policy, loop.network):016x}-{digest}}}"
+    texts["fmu_data.h"] = _print_data(folder.nodes, loop, token, digest)
+    compiled = tuple(sorted(file for file in texts if file.endswith(".c")))
+    ticks = min(ROWS, loop.horizon or ROWS)
+    held = {
+        "modelDescription.xml": describe(loop, name, version, token, compiled, ticks),
+        "documentation/index.html": _print_page(loop, name).encode(),
+        "documentation/licenses/license.txt": _LICENSES.encode(),
+        "documentation/licenses/apache-2.0.txt": (core / "LICENSE").read_bytes(),
+        "documentation/licenses/fmi.txt": (files("taciturn.export") / "fmi" / "LICENSE").read_bytes(),
+        **{f"sources/{file}": text.encode() for file, text in texts.items()},
+    }
+    if version == "3.0":
+        held["sources/buildDescription.xml"] = describe_build(name, compiled)
+    place, missing = _place(name, version, compiler)
+    if place is not None and compiler is not None:
+        held[place] = _compile(texts, compiled, version, compiler)
+    return Fmu(name, folder.kind, version, token, folder.nodes, held, place, () if place else (missing,))
+
+
+def _place(name: str, version: Version, compiler: str | None) -> tuple[str | None, str]:
+    """Return where the binary of this machine stands in an archive, or why there is none."""
+    system, ending = _SYSTEMS.get(platform.system(), ("", ""))
+    machine = _MACHINES.get(platform.machine().lower(), "")
+    found = f"{machine}-{system}" if version == "3.0" else _OLD.get(f"{machine}-{system}", "")
+    if compiler is None:
+        reason = "none was asked for"
+    elif shutil.which(compiler) is None:
+        reason = f"there is no compiler {compiler!r} here"
+    elif not (system and machine and found):
+        reason = f"FMI {version} has no name for {platform.system()} on {platform.machine()}"
+    else:
+        return f"binaries/{found}/{name}{ending}", ""
+    return None, f"the unit has no binary, for {reason}: an importer compiles its sources, as does `fmpy compile`"
+
+
+def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Version, compiler: str) -> bytes:
+    """Return the shared library of sources."""
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        (place / "fmi").mkdir()
+        for file in HEADERS[version]:
+            (place / "fmi" / file).write_bytes((files("taciturn.export") / "fmi" / file).read_bytes())
+        for file, text in texts.items():
+            (place / file).write_text(text, encoding="utf-8")
+        command = [compiler, *FLAGS.split(), *SHARED.split(), "-isystem", "fmi", "-o", "unit", *compiled]
+        try:
+            done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=_PATIENCE, check=False)
+        except (OSError, subprocess.TimeoutExpired) as error:
+            raise ProblemError(f"{compiler} does not end ({error}); expected a compiler of C99, or None") from None
+        if done.returncode != 0:
+            first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
+            raise ProblemError(f"{compiler} refuses the sources ({first}); expected a compiler of C99, or None")
+        return (place / "unit").read_bytes()
+
+
+def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
+    """Return the function that starts the nodes, and which links there are."""
+    used = used_links(loop)
+    lines = [f'{MARK}: what begins the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
+    lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in LINKS if link != 'plant')}}};"]
+    lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
+    lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
+    lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.role}, 0U, 0U, none);" for i, node in enumerate(nodes)]
+    return "\n".join([*lines, f"  return {len(nodes)}U;", "}", ""])
+
+
+def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
+    """Return what tells a unit apart, the references of its variables, and the memory of its nodes."""
+    return _DATA.format(
+        mark=MARK, token=token, stamp=digest[:16], tick=tick_length(loop).hex(),
+        measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
+        references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
+        headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
+        memory="\n".join(f"  {node.name} {node.role};" for node in nodes),
+    )  # fmt: skip
+
+
+def _print_page(loop: Loop, name: str) -> str:
+    rows = "\n".join(
+        f"<tr><td>{one.name}</td><td>{one.causality}</td><td>{escape(one.text)}</td></tr>"
+        for one in list_variables(loop)
+    )
+    return _PAGE.format(name=name, kind=escape(loop.policy.kind), tick=tick_length(loop), rows=rows)
+
+
+def _truth(value: bool) -> str:
+    return "true" if value else "false"
+
+
+_DATA = """{mark}: the data of a unit. Do not edit. */
+#ifndef FMU_DATA_H
+#define FMU_DATA_H
+
+{headers}
+
+#define FMU_TOKEN "{token}"
+#define FMU_STAMP UINT64_C(0x{stamp})
+#define FMU_TICK {tick}    /* seconds */
+#define FMU_MEASURED {measured}
+#define FMU_APPLIED {applied}
+
+/* references: of the first one, where there are several */
+{references}
+
+typedef struct {{
+{memory}
+}} fmu_memory;
+
+extern const bool fmu_links[]; /* whether packets go over each link */
+extern const bool fmu_lossy;   /* whether they may be lost */
+
+/* Start the nodes, and return how many there are. */
+size_t fmu_start(fmu_memory *memory, tac_node **nodes);
+
+#endif
+"""
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head><meta charset="utf-8"><title>{name}</title></head>
+<body>
+<h1>{name}</h1>
+<p>A policy of kind {kind}: all nodes of it, which exchange packets inside the unit. A step is one tick of {tick:g}
+seconds, no other step is taken, and none begins but where the last one ended.</p>
+<p>The measurement of the time at which a step begins is set before the step; the input of the plant that answers it is
+there after the step. To act without delay it is applied from the time on at which the step began: the simulator steps
+this unit first, and the plant over the same time afterwards.</p>
+<table>
+<tr><th>variable</th><th>causality</th><th>what it is</th></tr>
+{rows}
+</table>
+</body>
+</html>
+"""
+_LICENSES = """The sources in this unit, and what is made of them, are those of taciturn: Apache-2.0, in apache-2.0.txt.
+The library is compiled with the header files of FMI, which are under the 2-clause BSD licence, in fmi.txt.
+What is generated for a policy belongs to whoever designed it.
+"""
