@@ -98,6 +98,7 @@ def compile_node(
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p
+    code.tac_heard.restype = c.c_uint64
     for name in ("shim_size", "tac_encode", "tac_send"):
         getattr(code, name).restype = c.c_size_t
     for name in ("tac_receive", "tac_step", "tac_degraded"):
@@ -181,6 +182,11 @@ class Device:
         """Input of the plant."""
         found = self.code.tac_input(self.node)
         return found and tuple((self.library.number * self.library.sizes[1]).from_address(found))
+
+    @property
+    def heard(self) -> int:
+        """One more than the tick of the newest packet."""
+        return self.code.tac_heard(self.node)
 
     @property
     def memory(self) -> list[float]:

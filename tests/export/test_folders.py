@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -161,14 +162,85 @@ def test_the_build_file_builds(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path) -> None:
-    """What an earlier export left goes; what somebody else wrote stays."""
+    """What an earlier export left goes; what somebody else wrote stays, be it a pipe or a link that leads nowhere."""
     (tmp_path / "mine.c").write_text("int mine;\n")
+    (tmp_path / ".#mine.c").symlink_to("nowhere")
+    (tmp_path / "folder.c").mkdir()
+    os.mkfifo(tmp_path / "pipe.c")
     write(tmp_path, print_folder(two_mass(), "old"))
     write(tmp_path, print_folder(two_mass(), "new"))
     names = {path.name for path in tmp_path.glob("*.[ch]")}
-    assert {"mine.c", "new_controller.c", "new_actuator.h"} <= names
+    assert {"mine.c", ".#mine.c", "folder.c", "pipe.c", "new_controller.c", "new_actuator.h"} <= names
     assert not any(name.startswith("old") for name in names)
     assert (tmp_path / "new_controller.c").read_text().startswith(MARK)
+
+
+@pytest.mark.parametrize("name", ["README.md", "CMakeLists.txt", "selfcheck.c", "two_mass_controller.c"])
+def test_files_of_others_are_not_replaced(name: str, tmp_path: Path) -> None:
+    """Nothing is written where one of them would be lost."""
+    (tmp_path / name).write_text("# mine, with taciturn\n")
+    with pytest.raises(ProblemError, match=rf"{name} is there, and was not exported; expected a folder"):
+        write(tmp_path, print_folder(two_mass(), "two_mass"))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "# mine, with taciturn\n"
+
+
+def test_the_names_of_problems_do_not_break_the_build_file() -> None:
+    """Targets of CMake are called otherwise than its own."""
+    text = print_folder(two_mass(), "test", rows=1).files["CMakeLists.txt"]
+    assert "add_library(test_nodes " in text
+    assert "add_executable(test_selfcheck" in text
+
+
+def test_the_end_of_a_mission_is_told() -> None:
+    """Where there is one."""
+    problem = taciturn.load("rover")
+    assert "a mission of 60 ticks" in print_folder(problem.close(problem.design()), "rover").files["README.md"]
+    assert "mission" not in print_folder(two_mass(), "two_mass", rows=1).files["README.md"]
+
+
+def test_files_of_other_sizes_are_not_linked(tmp_path: Path) -> None:
+    """A node in double precision with a core in single precision: the linker says so."""
+    double = write(tmp_path / "double", print_folder(two_mass(), "two_mass", rows=1))
+    single = write(tmp_path / "single", print_folder(replace(two_mass(), precision="float32"), "two_mass", rows=1))
+    mixed = [double / "two_mass_controller.c", double / "two_mass_actuator.c"]
+    others = [path for path in single.glob("*.c") if path.name not in {file.name for file in mixed}]
+    done = subprocess.run(
+        [needs_compiler(), "-std=c99", *map(str, [*mixed, *others]), "-o", str(tmp_path / "mixed")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0
+    assert "tac_start_float64" in done.stderr
+
+
+@pytest.mark.parametrize("option", ["-ffast-math", "-fassociative-math -fno-signed-zeros -fno-trapping-math"])
+def test_options_that_change_bits_are_refused(option: str, tmp_path: Path) -> None:
+    """What a compiler tells of itself; the rest is found by the self-check."""
+    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
+    command = [needs_compiler(), "-std=c99", "-O2", *option.split(), "-c", "taciturn_node.c", "-o", "node.o"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "numbers are rounded as the compiler likes" in done.stderr
+
+
+def test_a_node_is_called_from_cpp(tmp_path: Path) -> None:
+    """Sources as C, a main in C++."""
+    if shutil.which("c++") is None:
+        pytest.skip("NOT SHOWN: nodes called from C++; there is no `c++`")
+    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
+    sources = ["taciturn_node.c", "taciturn_packet.c", "two_mass_actuator.c"]
+    subprocess.run([needs_compiler(), "-std=c99", "-c", *sources], cwd=folder, check=True)
+    (folder / "main.cpp").write_text(
+        '#include "two_mass_actuator.h"\n'
+        "static two_mass_actuator memory;\n"
+        "int main() {\n"
+        "  tac_node *node = two_mass_actuator_start(&memory, 1, 0, tac_key{nullptr, 0});\n"
+        "  return tac_step(node, 0, nullptr, nullptr) && tac_heard(node) == 0 ? 0 : 1;\n"
+        "}\n"
+    )
+    objects = [name.replace(".c", ".o") for name in sources]
+    subprocess.run(["c++", "-Wall", "-Wextra", "-Werror", "main.cpp", *objects, "-o", "main"], cwd=folder, check=True)
+    assert subprocess.run([str(folder / "main")], check=False).returncode == 0
 
 
 def test_the_same_problem_gives_the_same_files() -> None:
@@ -207,12 +279,17 @@ def test_what_a_device_cannot_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(node.MOST, "memory", 3)
     with pytest.raises(ProblemError, match="has 5 numbers in its memory; expected at most 3 on a device"):
         print_folder(two_mass(), "two_mass")
+    system = make_system(3, 2, 1, 256, False)
+    wide = taciturn.close(system.plant, design.lqg(system.plant, system.cost, theta=0.2))
+    monkeypatch.undo()
+    with pytest.raises(ProblemError, match="has 256 numbers in its packets; expected at most 255 on a device"):
+        print_folder(wide, "wide")
 
 
 def test_what_has_no_nodes_is_refused(tmp_path: Path) -> None:
     """A policy without a tick, one for analysis, a node that is none, a folder that cannot be."""
     problem = taciturn.load("two-mass")
-    with pytest.raises(ProblemError, match="the node is 'sensor'; expected one of controller, actuator"):
+    with pytest.raises(ProblemError, match="the node is 'sensor', which is at the place of the controller in lqg"):
         export_c(problem, tmp_path, nodes=["sensor"])
     (tmp_path / "file").write_text("")
     with pytest.raises(ProblemError, match=r"the folder .*file/x cannot be written to \(Not a directory\)"):

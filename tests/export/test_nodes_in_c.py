@@ -338,3 +338,27 @@ def test_a_packet_that_holds_no_finite_number_is_not_sent_but_counted() -> None:
         node.step(tick, [1.7e308, -1.7e308])
         assert all(isinstance(Wire(found.policy, found.network).decode(one), Packet) for one in node.send())
     assert node.counters["unsent"] > 0
+
+
+def test_a_number_that_leaves_its_range_degrades_a_node_and_holds_its_input() -> None:
+    """A measurement of 1e308: what follows is no number, and nobody is to take it for one."""
+    node = Device(compiled("ideal", "controller"))
+    assert node.step(0, [1.0, 1.0])
+    assert not node.degraded
+    for tick in range(1, 40):
+        assert node.step(tick, [1e308, -1e308])
+        node.send()
+    assert not np.isfinite(node.memory).all()
+    assert node.degraded
+    assert node.counters["unsent"] > 0
+
+
+def test_a_node_that_starts_late_begins_in_the_tick_it_hears_of() -> None:
+    """Counting from 0 it would drop what comes as too early."""
+    found = case("ideal", "actuator", 0)
+    wire, node = Wire(found.policy, found.network), Device(found.library, None, 9, LOOP)
+    assert node.heard == 0
+    assert node.receive(wire.encode(Packet("data", "actuator", 500, 0, (0.25,), 1, LOOP)))
+    assert node.heard == 501
+    assert node.step(500)
+    assert node.input == (0.25,)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @app.command()
 def export(
     file: File,
-    c: Annotated[Path | None, typer.Option("--c", metavar="DIR", help="Write C99 sources here.")] = None,
+    c: Annotated[str | None, typer.Option("--c", metavar="DIR", help="Write C99 sources here.")] = None,
     fmu: Annotated[Path | None, typer.Option("--fmu", metavar="OUT.fmu", help="Write a co-simulation unit.")] = None,
     nodes: Annotated[
         list[str] | None,
@@ -34,6 +34,8 @@ def export(
     from taciturn.export.cortex import measure_somewhere
     from taciturn.export.folder import CFolder
 
+    if c == "":
+        raise ProblemError("--c is empty; expected the name of a folder")
     if (c is None) == (fmu is None):
         given = "neither --c nor --fmu is" if c is None else "--c and --fmu are both"
         raise ProblemError(f"{given} given; expected one of them: where to write to")

@@ -90,6 +90,7 @@ class Fmu:
             ("policy", self.kind),
             ("unit", f"FMI {self.version}, co-simulation, of {' and '.join(node.role for node in self.nodes)}"),
             ("binary", self.binary or "none"),
+            *(("note", note) for note in self.notes),
         ]
 
     def archive(self) -> bytes:
@@ -143,7 +144,7 @@ def print_fmu(
 
     Raises:
         ProblemError: the nodes cannot be separated or are too large, FMI has no such version, the name is no
-            identifier, or the compiler fails.
+            identifier.
 
     Example:
         >>> import taciturn
@@ -179,26 +180,32 @@ def print_fmu(
     }
     if version == "3.0":
         held["sources/buildDescription.xml"] = describe_build(name, compiled)
-    place, missing = _place(name, version, compiler)
-    if place is not None and compiler is not None:
-        held[place] = _compile(texts, compiled, version, compiler)
-    return Fmu(name, folder.kind, version, token, folder.nodes, held, place, () if place else (missing,))
+    place, notes = None, tuple[str, ...]()
+    try:
+        place = _place(name, version, compiler)
+        held[place] = _compile(texts, compiled, version, compiler or "")
+    except _NoBinaryError as reason:
+        place, told = None, "an importer compiles its sources, as does `fmpy compile`"
+        notes = (f"the unit has no binary, for {reason}: {told}",)
+    return Fmu(name, folder.kind, version, token, folder.nodes, held, place, notes)
 
 
-def _place(name: str, version: Version, compiler: str | None) -> tuple[str | None, str]:
-    """Return where the binary of this machine stands in an archive, or why there is none."""
+class _NoBinaryError(Exception):
+    """Why there is no binary."""
+
+
+def _place(name: str, version: Version, compiler: str | None) -> str:
+    """Return where the binary of this machine stands in an archive."""
     system, ending = _SYSTEMS.get(platform.system(), ("", ""))
     machine = _MACHINES.get(platform.machine().lower(), "")
     found = f"{machine}-{system}" if version == "3.0" else _OLD.get(f"{machine}-{system}", "")
     if compiler is None:
-        reason = "none was asked for"
-    elif shutil.which(compiler) is None:
-        reason = f"there is no compiler {compiler!r} here"
-    elif not (system and machine and found):
-        reason = f"FMI {version} has no name for {platform.system()} on {platform.machine()}"
-    else:
-        return f"binaries/{found}/{name}{ending}", ""
-    return None, f"the unit has no binary, for {reason}: an importer compiles its sources, as does `fmpy compile`"
+        raise _NoBinaryError("none was asked for")
+    if shutil.which(compiler) is None:
+        raise _NoBinaryError(f"there is no compiler {compiler!r} here")
+    if not (system and machine and found):
+        raise _NoBinaryError(f"FMI {version} has no name for {platform.system()} on {platform.machine()}")
+    return f"binaries/{found}/{name}{ending}"
 
 
 def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Version, compiler: str) -> bytes:
@@ -214,10 +221,12 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
         try:
             done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=_PATIENCE, check=False)
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise ProblemError(f"{compiler} does not end ({error}); expected a compiler of C99, or None") from None
+            raise _NoBinaryError(f"{compiler} does not end ({error})") from None
         if done.returncode != 0:
             first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-            raise ProblemError(f"{compiler} refuses the sources ({first}); expected a compiler of C99, or None")
+            raise _NoBinaryError(f"{compiler} refuses the sources ({first})")
+        if not (place / "unit").exists():
+            raise _NoBinaryError(f"{compiler} has written nothing")
         return (place / "unit").read_bytes()
 
 

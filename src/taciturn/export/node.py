@@ -28,7 +28,7 @@ MOST = {
     "memory": 0xFFFF,
     "outputs": 0x7FFF,
     "clock": 0xFFFF,
-    "payload": 0xFF,
+    "packets": 0xFF,
 }  # of the header's types
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
@@ -92,7 +92,7 @@ def print_node(
     """
     program = lower_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
-    _check_size(policy, program, layout)
+    _check_size(policy, network, program, layout)
     parts = ("first", "second")[: len(program.parts)]
     sources = [print_c(p, part, places) for p, part, places in zip(program.parts, parts, layout.wiring, strict=True)]
     if program.draws is not None:
@@ -118,14 +118,14 @@ def _numbers(program: Program) -> int:
     return len(program.constants) + sum(map(len, tables))
 
 
-def _check_size(policy: Policy, program: NodeProgram, layout: Layout) -> None:
+def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: Layout) -> None:
     """Refuse what the small whole numbers of the core's data cannot say."""
     found = {
         "inputs": len(layout.inputs),
         "memory": len(program.parts[0].states),
         "outputs": len(program.parts[0].outputs),
         "clock": max([len(place.table) for place in program.clocks], default=0),
-        "payload": max([one.size for one in (*layout.arrivals, *layout.departures)], default=0),
+        "packets": max(entries for _, entries in packet_shapes(policy, network).values()),
     }
     for what, size in found.items():
         if size > MOST[what]:
@@ -240,6 +240,10 @@ _HEADER = """#ifndef {guard}
 
 #include "taciturn.h"
 
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
 /* What the place of {site} holds; its memory is all that it needs. */
 typedef struct {{
   tac_node node;
@@ -254,6 +258,10 @@ typedef struct {{
 
 /* Begin before the first tick, and return the node: see tac_start. */
 tac_node *{name}_start({name} *self, uint32_t epoch, uint16_t loop, tac_key key);
+
+#ifdef __cplusplus
+}}
+#endif
 
 #endif
 """

@@ -1,5 +1,5 @@
-/* Lets the nodes exchange datagrams, tick by tick, and compares what they decide and apply with the design, bit for
- * bit.
+/* taciturn: lets the nodes exchange datagrams, tick by tick, and compares what they decide and apply with the design,
+ * bit for bit.
  *
  *     ./selfcheck          the rows that are compiled in
  *     ./selfcheck FILE     rows of a file, in the same order, as the machine holds numbers

@@ -1,4 +1,4 @@
-/* What the self-check compares; the data are generated. Not for a device. */
+/* taciturn: what the self-check compares; the data are generated. Not for a device. */
 #ifndef TACITURN_SELFCHECK_H
 #define TACITURN_SELFCHECK_H
 

@@ -1,4 +1,4 @@
-/* Nodes of an event-triggered control loop on a device: packets in, packets and the input of a plant out.
+/* taciturn: nodes of an event-triggered control loop on a device: packets in, packets and the input of a plant out.
  *
  * Nothing is allocated, and no library of mathematics is needed. What a node computes in a tick, and the data of its
  * policy, are generated in files of their own; this core is the same for all of them. A node has no socket and no
@@ -7,7 +7,9 @@
  *     while (a datagram has come) tac_receive(node, datagram, size);
  *     tac_step(node, tick, measurement, NULL);
  *     while ((size = tac_send(node, datagram)) > 0) hand it on;
- *     if (node->data->applied >= 0) apply tac_input(node);
+ *     if (tac_input(node) != NULL) apply it;
+ *
+ * Two policies on one device share this core, compiled with the larger sizes of their two taciturn_config.h.
  */
 #ifndef TACITURN_H
 #define TACITURN_H
@@ -19,12 +21,13 @@
 
 #include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING */
 
-#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: _Float16 is one of its own */
 #error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
 #endif
 
-#if defined(__FAST_MATH__)
-#error "numbers are rounded as the compiler likes; expected no -ffast-math"
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
+    defined(__NO_SIGNED_ZEROS__)
+#error "numbers are rounded as the compiler likes; expected no -ffast-math, and none of its parts"
 #endif
 
 /* Every operation rounds once: nothing may be fused, or the bits are not those of the design. */
@@ -32,6 +35,10 @@
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off")
+#endif
+
+#ifdef __cplusplus
+extern "C" {
 #endif
 
 #if TAC_FLOAT32
@@ -191,6 +198,7 @@ typedef struct {
   uint32_t watchdog;          /* ticks; 0: there is none */
   uint64_t tick;           /* the last one */
   uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
+  uint64_t newest;         /* one more than the tick of the newest packet that has come; 0: none has */
   uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun; UINT64_MAX: for ever */
   tac_counters counters;
   uint32_t epoch;
@@ -217,6 +225,10 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
  * number. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
+/* Return one more than the tick of the newest packet that has come; 0: none has. A node that starts while the loop runs
+ * begins in the tick before that one, so that all count alike. */
+uint64_t tac_heard(const tac_node *node);
+
 /* Return the size of the next datagram to be sent, written to at most TAC_DATAGRAM bytes; 0: there is none. Of ticks
  * that were made up for, each link has its newest packet alone. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
@@ -224,7 +236,12 @@ size_t tac_send(tac_node *node, uint8_t *datagram);
 /* Return the input of the plant: NULL where the node has none. */
 const tac_real *tac_input(const tac_node *node);
 
-/* Whether something has happened that the theory of the policy does not know, and is not forgotten yet. */
+/* Whether something has happened that the theory of the policy does not know, and is not forgotten yet; also where a
+ * number has left its range: then the last input is held, and the node is to be started again. */
 bool tac_degraded(const tac_node *node);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

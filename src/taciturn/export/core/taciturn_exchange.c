@@ -1,4 +1,4 @@
-/* Carries datagrams between the nodes of one process. */
+/* taciturn: carries datagrams between the nodes of one process. */
 #include "taciturn_exchange.h"
 
 enum { KIND_AT = 5, LINK_AT = 6 }; /* bytes of a datagram */

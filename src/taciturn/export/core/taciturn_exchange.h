@@ -1,4 +1,4 @@
-/* The nodes of one policy in one process: what each of them sends is carried to who listens, or lost. For the
+/* taciturn: the nodes of one policy in one process: what each of them sends is carried to who listens, or lost. For the
  * self-check and for simulators; nodes on devices of their own have a network for it. */
 #ifndef TACITURN_EXCHANGE_H
 #define TACITURN_EXCHANGE_H

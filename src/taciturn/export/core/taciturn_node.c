@@ -1,4 +1,4 @@
-/* A node as a state machine: what becomes of packets that arrive, and the ticks. */
+/* taciturn: a node as a state machine: what becomes of packets that arrive, and the ticks. */
 #include <string.h>
 
 #include "taciturn.h"
@@ -8,9 +8,11 @@
 #endif
 
 #if TAC_FLOAT32
-#define LARGEST_REAL FLT_MAX
+typedef uint32_t bits_of_real;
+#define EXPONENT UINT32_C(0x7F800000)
 #else
-#define LARGEST_REAL DBL_MAX
+typedef uint64_t bits_of_real;
+#define EXPONENT UINT64_C(0x7FF0000000000000)
 #endif
 
 enum { WIDTH = 64 };        /* sequence numbers up to the newest that are told apart */
@@ -178,6 +180,9 @@ static bool take(tac_node *node, const tac_packet *packet) {
   } else if (found == DUPLICATE) {
     node->counters.duplicate++;
   } else {
+    if (packet->tick >= node->newest && packet->tick < UINT64_MAX) {
+      node->newest = packet->tick + 1U;
+    }
     return sort_in(node, i, packet);
   }
   return false;
@@ -283,6 +288,17 @@ static void copy(tac_real *to, const tac_real *from, unsigned count) {
   }
 }
 
+/* Whether numbers are within their range: neither infinite nor none, by their exponents. */
+static bool are_finite(const tac_real *numbers, unsigned count) {
+  bool found = true;
+  for (unsigned i = 0U; found && i < count; i++) {
+    bits_of_real bits;
+    (void)memcpy(&bits, &numbers[i], sizeof bits);
+    found = (bits & EXPONENT) != EXPONENT;
+  }
+  return found;
+}
+
 /* Note the packets that a tick sends, and the input that it applies. */
 static void put_outputs(tac_node *node) {
   const tac_node_data *data = node->data;
@@ -297,8 +313,12 @@ static void put_outputs(tac_node *node) {
       node->pending = (uint8_t)(node->pending | (1U << i));
     }
   }
-  if (data->applied >= 0 && !is_silent(node)) {
+  if (!are_finite(node->memory, data->memory_count) || !are_finite(node->outputs, data->output_count)) {
+    degrade(node, count_ticks(node));
+  } else if (data->applied >= 0 && !is_silent(node)) {
     copy(node->input, &node->outputs[data->applied], data->applied_count);
+  } else {
+    /* the input is that of the last tick */
   }
 }
 
@@ -345,11 +365,7 @@ static void make_up(tac_node *node, uint64_t tick) {
 }
 
 static bool is_measurement(const tac_node_data *data, const tac_real *measurement) {
-  bool found = data->measurement_count == 0U || measurement != NULL;
-  for (unsigned i = 0U; found && i < data->measurement_count; i++) {
-    found = measurement[i] >= -LARGEST_REAL && measurement[i] <= LARGEST_REAL;
-  }
-  return found;
+  return data->measurement_count == 0U || (measurement != NULL && are_finite(measurement, data->measurement_count));
 }
 
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
@@ -421,6 +437,10 @@ size_t tac_send(tac_node *node, uint8_t *datagram) {
   return size;
 }
 
+uint64_t tac_heard(const tac_node *node) {
+  return node->newest;
+}
+
 const tac_real *tac_input(const tac_node *node) {
   const tac_real *input = node->input;
   if (node->data->applied < 0) {
@@ -457,6 +477,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->tick = 0U;
   node->begun = false;
   node->heard = 0U;
+  node->newest = 0U;
   node->degraded_until = 0U;
   node->pending = 0U;
   tac_watch(node, 0U, NULL);

@@ -1,4 +1,5 @@
-/* Packets as bytes: written, checked and read. Each byte is read and written by itself: no alignment, no byte order. */
+/* taciturn: packets as bytes: written, checked and read. Each byte is read and written by itself: no alignment, no byte
+ * order. */
 #include <string.h>
 
 #include "taciturn.h"
