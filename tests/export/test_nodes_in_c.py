@@ -234,7 +234,7 @@ def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> P
 
 @pytest.mark.parametrize(("name", "role"), places())
 @given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1), st.sampled_from([None, KEY]))
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=15)
 def test_a_node_in_c_does_and_counts_what_the_host_does(
     name: str, role: NodeName, events: list[tuple], watched: int, seed: int, secret: bytes | None
 ) -> None:
