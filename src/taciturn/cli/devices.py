@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
@@ -59,7 +60,7 @@ def export(
         measured = measure_somewhere(found)
         sizes = {} if measured is None else {name: one._asdict() for name, one in measured[1].items()}
         document["sizes"] = None if measured is None else {"processor": measured[0], **sizes}
-        lines += _lines(measured)
+        lines += [("next", f"cc {quote(str(c))}/*.c -lm -o selfcheck && ./selfcheck"), *_lines(measured)]
     if as_json:
         print_json(document)
     else:

@@ -76,7 +76,7 @@ class CFolder:
     def lines(self) -> list[tuple[str, str]]:
         """Return what is printed of it: names, and what stands behind them."""
         return [
-            ("policy", f"{self.kind}, in {self.precision}"),
+            ("policy", f"{self.kind}, in {self.precision}, as {self.name}"),
             *((node.role, f"{node.operations} operations per tick, {node.constants} constants") for node in self.nodes),
             ("self-check", f"{len(self.vector.sent)} ticks"),
         ]
