@@ -42,6 +42,15 @@ def test_every_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert run_blocks(path.read_text(encoding="utf-8"), r"```\{code-cell\} python\n(.*?)```", path.name) > 0
 
 
+def test_the_index_lists_every_page() -> None:
+    """Once; a page that stands in no table of contents is not found."""
+    listed = re.search(
+        r"```\{toctree\}\n:maxdepth: 1\n\n(.*?)```\n", (ROOT / "docs" / "index.md").read_text(), re.DOTALL
+    )
+    assert listed is not None
+    assert sorted([*listed[1].split(), "index"]) == sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+
+
 def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python of the README runs."""
     monkeypatch.chdir(tmp_path)
