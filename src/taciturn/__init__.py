@@ -55,6 +55,8 @@ if TYPE_CHECKING:
     from taciturn.simulation.trajectory import simulate as simulate
     from taciturn.study.certify import Certificates as Certificates
     from taciturn.study.certify import certify as certify
+    from taciturn.study.channel import Sharing as Sharing
+    from taciturn.study.channel import share_channel as share_channel
     from taciturn.study.compare import Comparison as Comparison
     from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import Evaluation as Evaluation
@@ -101,6 +103,7 @@ _HOME = {
     "Reference": "model.reference",
     "Schedule": "model.schedule",
     "Scheduled": "model.trigger",
+    "Sharing": "study.channel",
     "TaciturnError": "errors",
     "TunedPeriod": "study.periods",
     "Tradeoff": "study.tradeoff",
@@ -130,6 +133,7 @@ _HOME = {
     "regenerative": "simulation.statistics",
     "reproduce": "study.reproduce",
     "run_network": "study.network",
+    "share_channel": "study.channel",
     "simulate": "simulation.trajectory",
     "solve_optimum": "analyse.limits",
     "solve_renewal": "analyse.renewal",

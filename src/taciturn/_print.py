@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
+    from taciturn.study.channel import Sharing
     from taciturn.study.compare import Comparison
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.network import NetworkRun
@@ -236,6 +237,49 @@ def comparison(found: Comparison) -> None:
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
             typer.echo(f"{one.name}: {(shared + notes).removesuffix('; ')}")
+
+
+def sharing(found: Sharing) -> None:
+    """Print what loops on a channel cost."""
+    base, bound = found.cost_all_time, found.lower_bound
+
+    def above(cost: float) -> str:
+        return f"   ({100 * (cost / base - 1):+.2f} %)" if base else ""
+
+    lines = [
+        ("scheduler", found.scheduler),
+        ("loops", f"{found.loops}, at most {found.capacity} sends per tick"),
+        ("sum of costs", f"{found.cost} per {found.unit}{above(found.cost.value)}"),
+        ("all-time cost", f"{base:.6g}"),
+    ]
+    if bound is not None:
+        sure = "by quadrature" if bound.confidence is None else f"{100 * bound.confidence:g} %"
+        text = f"{_rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
+        lines.append(("no less than", text))
+    lines += [
+        ("best clock", f"{found.cost_periodic:.6g} at this load{above(found.cost_periodic)}"),
+        ("consistent", {True: "yes", False: "no", None: "not to be told apart"}[found.consistent]),
+        ("load", f"{found.load} sends per tick"),
+    ]
+    if found.load_expected is not None:
+        lines.append(("expected load", f"{found.load_expected} if none had to wait"))
+    if found.scheduler == "random-access":
+        lines.append(("on the channel", f"{found.busy} packets per tick, with those that collide"))
+    if found.price is not None and found.waiting is not None:
+        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per tick")]
+    pairs([*lines, *(("note", note) for note in found.notes)])
+    rows = [
+        [
+            one.name,
+            f"{one.copies}",
+            f"{one.cost}",
+            f"{one.cost_all_time:.6g}",
+            f"{one.rate}",
+            f"{one.rate_periodic:.4g}",
+        ]
+        for one in found.shares
+    ]
+    _print_table(["", "loops", f"cost per {found.unit}", "all-time", "sends per look", "best clock"], rows)
 
 
 def certificates(found: Certificates) -> None:

@@ -179,9 +179,7 @@ def compare(
     check_effort(standard_error)
     if plot is not None:
         check_format(plot)
-    stems = [Path(file).stem for file in files]
-    names = [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]
-    problems = {name: taciturn.load(file) for name, file in zip(names, files, strict=True)}
+    problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
     with progress_bar("comparing") as progress:
         found = taciturn.compare(
             problems, rate, link=cast("Any", link), seed=seed, standard_error=standard_error, progress=progress
@@ -197,6 +195,70 @@ def compare(
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
         refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
+
+
+@app.command()
+def channel(
+    files: Annotated[list[str], typer.Argument(metavar="FILE…", help="Problems: the loops that share the channel.")],
+    copies: Annotated[str, typer.Option(metavar="M[,M…]", help="Loops of each problem: one number, or one for each.")],
+    capacity: Annotated[int, typer.Option(help="Sends per tick at most, from 1 to the number of loops.")],
+    scheduler: Annotated[
+        str, typer.Option(help="price, largest, round-robin, tdma, once-discard or random-access.")
+    ] = "price",
+    as_json: Json = False,
+    plot: Plot = None,
+    seed: Seed = 0,
+    standard_error: Annotated[float | None, typer.Option(help="Of the sum of costs. Default: 1e-3 of it.")] = None,
+    ticks: Annotated[int | None, typer.Option(help="Measure so many ticks of each channel instead.")] = None,
+    confidence: Confidence = None,
+) -> None:
+    """Many loops on one channel: the sum of their costs, beside what none can beat and the best periodic allocation."""
+    import taciturn
+    from taciturn._figure import check_format, save
+    from taciturn.analyse.limits import USUAL
+
+    check_effort(standard_error)
+    if plot is not None:
+        check_format(plot)
+    problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
+    with progress_bar("sharing") as progress:
+        found = taciturn.share_channel(
+            problems,
+            copies=_numbers("--copies", copies),
+            capacity=capacity,
+            scheduler=cast("Any", scheduler),
+            seed=seed,
+            standard_error=standard_error,
+            ticks=ticks,
+            confidence=USUAL if confidence is None else confidence,
+            progress=progress,
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.sharing(found)
+    if plot is not None:
+        save(found.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+    if not found.reached:
+        refuse("the standard error was not reached: ask for a larger --standard-error")
+
+
+def _names(files: list[str]) -> list[str]:
+    """Return what problems are called: their files' names, numbered where they are alike."""
+    stems = [Path(file).stem for file in files]
+    return [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]
+
+
+def _numbers(option: str, text: str) -> list[int]:
+    """Return the whole numbers of a list that is separated by commas."""
+    from taciturn.errors import ProblemError
+
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise ProblemError(f"{option} is {text!r}; expected whole numbers, as 1000 or 500,20") from None
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """Runs programs on the fastest interpreter there is: LLVM, or NumPy where llvmlite is missing.
 
-There are two ways: many ticks of one program (``prepare``), and any ticks of many programs (``Stepper``).
+There are three ways: many ticks of one program (``prepare``), any ticks of many programs (``Stepper``), and one tick
+after the other of a program that is told something in each (``Resident``).
 """
 
 from __future__ import annotations
@@ -54,3 +55,38 @@ class Stepper:
         return found.states, {
             name: self._factors[name] * added + self._offsets[name] * ticks for name, added in found.sums.items()
         }
+
+
+class Resident:
+    """Paths of one program that are run tick by tick, with what they are told in each.
+
+    Args:
+        program: with inputs.
+        states: the first ones, (states, paths).
+    """
+
+    def __init__(self, program: Program, states: Array) -> None:
+        """Compile."""
+        self._program, self._states, self._added = program, states, dict[str, Array]()
+        available = machine.available()
+        self._there = machine.Resident(machine.Kernel(program), program, states) if available else None
+        self._ticks = 0
+
+    def tick(self, inputs: Array) -> Array:
+        """Run one tick: what it is told, (inputs, paths), to what comes out, (outputs, paths)."""
+        self._ticks += 1
+        if self._there is not None:
+            return self._there.tick(inputs)
+        run = interpreter.run(self._program, self._states, 1, inputs[None])
+        self._states = run.states
+        self._added = {name: self._added.get(name, 0.0) + added for name, added in run.sums.items()}
+        return np.concatenate(list(run.outputs.values()))
+
+    def take_sums(self) -> dict[str, Array]:
+        """Return the sums over the ticks since this was last asked, (paths,) each."""
+        ticks, self._ticks = self._ticks, 0
+        if self._there is None:
+            taken, self._added = self._added, {}
+            return taken
+        totals = self._program.totals.items()
+        return {name: total.of(row, ticks) for (name, total), row in zip(totals, self._there.take_sums(), strict=True)}

@@ -94,8 +94,7 @@ class Kernel:
         arrays = (state, sums, known, supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:
-            if part[0] < part[1] and ticks > 0:
-                self._code.function(part[0], part[1], ticks, *(a.ctypes.data for a in arrays))
+            self.call(*part, ticks, arrays)
 
         workers = max(1, min(threads or available_processors(), blocks))
         cuts = [blocks * i // workers for i in range(workers + 1)]
@@ -105,18 +104,51 @@ class Kernel:
         else:
             with ThreadPoolExecutor(workers) as pool:  # ctypes releases the interpreter lock
                 list(pool.map(work, parts))
-        width = blocks * lanes
-        by_sum = sums.transpose(1, 0, 2).reshape(len(program.sums), width)[:, :paths]
-        by_output = outputs.transpose(2, 1, 0, 3).reshape(len(program.outputs), ticks, width)[:, :, :paths]
-        final = state.transpose(1, 0, 2).reshape(len(program.states), width)[:, :paths]
+        by_output = outputs.transpose(2, 1, 0, 3).reshape(len(program.outputs), ticks, blocks * lanes)[:, :, :paths]
         return Run(
-            np.ascontiguousarray(final),
+            np.ascontiguousarray(_from_blocks(state, paths)),
             {
                 name: row if self.own else total.of(row, ticks)
-                for (name, total), row in zip(program.totals.items(), by_sum, strict=True)
+                for (name, total), row in zip(program.totals.items(), _from_blocks(sums, paths), strict=True)
             },
             dict(zip(program.outputs, by_output, strict=True)),
         )
+
+    def call(self, first: int, end: int, ticks: int, arrays: Sequence[Array]) -> None:
+        """Run blocks of paths on: their states, sums, constants, inputs and outputs, as ``taciturn.program.llvm``."""
+        if first < end and ticks > 0:
+            self._code.function(first, end, ticks, *(a.ctypes.data for a in arrays))
+
+
+class Resident:
+    """Paths of a program that stay where they are while they are run tick by tick, with inputs from outside.
+
+    Args:
+        kernel: of the program, compiled without constants of its own.
+        program: the program.
+        states: (states, paths).
+    """
+
+    def __init__(self, kernel: Kernel, program: Program, states: Array) -> None:
+        """Bring the states into the order of the machine."""
+        self._kernel, self._paths = kernel, states.shape[1]
+        state = _into_blocks(states, kernel.lanes)
+        self._sums, self._inputs, self._outputs = (
+            np.zeros((len(state), len(part), kernel.lanes)) for part in (program.sums, program.inputs, program.outputs)
+        )
+        self._arrays = state, self._sums, np.array(constants_of(program)), self._inputs, self._outputs
+
+    def tick(self, inputs: Array) -> Array:
+        """Run one tick: (inputs, paths) to (outputs, paths)."""
+        self._inputs[:] = _into_blocks(inputs, self._kernel.lanes)
+        self._kernel.call(0, len(self._inputs), 1, self._arrays)
+        return _from_blocks(self._outputs, self._paths).copy()
+
+    def take_sums(self) -> Array:
+        """Return what was added up since this was last asked, (sums, paths), before the factors of their totals."""
+        taken = _from_blocks(self._sums, self._paths).copy()
+        self._sums[:] = 0.0
+        return taken
 
 
 def forget() -> None:
@@ -298,6 +330,12 @@ def _into_blocks(rows: Array, lanes: int) -> Array:
     missing = -paths % lanes
     padded = np.concatenate([rows, np.repeat(rows[:, :1], missing, axis=1)], axis=1)
     return np.ascontiguousarray(padded.reshape(count, (paths + missing) // lanes, lanes).transpose(1, 0, 2))
+
+
+def _from_blocks(blocks: Array, paths: int) -> Array:
+    """(blocks, rows, lanes) → (rows, paths)."""
+    count, rows, lanes = blocks.shape
+    return blocks.transpose(1, 0, 2).reshape(rows, count * lanes)[:, :paths]
 
 
 def _ticks_into_blocks(inputs: Array, lanes: int) -> Array:

@@ -1,0 +1,162 @@
+"""Many loops on one channel: the tables of docs/channels.md.
+
+    python benchmarks/channel.py [--json docs/channel.json]
+
+Parts that are in the file already are kept: it can be interrupted, and goes on where it was.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import time
+import tracemalloc
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import taciturn
+from taciturn import Problem, share_channel
+from taciturn.simulation.access import MostUrgent
+from taciturn.simulation.channel import Channel, Group
+from taciturn.study.kinds import Kind, gather
+from taciturn.study.prices import Curve
+from taciturn.study.schedulers import SCHEDULERS, Game
+
+DOUBLE, PENDULUM, MASSES = "wiener-double-integrator", "inverted-pendulum", "two-mass"
+SIZES = (2, 10, 100, 1000, 10_000, 100_000)
+BUDGETS = (1.05, 1.1, 1.2, 1.5, 2.0)  # of the cost of a loop, in all-time costs
+SLOTS = (1, 10, 100)  # capacities of the table of loops per channel
+TICKS = 200  # that are timed
+ROUNDS = 5
+
+
+def mixed() -> dict[str, Problem]:
+    """Return the two kinds of loops of most tables: four of five are double integrators."""
+    return {DOUBLE: taciturn.load(DOUBLE), PENDULUM: taciturn.load(PENDULUM)}
+
+
+def split(loops: int) -> list[int]:
+    """Return how many of so many loops are of each kind."""
+    second = max(1, loops // 5)
+    return [loops - second, second]
+
+
+def gap(loops: int) -> dict[str, Any]:
+    """Return what loops on a channel with a slot for every tenth cost, and what none can beat."""
+    found = share_channel(mixed(), copies=split(loops), capacity=max(1, loops // 10))
+    return found.document()
+
+
+def schedulers(name: str) -> dict[str, Any]:
+    """Return what a thousand loops with a hundred slots cost by a scheduler."""
+    return share_channel(mixed(), copies=split(1000), capacity=100, scheduler=name).document()  # pyright: ignore[reportArgumentType]
+
+
+def twenty() -> dict[str, Any]:
+    """Return how long the common price of a thousand loops of twenty plants takes."""
+    problems: dict[str, Problem] = {}
+    for i in range(20):
+        name, factor = (DOUBLE, PENDULUM)[i % 2], 1.15**i
+        base = taciturn.load(name)
+        W = [[factor * float(entry) for entry in row] for row in base.plant.W]
+        R = [[float(base.cost.R[0, 0]) * (0.5 + i / 10)]]
+        problems[f"{name} {i}"] = base.changed({"plant.W": W, "cost.R": R})
+    began = time.perf_counter()
+    game = Game(gather(problems, [50]), 100, 0, lambda fraction: None)
+    load = SCHEDULERS["price"](game).load
+    seconds = time.perf_counter() - began
+    assert load is not None
+    return {"kinds": 20, "loops": 1000, "capacity": 100, "seconds": seconds, "price": game.price, "load": load.value,
+            "prices_per_kind": sum(len(curve.table) for curve in game.curves) / 20}  # fmt: skip
+
+
+def growth(loops: int) -> dict[str, Any]:
+    """Return nanoseconds and bytes per loop: of a tick of the price policy, and of memory."""
+    game = Game(gather({DOUBLE: taciturn.load(DOUBLE)}, [loops]), loops // 10, 0, lambda fraction: None)
+    plan = SCHEDULERS["price"](game)
+    channel = game.play(plan, game.channels)
+    channel.run(TICKS)
+    seconds: list[float] = []
+    for _ in range(ROUNDS):
+        began = time.perf_counter()
+        channel.run(TICKS)
+        seconds.append((time.perf_counter() - began) / TICKS)
+    tracemalloc.start()
+    again = game.play(plan, 1)
+    again.run(10)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return {"loops": loops, "channels": game.channels, "bytes_per_loop": peak / loops,
+            "nanoseconds": 1e9 * sorted(seconds)[ROUNDS // 2] / loops / game.channels}  # fmt: skip
+
+
+def excess_at(kind: Kind, rate: float) -> float:
+    """Return what a look costs beyond sending always under the nearly best triggers of a rate, by simulation."""
+    curve, low, high = Curve(kind), 1e-9, 1e9
+    for _ in range(60):
+        middle = (low * high) ** 0.5
+        low, high = (middle, high) if curve.rate(middle) > rate else (low, middle)
+    group = Group(kind.F, kind.noise, kind.Gamma, curve.schedule(high).urgency, 16_384)
+    channel = Channel([group], MostUrgent(16_384))
+    channel.run(int(20 / rate))
+    return float(channel.run(int(60 / rate)).cost[0, 0]) / 16_384
+
+
+def crossing(cost: Callable[[float], float], limit: float, low: float, high: float, digits: float) -> float:
+    """Return where a decreasing function of a rate falls below a limit."""
+    while high / low > 1 + digits:
+        middle = (low * high) ** 0.5
+        low, high = (low, middle) if cost(middle) <= limit else (middle, high)
+    return high
+
+
+def carried(name: str, budget: float) -> dict[str, Any]:
+    """Return how many loops a slot carries if each may cost so many times what sending always costs."""
+    problem = taciturn.load(name)
+    (kind,) = gather({name: problem}, [1])
+    limit = (budget - 1) * kind.cost_all_time
+    clock = crossing(kind.clocked.cost, limit, 1e-3, 1.0, 1e-9)
+    free = crossing(lambda rate: excess_at(kind, rate), limit, 1e-3, 0.97, 0.005)
+    row: dict[str, Any] = {"problem": name, "budget": budget, "clock": 1 / clock, "free": 1 / free}
+    for slots in SLOTS:
+        low, high = int(slots / clock), int(1.2 * slots / free) + 2  # loops that certainly fit, and that do not
+        while high - low > max(1, 0.01 * low):
+            loops = (low + high) // 2
+            found = share_channel(
+                {name: problem},
+                copies=loops,
+                capacity=slots,
+                standard_error=0.002 * budget * kind.cost_all_time * loops,
+            )
+            low, high = (loops, high) if found.cost.value <= budget * found.cost_all_time else (low, loops)
+        row[f"slots {slots}"] = low / slots
+    return row
+
+
+def main() -> None:
+    """Compute all tables and write them."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", type=Path, default=Path("docs/channel.json"))
+    path: Path = parser.parse_args().json
+    done: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"machine": platform.processor()}
+    jobs: dict[str, Callable[[], dict[str, Any]]] = {f"gap {loops}": lambda m=loops: gap(m) for loops in SIZES}
+    jobs |= {f"scheduler {name}": lambda n=name: schedulers(n) for name in SCHEDULERS}
+    jobs |= {"twenty": twenty}
+    jobs |= {f"growth {loops}": lambda m=loops: growth(m) for loops in SIZES[3:]}
+    jobs |= {
+        f"carried {name} {budget}": lambda n=name, b=budget: carried(n, b)
+        for name in (DOUBLE, PENDULUM, MASSES)
+        for budget in BUDGETS
+    }
+    for name, job in jobs.items():
+        if name not in done:
+            began = time.perf_counter()
+            done[name] = job()
+            path.write_text(json.dumps(done, indent=1) + "\n", encoding="utf-8")
+            print(f"{name}: {time.perf_counter() - began:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

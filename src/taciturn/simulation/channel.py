@@ -1,0 +1,153 @@
+"""Many loops on one channel: at each tick a rule says whose error is sent, and the others keep theirs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array
+from taciturn._modes import factor
+from taciturn.model.trigger import Form
+from taciturn.program.draws import NORMAL, seed_generators, with_draws
+from taciturn.program.engine import Resident
+from taciturn.program.ir import Builder, Program
+from taciturn.program.lower import Tick
+from taciturn.simulation.access import Access, Places
+
+ERROR = "error"  # what a rule's forms weigh
+KEPT, EXCESS, URGENCY, GRANTED = "kept", "excess", "urgency", "granted"
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Loops of one kind: before a look e⁺ = F e + w; what is not sent then costs e'Γe, and what is sent is 0.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w ~ N(0, ·), (n, n).
+        Gamma: Γ, (n, n).
+        urgency: over ``error``; above 0 a loop wants to send.
+        count: loops.
+        every: ticks of the channel between two looks; the loops take turns.
+    """
+
+    F: Array
+    noise: Array
+    Gamma: Array
+    urgency: Form
+    count: int
+    every: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Means over some ticks, on each of some independent channels.
+
+    Args:
+        cost: per tick, summed over the loops of each group, (channels, groups).
+        sends: per tick, of each group, (channels, groups).
+        busy: sends and collisions per tick, (channels,).
+        wishes: loops per tick that want to send, (channels,).
+    """
+
+    cost: Array
+    sends: Array
+    busy: Array
+    wishes: Array
+
+
+class Channel:
+    """Loops that share channels, tick by tick; the costs beyond sending always are exact by completion of squares.
+
+    Memory and time grow linearly with the loops.
+
+    Args:
+        groups: the loops.
+        access: who may send.
+        channels: independent ones, each with all the loops.
+        seed: of the draws.
+    """
+
+    def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
+        """Begin with errors of 0."""
+        self._groups, self._access, self._channels, self._tick = groups, access, channels, 0
+        self._cohorts: list[_Cohort] = []
+        first = 0
+        for index, group in enumerate(groups):
+            program = contend(group)
+            for phase in range(group.every):
+                loops = len(range(phase, group.count, group.every))
+                if loops:
+                    states = _start(program, loops * channels, seed, first * channels)
+                    places = np.arange(first, first + loops)
+                    urgency = np.full((channels, loops), -1.0)
+                    cohort = _Cohort(index, phase, group.every, places, Resident(program, states), urgency)
+                    self._cohorts.append(cohort)
+                    first += loops
+
+    def run(self, ticks: int) -> Stretch:
+        """Run on for some ticks, a multiple of the ticks between two looks of every group."""
+        groups, channels = len(self._groups), self._channels
+        sends, busy, wishes = np.zeros((channels, groups)), np.zeros(channels), np.zeros(channels)
+        active: dict[tuple[bool, ...], tuple[list[_Cohort], Places]] = {}
+        for tick in range(self._tick, self._tick + ticks):
+            key = tuple(tick % cohort.every == cohort.phase for cohort in self._cohorts)
+            if key not in active:
+                looking = [cohort for cohort, looks in zip(self._cohorts, key, strict=True) if looks]
+                places = np.concatenate([cohort.places for cohort in looking] or [np.arange(0)])
+                active[key] = looking, places
+            cohorts, places = active[key]
+            if not cohorts:
+                continue
+            urgency = np.concatenate([cohort.urgency for cohort in cohorts], axis=1)
+            grant = self._access.grant(tick, places, urgency)
+            busy += grant.busy
+            wishes += (urgency > 0).sum(axis=1)
+            end = 0
+            for cohort in cohorts:
+                sent = grant.sent[:, end : (end := end + len(cohort.places))]
+                sends[:, cohort.group] += sent.sum(axis=1)
+                cohort.urgency = cohort.errors.tick(sent.reshape(1, -1).astype(np.float64)).reshape(sent.shape)
+        self._tick += ticks
+        cost = np.zeros((channels, groups))
+        for cohort in self._cohorts:
+            added = cohort.errors.take_sums()[EXCESS].reshape(channels, -1).sum(axis=1)
+            cost[:, cohort.group] += added / ticks
+        return Stretch(cost, sends / ticks, busy / ticks, wishes / ticks)
+
+
+@dataclass(eq=False)
+class _Cohort:
+    """Loops of a group that look at the same ticks; its paths are ordered by channel, then by loop."""
+
+    group: int
+    phase: int
+    every: int
+    places: npt.NDArray[np.int64]
+    errors: Resident
+    urgency: Array
+
+
+def contend(group: Group) -> Program:
+    """Return one look of a loop that is told whether it sends: the error's cost is summed, its next urgency put out."""
+    builder, spread = Builder(), factor(group.noise)
+    sizes = {ERROR: len(group.F)}
+    tick = Tick(builder, sizes, {}, ())
+    granted = builder.emit("greater", builder.input(GRANTED), builder.constant(0.0))
+    zero = builder.constant(0.0)
+    tick.signals[KEPT] = [tick.choose(granted, zero, value) for value in tick.recall(ERROR)]
+    excess = tick.form(Form((KEPT,), group.Gamma))
+    drawn = [builder.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
+    tick.signals |= {NORMAL: drawn}
+    tick.signals[ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
+    return with_draws(tick.finish({EXCESS: excess}, {URGENCY: tick.form(group.urgency)}))
+
+
+def _start(program: Program, paths: int, seed: int, first: int) -> Array:
+    """Return the states of errors of 0, (states, paths)."""
+    drawn = seed_generators(seed, paths, first)
+    starts = [state.start for state in program.states]
+    return np.array([drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts])

@@ -1,0 +1,225 @@
+"""The schedulers of a channel: what each plays, and how a play is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from math import ceil, lcm
+
+import numpy as np
+
+from taciturn._arrays import Array
+from taciturn.errors import UnstableError
+from taciturn.model.estimate import Estimate
+from taciturn.model.trigger import Form
+from taciturn.renewal.allocation import Allocation, Sharer, allocate
+from taciturn.simulation.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
+from taciturn.simulation.channel import ERROR, Channel, Group, Stretch
+from taciturn.simulation.sampling import Progress
+from taciturn.simulation.statistics import mean
+from taciturn.study.kinds import Kind
+from taciturn.study.prices import ALWAYS, Curve, find_price
+
+PATHS = 16_384  # loops that are simulated side by side, where there are fewer on the channel: on several channels
+CHANNELS = 32  # at most
+BURN_IN = 20  # mean intervals between sends that are dropped, and that a stretch has
+SETTLE = 12  # time constants that are dropped, of errors that decay by themselves
+SHORTEST = 64  # ticks of a stretch
+STRETCHES = 32  # at least, of all channels
+BUDGET = 20_000_000_000  # looks of all loops together
+RELATIVE_ERROR = 1e-3  # of the cost, where no standard error is asked
+LOST = 1e6  # times its all-time cost: a loop that costs more is not controlled
+LOADS = (1.6, 0.15)  # of what random access carries at best: where its price is sought
+TRIALS = 9  # prices that random access is tried at, at most
+RISES = 3  # of which cost more and more: no more are tried
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """How a scheduler plays: the urgency of each kind, and a fresh access for so many channels."""
+
+    urgencies: Sequence[Form]
+    access: Callable[[], Access]
+    load: Estimate | None = None
+    price: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+class Game:
+    """The loops, the capacity, and what all schedulers are measured by."""
+
+    def __init__(self, kinds: Sequence[Kind], capacity: int, seed: int, progress: Progress) -> None:
+        """Find the best clock, and the price."""
+        self.kinds, self.capacity, self.seed, self.progress = kinds, capacity, seed, progress
+        self.counts = np.array([kind.count for kind in kinds], dtype=np.float64)
+        self.looks = np.array([kind.looks for kind in kinds])
+        self.loops = int(self.counts.sum())
+        self.cost_all_time = float(self.counts @ [kind.cost_all_time for kind in kinds])
+        self.cycle = lcm(*(kind.every for kind in kinds))
+        self.sharers = [Sharer(kind.clocked, kind.count, kind.every) for kind in kinds]
+        self.clocked: Allocation = allocate(self.sharers, capacity)
+        self.refuse_starved(self.clocked)
+        self.curves = [Curve(kind, seed) for kind in kinds]
+
+    @cached_property
+    def price(self) -> float:
+        """The common price at which the expected load meets the capacity."""
+        return self.price_of(self.capacity, self.clocked.price / 2 or 1.0)
+
+    def price_of(self, load: float, guess: float) -> float:
+        """Return the common price at which the loops load the channel with so many sends per tick."""
+        return find_price(self.curves, load, guess)
+
+    def refuse_starved(self, best: Allocation) -> None:
+        """Refuse loops that are not controlled by the best clock there is."""
+        every = np.array([kind.every for kind in self.kinds])
+        self.refuse_lost(every * best.costs, best.rates)
+
+    def priced(self, price: float) -> tuple[list[Form], Estimate]:
+        """Return the urgency of each kind at a common price, and the load if none has to wait."""
+        if not price:
+            return [ALWAYS] * len(self.kinds), Estimate(sum(kind.looks for kind in self.kinds), 0.0, "exact")
+        found = [curve.schedule(price) for curve in self.curves]
+        loads = [one.rate.scaled(kind.looks) for one, kind in zip(found, self.kinds, strict=True)]
+        spread = float(np.sqrt(sum(load.standard_error**2 for load in loads)))
+        load = Estimate(sum(load.value for load in loads), spread, "simulation")
+        return [one.urgency for one in found], load
+
+    def play(self, plan: Plan, channels: int) -> Channel:
+        """Return channels that a plan is played on, the errors still 0."""
+        groups = [
+            Group(kind.F, kind.noise, kind.Gamma, urgency, kind.count, kind.every)
+            for kind, urgency in zip(self.kinds, plan.urgencies, strict=True)
+        ]
+        return Channel(groups, plan.access(), channels, self.seed)
+
+    @property
+    def channels(self) -> int:
+        """How many are simulated side by side."""
+        return int(np.clip(PATHS // self.loops, 1, CHANNELS))
+
+    @property
+    def burn_in(self) -> int:
+        """Ticks that forget errors of 0: intervals of the best clock, or time constants of errors that decay."""
+        longest = SHORTEST
+        for kind, rate in zip(self.kinds, self.clocked.rates.tolist(), strict=True):
+            sends = BURN_IN / rate if rate else np.inf
+            decays = SETTLE / (1 - kind.clocked.growth) if kind.clocked.growth < 1 else np.inf
+            longest = max(longest, ceil(kind.every * min(sends, decays)))
+        return -(-longest // self.cycle) * self.cycle
+
+    def refuse_uncontrolled(self, stretch: Stretch) -> None:
+        """Refuse loops that are lost in what was just simulated."""
+        self.refuse_lost(stretch.cost.mean(axis=0) / self.looks, stretch.sends.mean(axis=0) / self.looks)
+
+    def refuse_lost(self, cost: Array, rates: Array) -> None:
+        """Refuse loops that are unstable and not controlled.
+
+        Args:
+            cost: of a look of each kind, beyond sending always.
+            rates: sends per look of one loop of each kind.
+        """
+        for kind, each, rate in zip(self.kinds, cost.tolist(), rates.tolist(), strict=True):
+            limit = LOST * max(kind.every * kind.cost_all_time, float(np.sum(kind.Gamma * kind.noise)))
+            if kind.clocked.growth >= 1 and not each <= limit:
+                raise UnstableError(
+                    f"{kind.name}: its loops are unstable (an error grows by {kind.clocked.growth:.4g} per look) and "
+                    f"get {rate:.3g} sends per look each, with which they are not controlled; expected at least "
+                    f"{kind.clocked.least_rate(limit):.3g}: a higher capacity, fewer loops, or another scheduler"
+                )
+
+
+def _price(game: Game) -> Plan:
+    urgencies, load = game.priced(game.price)
+    return Plan(urgencies, lambda: MostUrgent(game.capacity), load, game.price)
+
+
+def _largest(game: Game) -> Plan:
+    return Plan([Form((ERROR,), kind.Gamma) for kind in game.kinds], lambda: MostUrgent(game.capacity))
+
+
+def _once_discard(game: Game) -> Plan:
+    return Plan([Form((ERROR,), kind.L.T @ kind.L) for kind in game.kinds], lambda: MostUrgent(game.capacity))
+
+
+def _round_robin(game: Game) -> Plan:
+    return Plan([ALWAYS] * len(game.kinds), lambda: RoundRobin(game.capacity, game.loops))
+
+
+def _tdma(game: Game) -> Plan:
+    kinds = game.kinds
+    rates = np.concatenate(
+        [np.full(kind.count, rate / kind.every) for kind, rate in zip(kinds, game.clocked.rates, strict=True)]
+    )
+    phases = np.concatenate([(np.arange(kind.count) + 0.5) / kind.count for kind in kinds])
+    return Plan([ALWAYS] * len(kinds), lambda: TimeDivision(game.capacity, rates, phases))
+
+
+def _random_access(game: Game) -> Plan:
+    """Try prices at which the loops would load a channel without collisions with shares of what ALOHA carries."""
+    game.refuse_starved(allocate(game.sharers, game.capacity / np.e))
+    tried: list[tuple[float, Plan, float]] = []
+    price = game.price
+    for share in np.geomspace(*LOADS, TRIALS).tolist():
+        price = game.price_of(share * game.capacity / np.e, price or 1.0)
+        urgencies, load = game.priced(price)
+        plan = Plan(urgencies, lambda: RandomAccess(game.capacity, game.seed), load, price)
+        channel = game.play(plan, game.channels)
+        channel.run(game.burn_in)
+        cost = float(channel.run(game.burn_in).cost.sum(axis=1).mean())
+        tried.append((cost if np.isfinite(cost) else np.inf, plan, share))
+        latest = [one[0] for one in tried[-RISES:]]
+        if len(latest) == RISES and latest == sorted(latest):
+            break
+    best = min(tried, key=lambda one: one[0])
+    note = f"the price is the best of {len(tried)} that were tried, for a load of {best[2]:.2g} of what ALOHA carries"
+    return Plan(best[1].urgencies, best[1].access, best[1].load, best[1].price, (note,))
+
+
+SCHEDULERS: Mapping[str, Callable[[Game], Plan]] = {
+    "price": _price,
+    "largest": _largest,
+    "round-robin": _round_robin,
+    "tdma": _tdma,
+    "once-discard": _once_discard,
+    "random-access": _random_access,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What stretches found, one row each: costs beyond sending always and sends per tick by kind, busy and waiting."""
+
+    costs: Array
+    sends: Array
+    busy: Array
+    waiting: Array
+    ticks: int
+    reached: bool
+
+
+def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | None) -> Measured:
+    """Run channels side by side, stretch by stretch, until the sum of costs is known well enough."""
+    channels, channel, kept = game.channels, game.play(plan, game.channels), list[Stretch]()
+    length = game.burn_in if ticks is None else min(game.burn_in, -(-ticks // 2 // game.cycle) * game.cycle)
+    game.refuse_uncontrolled(channel.run(game.burn_in))
+    while True:
+        kept.append(channel.run(length))
+        game.refuse_uncontrolled(kept[-1])
+        measured, known = len(kept) * length, len(kept) * channels >= (2 if ticks else STRETCHES)
+        if not known:
+            continue
+        total = mean(np.concatenate([one.cost.sum(axis=1) for one in kept]))
+        target = standard_error or RELATIVE_ERROR * (total.value + game.cost_all_time)
+        reached = measured >= ticks if ticks else total.standard_error <= target
+        game.progress(measured / ticks if ticks else min(1.0, (target / (total.standard_error or target)) ** 2))
+        if reached or measured * channels * game.loops > BUDGET:
+            return Measured(
+                np.concatenate([one.cost for one in kept]),
+                np.concatenate([one.sends for one in kept]),
+                np.concatenate([one.busy for one in kept]),
+                np.concatenate([one.wishes - one.sends.sum(axis=1) for one in kept]),
+                measured * channels,
+                reached,
+            )

@@ -1,0 +1,99 @@
+"""``taciturn channel`` as a user runs it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from cli.conftest import PLANT, Run, Write
+
+SENDS = ["--copies", "20", "--capacity", "4", "--ticks", "2000"]
+
+
+def test_it_prints_one_document(run: Run) -> None:
+    """Sum of the costs, the bound below it, the load within the capacity, the best clock above it."""
+    answer = run("channel", "wiener-double-integrator", *SENDS, "--json")
+    assert answer.code == 0
+    found = json.loads(answer.out)
+    assert found["cost_all_time"] < found["cost_lower_bound"] < found["cost"]["value"] < found["cost_periodic"]
+    assert found["load"]["value"] <= 4
+    assert found["load_expected"]["value"] == pytest.approx(4, rel=0.03)
+    assert (found["loops"], found["capacity"], found["scheduler"]) == (20, 4, "price")
+    assert found["consistent"] is True
+    assert found["problems"][0]["copies"] == 20
+
+
+@pytest.mark.parametrize("scheduler", ["largest", "round-robin", "tdma", "once-discard", "random-access"])
+def test_every_scheduler_prints_what_it_cost(run: Run, scheduler: str) -> None:
+    """A table of the problems under the sum of their costs, and a picture."""
+    answer = run("channel", "wiener-double-integrator", *SENDS, "--scheduler", scheduler)
+    assert answer.code == 0
+    assert f"scheduler      {scheduler}" in answer.out
+    assert "no less than" in answer.out
+    assert answer.out.splitlines()[-1].split()[:2] == ["wiener-double-integrator", "20"]
+
+
+def test_loops_of_two_periods_share_their_common_tick(run: Run, tmp_path: Path) -> None:
+    """The pendulums look at every tick of 20 ms, the double integrators at every fifth."""
+    picture = tmp_path / "shares.svg"
+    names = ["inverted-pendulum", "wiener-double-integrator"]
+    answer = run(
+        "channel", *names, "--copies", "6,10", "--capacity", "3", "--scheduler", "tdma", "--ticks", "2000", "--plot",
+        str(picture),
+    )  # fmt: skip
+    assert answer.code == 0
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+    assert any(line.split()[:2] == ["inverted-pendulum", "6"] for line in answer.out.splitlines())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--copies", "20", "--capacity", "0"], "capacity is 0; expected"),
+        (["--copies", "20", "--capacity", "21"], "capacity is 21 and 20 loops share the channel; expected at most 20"),
+        (["--copies", "0", "--capacity", "1"], "copies is 0"),
+        (["--copies", "2,3", "--capacity", "1"], "copies has 2 numbers for 1 problems"),
+        (["--copies", "many", "--capacity", "1"], "--copies is 'many'"),
+        (["--copies", "20", "--capacity", "4", "--scheduler", "prize"], "scheduler is 'prize'; expected"),
+        (["--copies", "20", "--capacity", "4", "--ticks", "3"], "ticks is 3"),
+        ([*SENDS, "--standard-error", "1"], "both given"),
+    ],
+)
+def test_bad_wishes_are_refused(run: Run, arguments: list[str], words: str) -> None:
+    """One sentence that says what, got, and what is expected."""
+    assert words in run("channel", "wiener-double-integrator", *arguments).sentence
+
+
+def test_loops_without_a_common_tick_are_refused(run: Run, write: Write, tmp_path: Path) -> None:
+    """Periods whose ratio is no fraction of small numbers, a plant without a time base, and other units of cost."""
+    first, other = Path(write()), tmp_path / "other.toml"
+    text = first.read_text(encoding="utf-8")
+    other.write_text(text.replace("dt = 1.0", "dt = 0.7071067811865476"), encoding="utf-8")
+    share = ["--copies", "10", "--capacity", "4"]
+    assert "their looks do not repeat within" in run("channel", str(first), str(other), *share).sentence
+    assert "one unit" in run("channel", str(first), "wiener-double-integrator", *share).sentence
+    assert "policy.period is missing" in run("channel", write(PLANT.replace("dt = 1.0\n", "")), *share).sentence
+
+
+def test_a_loop_that_gets_too_little_is_named_with_what_it_needs(run: Run, write: Write) -> None:
+    """An error that grows by half per look cannot wait its turn among a hundred."""
+    text = write(PLANT.replace("1.2", "1.5"))
+    refused = run("channel", text, "--copies", "100", "--capacity", "2", "--scheduler", "round-robin").sentence
+    assert "problem: its loops are unstable" in refused
+    assert "get 0.02 sends per look each" in refused
+    assert "expected at least 0.0" in refused
+
+
+def test_a_network_or_jumps_are_refused(run: Run, write: Write) -> None:
+    """The channel is the network, and errors that jumps move have no known best schedule."""
+    lossy = write(more='[network]\nprotocol = "udp"\nactuator_loss = 0.1\n', policy='[policy]\nkind = "all-time"\n')
+    share = ["--copies", "10", "--capacity", "4"]
+    assert "the channel is the network" in run("channel", lossy, *share).sentence
+    jumps = Path(write()).with_name("jumps.toml")
+    jumps.write_text(
+        "[plant]\nA = [[0.0]]\nB = [[1.0]]\n[plant.jumps]\nrate = 1.0\ncovariance = [[1.0]]\n"
+        '[cost]\nQ = [[1.0]]\nR = [[1.0]]\n[policy]\nkind = "consistent"\nperiod = 0.1\n',
+        encoding="utf-8",
+    )
+    assert "the noise comes in jumps" in run("channel", str(jumps), *share).sentence

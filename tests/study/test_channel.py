@@ -1,0 +1,199 @@
+"""Who may send, what loops on a channel cost, and what is known of it beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn import Cost, Estimate, Plant, Problem, ProblemError, UnstableError
+from taciturn.model.network import Network
+from taciturn.model.trigger import Form
+from taciturn.renewal.chain import Chain
+from taciturn.renewal.gaussian import solve_gaussian
+from taciturn.simulation.access import MostUrgent, RandomAccess, RoundRobin, TimeDivision
+from taciturn.simulation.channel import ERROR, Channel, Group, contend
+from taciturn.study.channel import share_channel
+from taciturn.study.kinds import gather
+from taciturn.study.prices import Curve, bound_schedulers, find_price
+
+UNIT = np.eye(1)
+WALK = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "all-time", {})
+
+
+def test_the_most_urgent_send_and_nobody_who_does_not_want_to() -> None:
+    """At most the capacity on each channel; where fewer want to, fewer send."""
+    urgency = np.array([[3.0, -1.0, 2.0, 5.0], [-1.0, -2.0, 0.5, -3.0]])
+    grant = MostUrgent(2).grant(0, np.arange(4), urgency)
+    assert grant.sent.tolist() == [[True, False, False, True], [False, False, True, False]]
+    assert grant.busy.tolist() == [2.0, 1.0]
+
+
+def test_round_robin_gives_each_its_turn() -> None:
+    """After seven turns of three all have sent three times, in the same order; not all need be there."""
+    access, everybody = RoundRobin(3, 7), np.arange(7)
+    sent = np.array([access.grant(tick, everybody, np.ones((2, 7))).sent[0] for tick in range(14)])
+    assert (sent.sum(axis=1) == 3).all()
+    assert sent[:7].sum(axis=0).tolist() == [3] * 7
+    assert sent[0].nonzero()[0].tolist() == [0, 1, 2]
+    assert sent[2].nonzero()[0].tolist() == [0, 1, 6]
+    assert access.grant(14, np.array([4, 5]), np.ones((1, 2))).sent.tolist() == [[True, True]]
+
+
+def test_time_division_keeps_rates_and_capacity() -> None:
+    """Everyone's number of sends is its rate times the ticks, within one; intervals are the two nearest to 1/rate."""
+    rates = np.repeat([0.4, 0.25, 0.125], [5, 4, 8])
+    phases = np.concatenate([(np.arange(n) + 0.5) / n for n in (5, 4, 8)])
+    access, everybody = TimeDivision(4, rates, phases), np.arange(17)
+    sent = np.array([access.grant(tick, everybody, np.ones((1, 17))).sent[0] for tick in range(400)])
+    assert sent.sum(axis=1).max() <= 4
+    assert (abs(sent.sum(axis=0) - 400 * rates) <= 2).all()
+    fourth = np.diff(sent[:, 5].nonzero()[0])
+    assert set(fourth.tolist()) <= {3, 4, 5}
+    never = TimeDivision(4, np.array([0.0, 1.0]), np.array([0.5, 0.5]))
+    assert never.grant(3, np.arange(2), np.ones((1, 2))).sent.tolist() == [[False, True]]
+
+
+def test_a_saturated_random_access_carries_one_in_e() -> None:
+    """All want to send always: some 1/e of the slots carry a packet, as slotted ALOHA does at its best."""
+    access, slots = RandomAccess(20, seed=1), 20
+    grants = [access.grant(tick, np.arange(300), np.ones((3, 300))) for tick in range(1200)]
+    carried = np.array([grant.sent.sum(axis=1) for grant in grants[200:]]) / slots
+    mean, spread = carried.mean(), carried.std() / np.sqrt(carried.size)
+    assert abs(mean - np.exp(-1)) < 4 * spread + 0.005  # e^-1 is the limit of many loops
+    assert all((grant.busy >= grant.sent.sum(axis=1)).all() for grant in grants)
+
+
+def test_two_who_meet_in_the_only_slot_both_fail() -> None:
+    """With one slot a tick has one packet, or none gets through."""
+    access = RandomAccess(1, seed=3)
+    grants = [access.grant(tick, np.arange(2), np.ones((50, 2))) for tick in range(40)]
+    assert all((grant.sent.sum(axis=1) == (grant.busy == 1)).all() for grant in grants)
+    assert any((grant.busy == 2).any() for grant in grants)
+
+
+def test_loops_that_never_wait_cost_what_the_renewal_equations_say() -> None:
+    """A threshold on each loop and room for all: rate and cost of quadrature, to the standard error."""
+    F, Gamma = np.array([[1.1, 0.3], [0.0, 0.8]]), np.array([[1.0, 0.2], [0.2, 0.5]])
+    noise = 0.2 * np.eye(2)
+    exact = solve_gaussian(Chain(F, noise, Gamma, 1.5, Gamma))
+    channel = Channel([Group(F, noise, Gamma, Form((ERROR,), Gamma, -1.5), 4096)], MostUrgent(4096))
+    channel.run(200)
+    parts = [channel.run(64) for _ in range(20)]
+    for values, expected in (
+        (np.array([part.cost[0, 0] for part in parts]) / 4096, exact.excess),
+        (np.array([part.sends[0, 0] for part in parts]) / 4096, exact.rate),
+    ):
+        assert abs(values.mean() - expected) < 4 * values.std(ddof=1) / np.sqrt(len(values))
+
+
+def test_the_machine_and_numpy_take_the_same_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without llvmlite the channel runs in NumPy: the same sends, the same costs to rounding."""
+    group = Group(np.array([[1.1]]), UNIT, UNIT, Form((ERROR,), UNIT, -2.0), 50)
+    fast = Channel([group], MostUrgent(10), channels=2, seed=4).run(60)
+    monkeypatch.setattr("taciturn.program.machine.available", lambda: False)
+    slow = Channel([group], MostUrgent(10), channels=2, seed=4).run(60)
+    assert (fast.sends == slow.sends).all()
+    assert fast.cost == pytest.approx(slow.cost, rel=1e-12)
+    assert contend(group).inputs == ("granted",)
+
+
+def test_a_loop_that_looks_half_as_often_counts_as_it_should() -> None:
+    """Round robin of loops that look at every tick and at every other one: exact rates and costs."""
+    slow = Group(UNIT, UNIT, 2 * UNIT, Form(constant=1.0), 8, every=2)
+    quick = Group(UNIT, UNIT, UNIT, Form(constant=1.0), 8)
+    channel = Channel([slow, quick], RoundRobin(4, 16), channels=400)
+    channel.run(80)
+    found = channel.run(800)
+    assert found.sends.mean(axis=0) == pytest.approx([2.0, 2.0])
+    # of slow ones every second look is sent, of quick ones every fourth: (1/2)·1·2/2 and (1+2+3)/4
+    assert found.cost.mean(axis=0) == pytest.approx([8 * 0.5, 8 * 1.5], rel=0.02)
+
+
+def test_the_price_loads_the_channel_as_asked() -> None:
+    """By quadrature, which the search does not use: the rate at the price, where the best trigger is known."""
+    kinds = gather({"walk": WALK}, [100])
+    price = find_price([Curve(kinds[0])], 20.0, 1.0)
+    exact = taciturn.solve_optimum(
+        taciturn.close(WALK.plant, taciturn.design.excess(WALK.plant, WALK.cost, delta=1.0, actuation="model")), price
+    )
+    assert exact.rate == pytest.approx(0.2, rel=0.015)
+    bound = bound_schedulers(kinds, 20.0, price)
+    dual = 100 * (kinds[0].cost_all_time + exact.cost) - 20 * price
+    assert bound.confidence is None
+    assert bound.cost == pytest.approx(dual, rel=1e-3)
+    assert bound.cost < dual
+
+
+def test_a_clock_is_as_good_as_exact_where_it_can_be_kept() -> None:
+    """Equal loops and a whole interval: round robin and time division attain the best periodic allocation."""
+    for scheduler in ("round-robin", "tdma"):
+        found = share_channel({"walk": WALK}, copies=40, capacity=10, scheduler=scheduler)
+        assert abs(found.cost.value - found.cost_periodic) < 4 * found.cost.standard_error
+        assert found.consistent is None
+        assert found.load.value == pytest.approx(10)
+
+
+def test_loops_that_all_can_send_always_cost_no_more() -> None:
+    """The capacity is the number of loops."""
+    found = share_channel({"walk": WALK}, copies=5, capacity=5)
+    assert found.cost == Estimate(found.cost_all_time, 0.0, "simulation")
+    assert found.price == 0.0
+    assert found.lower_bound.cost == found.cost_all_time
+    assert found.load.value == 5
+
+
+def test_loops_that_decay_are_left_alone_where_sends_are_dear() -> None:
+    """Beside loops that wander, one that forgets quickly gets nothing, and nobody is refused."""
+    calm = Problem(Plant([[0.2]], [[1.0]], [[1e-3]]), WALK.cost, Network(), "all-time", {})
+    found = share_channel({"walk": WALK, "calm": calm}, copies=[50, 50], capacity=10, scheduler="tdma", ticks=2000)
+    assert found.shares[1].rate.value == 0.0
+    dear = share_channel({"walk": WALK, "calm": calm}, copies=[50, 50], capacity=10, ticks=2000)
+    assert dear.shares[1].rate.value < 0.01
+    assert dear.lower_bound.cost <= dear.cost.value + 4 * dear.cost.standard_error
+
+
+def test_the_same_seed_gives_the_same_numbers() -> None:
+    """Another one gives others that agree."""
+    first, again, other = (
+        share_channel({"walk": WALK}, copies=12, capacity=3, ticks=4000, seed=seed) for seed in (3, 3, 4)
+    )
+    assert first.cost == again.cost
+    assert first.cost != other.cost
+    spread = np.hypot(first.cost.standard_error, other.cost.standard_error)
+    assert abs(first.cost.value - other.cost.value) < 4 * spread
+
+
+def test_a_loop_that_gets_too_little_is_refused_with_the_rate_it_needs() -> None:
+    """One of two kinds is starved by equal turns, though not by the best rates; the least rate is that of a clock."""
+    wild = Problem(Plant([[1.6]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})
+    problems = {"calm": WALK, "wild": wild}
+    with pytest.raises(UnstableError, match=r"wild: .* get 0\.0\d+ sends per look each") as refused:
+        share_channel(problems, copies=[100, 2], capacity=4, scheduler="round-robin", ticks=2000)
+    least = float(str(refused.value).split("expected at least ")[1].split(":")[0])
+    rates = least * np.array([0.9, 1.1])
+    clocked = gather({"wild": wild}, [1])[0].clocked
+    assert clocked.cost(rates[0]) > 1e6 > clocked.cost(rates[1])
+    fine = share_channel(problems, copies=[100, 2], capacity=4, scheduler="tdma", ticks=2000)
+    assert fine.shares[1].rate.value > least
+    with pytest.raises(UnstableError, match="wild: its loops are unstable"):
+        share_channel({"wild": wild}, copies=60, capacity=6, scheduler="random-access", ticks=2000)
+
+
+def test_what_is_no_problem_is_refused() -> None:
+    """Before anything is computed."""
+    with pytest.raises(ProblemError, match="problems"):
+        share_channel({}, copies=1, capacity=1)
+    with pytest.raises(ProblemError, match="problems"):
+        share_channel({"a": 3}, copies=1, capacity=1)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.evidence
+def test_ten_thousand_loops_are_within_two_percent_of_what_none_can_beat() -> None:
+    """Two thousand of them are of another kind; the gap is of the whole cost, and above its error."""
+    names = ("wiener-double-integrator", "inverted-pendulum")
+    problems = {name: taciturn.load(name) for name in names}
+    found = share_channel(problems, copies=[8000, 2000], capacity=1000)
+    gap = (found.cost.value + 4 * found.cost.standard_error) / found.lower_bound.cost - 1
+    assert 0 < gap < 0.02
+    assert found.consistent is True
