@@ -121,7 +121,7 @@ def carried(name: str, budget: float) -> dict[str, Any]:
     free = crossing(lambda rate: excess_at(kind, rate), limit, 1e-3, 0.97, 0.005)
     row: dict[str, Any] = {"problem": name, "budget": budget, "clock": 1 / clock, "free": 1 / free}
     for slots in SLOTS:
-        low, high = int(slots / clock), int(1.2 * slots / free) + 2  # loops that certainly fit, and that do not
+        low, high = int(slots / clock), int(slots / free) + 2  # loops that fit, and that do not
         while high - low > max(1, 0.01 * low):
             loops = (low + high) // 2
             found = share_channel(
@@ -129,6 +129,7 @@ def carried(name: str, budget: float) -> dict[str, Any]:
                 copies=loops,
                 capacity=slots,
                 standard_error=0.002 * budget * kind.cost_all_time * loops,
+                confidence=0,
             )
             low, high = (loops, high) if found.cost.value <= budget * found.cost_all_time else (low, loops)
         row[f"slots {slots}"] = low / slots

@@ -153,6 +153,15 @@ def test_loops_that_decay_are_left_alone_where_sends_are_dear() -> None:
     assert dear.lower_bound.cost <= dear.cost.value + 4 * dear.cost.standard_error
 
 
+def test_loops_without_noise_need_nothing() -> None:
+    """Nothing is sent on their behalf, and the others get the channel."""
+    still = Problem(Plant([[1.0]], [[1.0]], [[0.0]]), WALK.cost, Network(), "all-time", {})
+    found = share_channel({"still": still, "walk": WALK}, copies=[6, 3], capacity=3, ticks=500)
+    assert found.shares[0].rate.value == 0.0
+    assert found.shares[0].cost == Estimate(0.0, 0.0, "simulation")
+    assert found.cost.value == pytest.approx(found.cost_all_time, rel=1e-3)
+
+
 def test_the_same_seed_gives_the_same_numbers() -> None:
     """Another one gives others that agree."""
     first, again, other = (

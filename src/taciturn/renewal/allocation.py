@@ -37,6 +37,8 @@ class Clocked:
         self._spread = noise
         self._weights = np.zeros(0)
         self._extend(FIRST)
+        if not self._weights.any():  # no noise reaches what silence costs
+            self.forever = 0.0
 
     def cost(self, rate: float) -> float:
         """Return what checks cost on average, at a rate in [0, 1] of sends per check."""
@@ -73,7 +75,7 @@ class Clocked:
 
     def _is_settled(self) -> bool:
         last = self._weights[-1]
-        return bool(self.growth < 1 and self.forever - last <= SETTLED * self.forever)
+        return bool(np.isfinite(self.forever) and self.forever - last <= SETTLED * self.forever)
 
     def _extend(self, checks: int) -> None:
         """Compute w_k for so many checks, at most the longest interval; numbers that overflow are infinite."""

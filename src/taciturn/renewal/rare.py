@@ -52,8 +52,8 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
         return Rarity(1.0, 0.0)
     covariance, value = discrete_lyapunov(F, noise), discrete_lyapunov(F.T, Gamma)
     half = root(covariance)
-    largest = float(np.linalg.eigvalsh(half.T @ value @ half)[-1])
-    if largest <= 0:
+    largest = float(np.linalg.eigvalsh(half.T @ value @ half).max(initial=0.0))
+    if largest <= 0:  # no noise, or none that silence costs
         return Rarity(0.0, 0.0)
     tail = 2 ** (len(F) / 2) * np.exp(-price / (4 * largest))
     forever = float(np.sum(Gamma * covariance))

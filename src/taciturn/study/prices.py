@@ -24,6 +24,8 @@ FEW = 300  # errors that the schedules of a table are fitted to
 LOOPS = 4096  # that a rate is measured on
 SETTLE = 8  # mean intervals between sends that are dropped first, and that are measured
 SHORTEST, LONGEST = 64, 16_384  # looks that are measured
+HALVINGS = 8  # of a price at which there is no bound
+CHEAPEST = 1e-9  # of the price from where a search begins: next to nothing
 RAREST = 1 / LONGEST  # sends per look: what sends less often never sends
 ACCURATE = 1e-3  # relative, of a bound by quadrature, from which its error is taken
 ALWAYS, NEVER = Form(constant=1.0), Form(constant=-1.0)
@@ -134,6 +136,8 @@ def find_price(curves: Sequence[Curve], capacity: float, guess: float) -> float:
         low, high, stride = high, high + stride, 2 * stride
     while excess(low) <= 0:
         low, high, stride = low - stride, low, 2 * stride
+        if 2.0 ** (low / PER_OCTAVE) < CHEAPEST * guess:  # whoever gains anything by a send makes it, and has room
+            return CHEAPEST * guess
     return float(2.0 ** (_scipy.crossing(excess, low, high) / PER_OCTAVE))
 
 
@@ -188,7 +192,7 @@ def _least_gain(kind: Kind, price: float, confidence: float, seed: int) -> tuple
     rare = bound_rare_sends(*error, price)
     if rare.rate < RAREST:
         return rare.gain, False
-    while price > 0:
+    for _ in range(HALVINGS):
         try:
             exact = solve_optimal(*error, price, ACCURATE)
             return max(exact.cost - exact.cost_error, rare.gain), False

@@ -106,7 +106,8 @@ class Game:
         for kind, rate in zip(self.kinds, self.clocked.rates.tolist(), strict=True):
             sends = BURN_IN / rate if rate else np.inf
             decays = SETTLE / (1 - kind.clocked.growth) if kind.clocked.growth < 1 else np.inf
-            longest = max(longest, ceil(kind.every * min(sends, decays)))
+            if np.isfinite(forgets := min(sends, decays)):  # else no noise moves it
+                longest = max(longest, ceil(kind.every * forgets))
         return -(-longest // self.cycle) * self.cycle
 
     def refuse_uncontrolled(self, stretch: Stretch) -> None:
