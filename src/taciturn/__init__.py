@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from taciturn.loop import Loop as Loop
     from taciturn.loop import close as close
     from taciturn.model.cost import Cost as Cost
+    from taciturn.model.dynamics import integrate as integrate
+    from taciturn.model.dynamics import linearise as linearise
     from taciturn.model.estimate import Estimate as Estimate
     from taciturn.model.network import Burst as Burst
     from taciturn.model.network import Network as Network
@@ -128,6 +130,8 @@ _HOME = {
     "export_fmu": "study.export",
     "find_losses": "study.losses",
     "from_control": "runtime.control",
+    "integrate": "model.dynamics",
+    "linearise": "model.dynamics",
     "load": "problem",
     "plant_from": "model.plant",
     "regenerative": "simulation.statistics",

@@ -68,6 +68,8 @@ def evaluation(found: Evaluation) -> None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
     if found.cost_bound_at_rate is not None:
         lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
+    if found.linearisation is not None:
+        lines.append(("linearisation", _promised(found)))
     if found.lower_bound is not None:
         text = f"{_rounded(found.lower_bound.cost, 6, -1)} at this rate ({100 * found.lower_bound.confidence:g} %)"
         lines.append(("no less than", text))
@@ -102,6 +104,20 @@ def _verdict(found: Evaluation) -> list[str]:
         text += f", at most {_rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
     least = math.floor(least * 10**decimals) / 10**decimals
     return [f"{text}; no scheduling of this controller at this rate can cost less than {least:.{decimals}f} % above"]
+
+
+def _promised(found: Evaluation) -> str:
+    """Say what the theory of the linearisation says, and how the plant's cost compares; nothing of it is claimed."""
+    promised, cost = found.linearisation, found.cost.value
+    assert promised is not None
+    text = f"all-time cost {promised.cost_all_time:.6g}"
+    if promised.cost_all_time:
+        text += f" (measured: {cost / promised.cost_all_time:.4g} times that)"
+    if promised.cost_bound is not None:
+        over, margin = cost - promised.cost_bound, 4 * found.cost.standard_error
+        seen = "kept here" if over + margin <= 0 else "broken here" if over > margin else "kept or broken, by chance"
+        text += f", its bound {promised.cost_bound:.6g} ({seen})"
+    return f"{text}; none of this is claimed of the plant"
 
 
 def _decimals(value: float, digits: int) -> int:

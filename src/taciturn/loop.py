@@ -16,6 +16,7 @@ from taciturn.model.information import check_information
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
+from taciturn.model.steps import assigned
 from taciturn.model.trigger import Form, Matrix, Scheduled
 from taciturn.program.controller import begin_tick, draw_losses, is_bad
 from taciturn.program.controls import with_controls
@@ -24,6 +25,7 @@ from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
 from taciturn.program.lower import Tick
 from taciturn.program.ops import Precision
+from taciturn.program.trace import trace
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
 DRAWN = "drawn"  # the normals that an innovation is made of
@@ -119,7 +121,7 @@ class Loop:
         tick = self._tick({"x": plant.states})
         followed = () if tracking is None else (tracking.state, tracking.input)
         for step in self.policy.steps:
-            if isinstance(step, Assign) and step.signal in followed:
+            if any(name in followed for name in assigned(step)):
                 tick.take(step, {})
         tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
@@ -231,13 +233,23 @@ class Loop:
         return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
 
     def _moved(self, tick: Tick, supplied: bool = False) -> list[int]:
-        plant, jumps = self.problem.plant, self.problem.jumps
+        plant = self.problem.plant
+        if plant.function is not None:
+            noise = self._disturbance(tick, supplied) or [tick.builder.constant(0.0)] * plant.states
+            given = {"x": tick.read("x"), "u": tick.read("applied"), "w": noise}
+            return trace(tick.builder, plant.function.function, given, {"x": plant.states})["x"]
         moved = tick.combine({"x": plant.A, "applied": plant.B}, plant.states)
+        noise = self._disturbance(tick, supplied)
+        return _add(tick, moved, noise) if noise else moved
+
+    def _disturbance(self, tick: Tick, supplied: bool) -> list[int]:
+        """Return w, supplied or drawn; nothing where it is 0."""
+        plant, jumps = self.problem.plant, self.problem.jumps
         if supplied:
-            return _add(tick, moved, [tick.builder.input(f"w {i}") for i in range(plant.states)])
+            return [tick.builder.input(f"w {i}") for i in range(plant.states)]
         if not plant.W.any():
-            return moved
-        return _add(tick, moved, _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps))
+            return []
+        return _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
 
     def _deviate(self, tick: Tick) -> tuple[str, str]:
         """Return the signals that the cost weighs: state and input, or what they are off a reference."""
@@ -337,6 +349,7 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
     bursts = any(network.burst(link) is not None for link in ENDS)
     exact, designed = network.without_rounding(), policy.network.without_rounding()
     found = {
+        "the plant is not linear (A and B are its linearisation)": plant.function is not None,
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": mission and not same_start,
         "inputs are clipped (input_limit)": plant.input_limit is not None,

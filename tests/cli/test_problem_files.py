@@ -221,7 +221,12 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
         (plant(dt="0"), "dt is 0; expected 0 < dt"),
         (plant(B="[[0.0]]"), "(A, B) is not stabilisable: no input can move the mode at 1.2, which does not decay"),
         (plant(C="[[0.0]]"), "(A, C) is not detectable: no measurement shows the mode at 1.2, which does not decay"),
-        (plant(function="'f.py:f'"), "plant.function is given, and nonlinear plants are not supported yet"),
+        (
+            plant(function="'f.py'"),
+            "plant.function is 'f.py'; expected 'file.py:name', a Python file and a function in",
+        ),
+        (plant(function="'f.py:f'", dt=""), "plant.function is given without plant.dt; expected dt, the seconds of"),
+        (plant(function="3"), "plant.function is 3; expected a string"),
         (
             plant(JUMPS),
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt",

@@ -20,8 +20,10 @@ from export.units import FMI, SEED, Instance, build_driver, differing_ticks, dri
 from fmpy.build import build_platform_binary
 from fmpy.fmi1 import FMICallException
 from fmpy.validation import validate_fmu
+from parity.loops import with_functions
 from runtime.test_nodes import CONTINUOUS
 from runtime.test_nodes import build as build_loop
+from systems import make_system
 
 import taciturn
 from taciturn.errors import ProblemError
@@ -36,6 +38,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     **{name: (lambda name=name: taciturn.load(name).close(taciturn.load(name).design())) for name in PROBLEMS},
     "several inputs": lambda: build_loop("lqg joint model"),
     "own draws": lambda: build_loop("stochastic"),
+    "functions": lambda: with_functions(make_system(5, 3, 2, 2, False), 1),
     "single precision": lambda: replace(LOOPS["two-mass"](), precision="float32"),
 }
 Make = Callable[[str, Version], tuple[Loop, Fmu, Path]]

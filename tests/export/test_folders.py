@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import subprocess
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ from catalogue import POLICIES
 from export.devices import STRICT, needs_compiler
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import every_feature
+from parity.loops import every_feature, with_functions
 from runtime.test_nodes import CONTINUOUS, build
 from systems import System, make_system, systems
 
@@ -27,7 +28,6 @@ from taciturn.export.folder import MARK, CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
-from taciturn.program.ir import Program
 from taciturn.study.export import bear_single, export_c
 
 AGREES = "ticks compared, every decision and every bit of the input agrees"
@@ -111,6 +111,14 @@ def test_every_feature_of_a_policy_is_printed(
     loop = replace(every_feature(system, seed), precision=precision)
     check = compile_check(write(tmp_path_factory.mktemp("every"), print_folder(loop, "every", rows=40)))
     assert run_check(check) == (0, f"every: 40 {AGREES}")
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_steps_that_are_functions_are_printed(precision: str, tmp_path: Path) -> None:
+    """Sines, exponentials, logarithms and roots without a library, with the bits of the simulated loop."""
+    loop = replace(with_functions(make_system(5, 3, 2, 2, False), 1), precision=precision)
+    check = compile_check(write(tmp_path, print_folder(loop, "functions", rows=200)))
+    assert run_check(check) == (0, f"functions: 200 {AGREES}")
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
@@ -314,11 +322,9 @@ def hovering(place: float) -> Loop:
     return taciturn.close(plant, design.lossy_lqg(plant, cost, price=1e-9, network=network, reference=followed))
 
 
-def test_programs_that_need_a_library_of_mathematics_are_not_printed() -> None:
-    """No node takes a root: if one did, it would be said."""
-    from taciturn.program.c import print_c
-    from taciturn.program.ops import Op
-
-    program = Program((Op("input", (0,)), Op("sqrt", (0,))), (), (), ("x",), (), (), {}, {"root": 1})
-    with pytest.raises(AssertionError, match="C knows no sqrt"):
-        print_c(program, "root", [0])
+def test_no_library_of_mathematics_is_called() -> None:
+    """Neither for roots nor for what is made of operations."""
+    found = print_folder(with_functions(make_system(5, 3, 2, 2, False), 1), "functions", rows=10)
+    text = "".join(found.files.values())
+    assert "tac_root(" in text
+    assert re.findall(r"\b(?:sqrt|sin|cos|tan|atan2?|exp|log|tanh|pow|fabs)[fl]?\(", text) == []

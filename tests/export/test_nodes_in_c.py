@@ -16,7 +16,7 @@ from catalogue import POLICIES, closed
 from export.devices import WAITING, Device, Library, compile_node
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import every_feature
+from parity.loops import every_feature, with_functions
 from runtime.test_packets import KEY
 from systems import make_system
 
@@ -116,6 +116,7 @@ LOOPS: dict[str, Callable[[], Loop]] = {
     "remote": cache(lambda: closed(POLICIES["remote"](make_system(11, 3, 2, 2, False)))),
     "told": cache(lambda: everything(1)),
     "untold": cache(lambda: everything(3)),
+    "functions": cache(lambda: with_functions(make_system(11, 3, 2, 2, False), 1)),
 }
 WATCHES = (Watch(), Watch(5, (0.25, -0.5)), Watch(3))
 

@@ -9,7 +9,7 @@ from systems import System
 
 from taciturn import Bell, Form, Network, Policy, Scheduled, Trigger, close
 from taciturn.loop import Loop
-from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send
+from taciturn.model.policy import Acknowledged, Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
@@ -93,4 +93,51 @@ def every_feature(system: System, seed: int) -> Loop:
         Assign("controller", "prior", {"estimate": plant.A, "held": plant.B}),
     )
     policy = Policy("every feature", steps, plant, 1.0, locations=(clock, mood, heard), network=network)
+    return close(plant, policy, network, system.cost)
+
+
+def with_functions(system: System, seed: int, protocol: str = "udp") -> Loop:
+    """Return a loop with an extended Kalman filter, a trigger and an input that are functions, over links that lose.
+
+    Its model is not the plant's: nothing is claimed of this policy but that it is one.
+    """
+    plant, draws = system.plant, np.random.default_rng(seed)
+    A, B, C, n, p = plant.A, plant.B, plant.C, plant.states, plant.outputs
+    noise, L, unit = plant.V + 0.1 * np.eye(p), 0.2 * draws.normal(size=(plant.inputs, n)), np.eye(plant.inputs)
+    loss = 0.0 if protocol == "ideal" else 0.3
+
+    def correct(forecast: np.ndarray, spread: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        P = spread.reshape(n, n)
+        K = np.linalg.solve(C @ P @ C.T + noise, C @ P).T
+        return forecast + K @ (y - C @ forecast), (P - K @ C @ P).ravel()
+
+    def predict(estimate: np.ndarray, covariance: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        bent = np.clip(estimate, -3.0, 3.0)
+        F = A + 0.1 * np.diag(np.where(np.abs(estimate) < 3.0, np.cos(bent), 0.0))
+        spread = np.zeros((n, n))
+        spread += F @ covariance.reshape(n, n) @ F.T / (1.0 + covariance @ covariance) + plant.W
+        return A @ estimate + B @ held + 0.1 * np.sin(bent), spread.ravel()
+
+    def urge(error: np.ndarray, estimate: np.ndarray) -> np.ndarray:
+        size = np.log(1.0 + np.linalg.norm(error)) - 0.2 * np.arctan2(estimate[0], 1.0)
+        return np.maximum(size, np.sqrt(np.abs(error[0])) - 1.0) / (1.0 + np.exp(-np.abs(estimate).sum()))
+
+    def bound(aim: np.ndarray) -> np.ndarray:
+        return 4.0 * np.tanh(aim / 4.0)
+
+    steps = (
+        Apply("controller", {"estimate": n, "covariance": n * n}, correct, ("forecast", "spread", "y")),
+        Assign("controller", "command", {"estimate": L}),
+        Assign("controller", "error", {"command": unit, "held": -unit}),
+        Apply("controller", {"urge": 1}, urge, ("error", "estimate")),
+        Decide("controller", "send", Trigger({"silent": Form(plus={"urge": 1.0}), "send": Form()})),
+        Send("controller", "actuator", ("command",), "send"),
+        Assign("actuator", "aim", ({"aim": 0.9 * unit}, {"command": unit}), Received("actuator")),
+        Apply("actuator", {"input": plant.inputs}, bound, ("aim",)),
+        Assign("controller", "held", ({"held": unit}, {"command": unit}), "send"),
+        Apply("controller", {"forecast": n, "spread": n * n}, predict, ("estimate", "covariance", "held")),
+    )
+    place, network = frozenset({"sensor", "controller"}), Network(protocol, 0.0, loss)  # type: ignore[arg-type]
+    first = {"spread": np.eye(n).ravel()}
+    policy = Policy("functions", steps, plant, 1.0, sites=(place,), initial=first, network=network)  # type: ignore[arg-type]
     return close(plant, policy, network, system.cost)

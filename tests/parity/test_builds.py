@@ -7,7 +7,7 @@ import pytest
 from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import assert_parity, every_feature, programs, same, with_precision
+from parity.loops import assert_parity, every_feature, programs, same, with_functions, with_precision
 from systems import System, make_system, systems, well_posed
 
 import taciturn
@@ -82,6 +82,14 @@ def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(
     assert_parity(
         loop, loop.program(), seed, ticks=40 if precision == "float64" else 12
     )  # unstable: floats end at 1e38
+
+
+@settings(max_examples=25)
+@given(system=systems(states=4), seed=SEEDS, precision=PRECISIONS)
+def test_steps_that_are_functions_agree_bit_for_bit(system: System, seed: int, precision: Precision) -> None:
+    """An extended Kalman filter, a trigger and an input made of sines, roots and exponentials."""
+    loop = with_precision(with_functions(system, seed), precision)
+    assert_parity(loop, loop.program(), seed, ticks=40 if precision == "float64" else 12)
 
 
 @pytest.mark.evidence

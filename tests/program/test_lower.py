@@ -7,14 +7,14 @@ import pytest
 from catalogue import POLICIES, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import every_feature
+from parity.loops import every_feature, with_functions
 from systems import System, systems
 
 from taciturn import Form, Scheduled, Trigger
 from taciturn._modes import factor
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
-from taciturn.model.policy import ONE, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
+from taciturn.model.policy import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
 from taciturn.program.numpy import run
@@ -61,6 +61,10 @@ class Told:
             self.signals[step.signal] = sum(self.read(matrix) @ self.signals[name] for name, matrix in terms.items())
         elif isinstance(step, Evaluate):
             self.signals[step.signal] = np.array([self.value(step.forms[self.which(step.on)])])
+        elif isinstance(step, Apply):
+            found = step.function(*(self.signals[name] for name in step.reads))
+            values = found if len(step.signals) > 1 else (found,)
+            self.signals |= {name: np.ravel(value) for name, value in zip(step.signals, values, strict=True)}  # type: ignore[call-overload]
         elif isinstance(step, Draw):
             self.signals[step.signal] = np.array([-np.log(next(self.uniforms))])  # exponential, by inversion
         elif isinstance(step, Decide):
@@ -128,6 +132,13 @@ def assert_told(loop: Loop, seed: int, ticks: int = 30, paths: int = 4) -> None:
 def test_losses_schedules_memories_draws_and_three_labels_mean_what_they_say(system: System, seed: int) -> None:
     """The policy with every feature, on random systems."""
     assert_told(every_feature(system, seed), seed)
+
+
+@settings(max_examples=25)
+@given(system=systems(states=4), seed=SEEDS)
+def test_steps_that_are_functions_mean_what_they_say(system: System, seed: int) -> None:
+    """What NumPy makes of floats, call by call."""
+    assert_told(with_functions(system, seed), seed)
 
 
 @settings(max_examples=40)

@@ -12,7 +12,7 @@ import scipy.signal
 from catalogue import POLICIES, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import every_feature, same
+from parity.loops import every_feature, same, with_functions
 from runtime.loops import drawn_by_the_policy, open_program
 from systems import System, continuous_system, make_system, systems
 
@@ -112,6 +112,11 @@ def test_the_system_of_a_policy_has_the_bits_of_its_nodes(name: str) -> None:
 def test_the_system_of_a_policy_with_every_feature_has_the_bits_of_its_nodes(system: System, seed: int) -> None:
     """Locations that do not start at 0, memories, bells, draws and losses, all at once."""
     assert_same(every_feature(system, seed), seed % 1000, ticks=40)
+
+
+def test_the_system_of_a_policy_with_functions_has_the_bits_of_its_nodes() -> None:
+    """An extended Kalman filter at the sensor, and an input that is bent at the actuator."""
+    assert assert_same(with_functions(make_system(5, 3, 2, 2, False), 1), seed=5, ticks=100)[:, -1].any()
 
 
 def test_bursts_and_clipped_inputs_are_those_of_the_nodes() -> None:

@@ -7,7 +7,7 @@ import pytest
 from catalogue import POLICIES, closed
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from parity.loops import every_feature
+from parity.loops import every_feature, with_functions
 from runtime.loops import differing_ticks, record
 from systems import System, make_system, systems
 
@@ -71,6 +71,13 @@ def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payl
     ranges = {"actuator_range": 3.0, "sensor_range": 20.0} if payload == "int16" else {}
     rounded = Network(network.protocol, network.actuator_loss, network.sensor_loss, payload=payload, **ranges)
     assert_same(taciturn.close(system.plant, loop.policy, rounded, loop.problem.cost), 120, seed % 1000, fast=True)
+
+
+@given(systems(states=3), st.integers(0, 2**32 - 1), st.booleans())
+@settings(max_examples=10, deadline=None)
+def test_steps_that_are_functions_run_in_nodes(system: System, seed: int, fast: bool) -> None:
+    """An extended Kalman filter at the sensor, and an input that is bent at the actuator."""
+    assert_same(with_functions(system, seed), 120, seed % 1000, fast)
 
 
 def test_rounding_is_within_half_a_step() -> None:

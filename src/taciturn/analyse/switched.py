@@ -15,14 +15,17 @@ from taciturn.loop import Loop
 from taciturn.model.policy import (
     ENDS,
     ONE,
+    Apply,
     Assign,
     Condition,
     Decide,
     Draw,
     Evaluate,
     Send,
+    Step,
     Terms,
 )
+from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 
 NOISE = "noise"  # of the measurement, in directions of unit variance
@@ -276,8 +279,7 @@ class _Reading:
             elif isinstance(step, Send):
                 arrived[step.link] = int(self._is_sent(step, action))
             else:
-                what = "draws a threshold" if isinstance(step, Draw) else f"remembers {step.signal}, a quadratic form"
-                raise ProblemError(f"{self.policy.kind} {what}, {_unserved()}")
+                raise ProblemError(f"{self.policy.kind} {_beyond(step)}, {_unserved()}")
         return signals
 
     def _outcome(self, on: Condition | None, action: int, arrived: Mapping[str, int]) -> int:
@@ -317,16 +319,19 @@ class _Reading:
         return weight.values[0]
 
 
-def _read(step: Assign | Evaluate | Draw | Decide | Send) -> Iterator[str]:
-    """Yield the signals that a step reads, in order."""
-    if isinstance(step, Assign):
-        for terms in step.branches:
-            yield from terms
-    elif isinstance(step, Decide):
-        yield from step.trigger.reads
-    elif isinstance(step, Evaluate):
-        for form in step.forms:
-            yield from form.reads
+def _read(step: Step) -> Iterator[str]:
+    """Yield the signals that what a step computes depends on, in order."""
+    if not isinstance(step, Send):
+        yield from read(step)
+
+
+def _beyond(step: Evaluate | Apply | Draw) -> str:
+    """Return what is not linear in a step."""
+    if isinstance(step, Draw):
+        return "draws a threshold"
+    if isinstance(step, Apply):
+        return f"computes {', '.join(step.signals)} by a function"
+    return f"remembers {step.signal}, a quadratic form"
 
 
 def _refuse_loops(loop: Loop) -> None:
@@ -334,7 +339,10 @@ def _refuse_loops(loop: Loop) -> None:
     policy, network = loop.policy, loop.network
     sent = {step.link for step in policy.steps if isinstance(step, Send)}
     lost = [link for link in ENDS if link in sent and network.loss(link) > 0]
+    functions = [step for step in policy.steps if isinstance(step, Apply)]
     found = {
+        "the plant is not linear": loop.problem.plant.function is not None,
+        f"{policy.kind} {_beyond(functions[0]) if functions else ''}": bool(functions),
         f"{policy.kind} follows a reference": policy.tracking is not None,
         f"{policy.kind} adds constants": any(ONE in _read(step) for step in policy.steps),
         "the loop is a mission, with a horizon or a discount": loop.horizon is not None,

@@ -11,6 +11,7 @@ from taciturn.model.policy import (
     ENDS,
     ONE,
     Acknowledged,
+    Apply,
     Assign,
     Condition,
     Decide,
@@ -22,6 +23,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
+from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
 Site: TypeAlias = frozenset[NodeName]
@@ -62,14 +64,15 @@ class _Knowledge:
                 self.decided[step.decision] = site
             elif isinstance(step, Send):
                 self.packets[step.link] = (site, step.payload)
-            elif self.home.setdefault(step.signal, site) != site:
-                raise InformationError(f"{step.signal} is assigned at {step.at} and elsewhere; expected one owner")
+            for name in assigned(step):
+                if self.home.setdefault(name, site) != site:
+                    raise InformationError(f"{name} is assigned at {step.at} and elsewhere; expected one owner")
 
     def check(self, step: Step) -> None:
         """Check one step."""
         if isinstance(step, Draw):
             return
-        on = None if isinstance(step, Decide) else step.on
+        on = None if isinstance(step, Apply | Decide) else step.on
         self.check_condition(on, step.at)
         for outcome, (names, weights) in enumerate(_reads(step)):
             arrived = on.link if isinstance(on, Received) and outcome == 1 else None
@@ -118,11 +121,11 @@ class _Knowledge:
             )
 
 
-def _reads(step: Assign | Evaluate | Decide | Send) -> list[tuple[Sequence[str], Sequence[object]]]:
+def _reads(step: Assign | Evaluate | Apply | Decide | Send) -> list[tuple[Sequence[str], Sequence[object]]]:
     """Return the signals and the weights that each branch of a step reads."""
     if isinstance(step, Assign):
         return [(tuple(terms), tuple(terms.values())) for terms in step.branches]
-    if isinstance(step, Send):
-        return [(step.payload, ())]
+    if isinstance(step, Apply | Send):
+        return [(tuple(read(step)), ())]
     forms: Sequence[Form] = step.forms if isinstance(step, Evaluate) else tuple(step.trigger.options.values())
     return [(form.reads, (form.Psi, form.constant)) for form in forms]

@@ -9,10 +9,12 @@ from typing import Any, cast
 
 import numpy as np
 
+from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import Policy, Send
+from taciturn.model.policy import Apply, Policy, Send
 from taciturn.model.wire import PERSON, Encoding, PacketKind
 
+POINTS = 3  # at which functions are told apart
 DIGITS = 1e6  # of the largest entry of a matrix: what two machines that design the same policy agree in
 
 
@@ -42,12 +44,33 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
 def fingerprint(policy: Policy, network: Network) -> int:
     """Return 64 bits that tell policies apart: steps, locations and first values, to six digits of each matrix.
 
-    Two machines whose linear algebra rounds differently find the same.
+    Two machines whose linear algebra rounds differently find the same. A function is known by what it returns at some
+    points, wherever it is written down.
     """
-    data = (policy.steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
+    steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
+    data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
     rounding = [network.encoding(step.link) for step in policy.steps if isinstance(step, Send)]
     text = repr(_plain([data, rounding, policy.model.input_limit]))
     return int.from_bytes(hashlib.blake2s(text.encode(), digest_size=8, person=PERSON).digest(), "big")
+
+
+def _sampled(policy: Policy, step: Apply) -> object:
+    """Return a function as what it makes of three points."""
+    found: list[object] = []
+    sizes = [policy.sizes[name] for name in step.reads]
+    for point in range(1, 1 + POINTS):
+        values = np.modf(np.sqrt(point + 7.0 * np.arange(sum(sizes))))[0]  # spread over [0, 1)
+        try:
+            with np.errstate(all="ignore"):
+                returned = step.function(*np.split(values, np.cumsum(sizes)[:-1]))
+        except Exception as error:
+            raise ProblemError(
+                f"the function of {', '.join(step.signals)} fails: {type(error).__name__}: {error}; expected one of "
+                f"the vectors {', '.join(step.reads)}"
+            ) from error
+        listed = cast("Iterable[Any]", (returned,) if len(step.signals) == 1 else returned)
+        found += [np.nan_to_num(np.asarray(one, dtype=np.float64)) for one in listed]
+    return ("Apply", step.at, dict(step.signals), step.reads, found)
 
 
 def _plain(value: object) -> object:

@@ -1,4 +1,4 @@
-"""Plants: linear, discrete or continuous in time, driven by noise, and checked when they are made."""
+"""Plants: discrete or continuous in time, driven by noise, and checked when they are made."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from typing import Literal, Protocol, cast, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, semidefinite
+from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
 from taciturn._modes import mode_text, uncontrollable_modes
 from taciturn.errors import ProblemError
+from taciturn.model.dynamics import Dynamics, Map
 
 JumpDistribution = Literal["normal", "uniform", "two-point"]
 
@@ -30,9 +31,13 @@ class Plant:
         mean: initial mean, (n,); omitted: 0.
         covariance: initial covariance, (n, n); omitted: 0.
         input_limit: symmetric clip of each input at the plant, (m,), positive; omitted: none.
+        function: x⁺ = f(x, u, w) of arrays (n,), (m,), (n,), w ~ N(0, W) drawn at every tick: a plant that is not
+            linear. Policies are designed on A and B, which must be its derivatives by x and u at 0, an equilibrium;
+            that by w is the identity wherever W is not 0. Omitted: A x + B u + w.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable.
+        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable; or a function that fails,
+            does not rest at 0, or has another linearisation.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
@@ -48,6 +53,7 @@ class Plant:
     mean: Array
     covariance: Array
     input_limit: Array | None
+    function: Dynamics | None
     full_state: bool = field(repr=False)
 
     def __init__(
@@ -61,11 +67,13 @@ class Plant:
         mean: ArrayLike | None = None,
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
+        function: Map | Dynamics | None = None,
     ) -> None:
         """Check and freeze."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
+        object.__setattr__(self, "function", None if function is None else _checked(function, self))
         _refuse_lost_modes(self, lambda values: np.abs(values) >= 1 - 1e-12)
 
     @property
@@ -84,7 +92,7 @@ class Plant:
         return self.C.shape[0]
 
     def same_as(self, other: Plant) -> bool:
-        """Tell whether the other plant has the same dynamics, noise and input limit."""
+        """Tell whether the other plant has the same linear dynamics, noise and input limit."""
         limits = (self.input_limit, other.input_limit)
         same_limit = limits[0] is limits[1] is None or (
             limits[0] is not None and limits[1] is not None and np.array_equal(limits[0], limits[1])
@@ -338,6 +346,15 @@ def _set_linear(
     for key, value in values.items():
         object.__setattr__(plant, key, value)
     object.__setattr__(plant, "full_state", np.array_equal(C, np.eye(n)) and not plant.V.any())
+
+
+def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
+    """Return a function whose linearisation is the plant's."""
+    if not callable(function):
+        raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
+    found = function if isinstance(function, Dynamics) else Dynamics(function)
+    found.check(plant.A, plant.B, plant.W)
+    return found
 
 
 def _refuse_lost_modes(

@@ -10,143 +10,38 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array, ArrayLike, array, number
+from taciturn._arrays import Array, array, number
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
 from taciturn.model.schedule import Schedule
+from taciturn.model.steps import ENDS as ENDS
+from taciturn.model.steps import NODES as NODES
+from taciturn.model.steps import (
+    ONE,
+    Apply,
+    Assign,
+    Condition,
+    Decide,
+    Draw,
+    Evaluate,
+    LinkName,
+    NodeName,
+    Send,
+    Step,
+    assigned,
+)
+from taciturn.model.steps import Acknowledged as Acknowledged
+from taciturn.model.steps import Received as Received
+from taciturn.model.steps import Terms as Terms
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations, Reset
-from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
-
-NodeName = Literal["sensor", "controller", "actuator"]
-LinkName = Literal["sensor", "actuator"]
-NODES: tuple[NodeName, ...] = ("sensor", "controller", "actuator")
-ONE = "one"
-ENDS: dict[str, NodeName] = {"sensor": "controller", "actuator": "actuator"}  # a link is named after where it matters
-
-
-@dataclass(frozen=True)
-class Received:
-    """The condition "a packet of this link arrived", known at its receiving node."""
-
-    link: LinkName
-
-
-@dataclass(frozen=True)
-class Acknowledged:
-    """The condition "my packet on this link arrived", known at its sender where the network acknowledges."""
-
-    link: LinkName
-
-
-Condition: TypeAlias = str | Received | Acknowledged  # a name is that of a decision
-Terms: TypeAlias = Mapping[str, Matrix]
-
-
-@dataclass(frozen=True, eq=False)
-class Assign:
-    """signal := Σ matrix·signal at a node; with ``on``, one sum for each outcome of the condition.
-
-    Args:
-        at: the node that computes.
-        signal: name of the result.
-        branches: {signal: matrix}, or one such mapping per outcome: (not arrived, arrived), or one per label.
-        on: the condition that picks the branch.
-    """
-
-    at: NodeName
-    signal: str
-    branches: tuple[Terms, ...]
-    on: Condition | None = None
-
-    def __init__(
-        self,
-        at: NodeName,
-        signal: str,
-        branches: Mapping[str, ArrayLike | Scheduled] | tuple[Mapping[str, ArrayLike | Scheduled], ...],
-        on: Condition | None = None,
-    ) -> None:
-        """Check and freeze."""
-        listed = (branches,) if isinstance(branches, Mapping) else branches
-        checked = tuple(
-            {name: matrix(f"the weight of {name} in {signal}", value) for name, value in terms.items()}
-            for terms in listed
-        )
-        if (on is None) != (len(checked) == 1):
-            raise ProblemError(
-                f"{signal} has {len(checked)} branches on {on}; expected one without a condition, several with one"
-            )
-        rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
-        if len(rows) != 1:
-            raise ProblemError(f"the terms of {signal} have {sorted(rows)} rows; expected one number of rows")
-        object.__setattr__(self, "at", at)
-        object.__setattr__(self, "signal", signal)
-        object.__setattr__(self, "branches", checked)
-        object.__setattr__(self, "on", on)
-
-    @property
-    def size(self) -> int:
-        """Number of entries of the signal."""
-        return next(shape_of(value)[0] for terms in self.branches for value in terms.values())
-
-
-@dataclass(frozen=True, eq=False)
-class Evaluate:
-    """signal := a quadratic form at a node (a scalar memory, for one); with ``on``, one form per outcome."""
-
-    at: NodeName
-    signal: str
-    forms: tuple[Form, ...]
-    on: Condition | None = None
-
-    def __post_init__(self) -> None:
-        """Check the number of forms."""
-        if (self.on is None) != (len(self.forms) == 1):
-            raise ProblemError(
-                f"{self.signal} has {len(self.forms)} forms on {self.on}; "
-                "expected one without a condition, several with one"
-            )
-
-
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """signal := a draw ξ of the exponential law of mean 1 at a node; the peers do not see it.
-
-    A trigger that compares a form q with ξ keeps silent with the probability e^{−q}.
-    """
-
-    at: NodeName
-    signal: str
-
-
-@dataclass(frozen=True, eq=False)
-class Decide:
-    """decision := the label that the trigger picks at a node."""
-
-    at: NodeName
-    decision: str
-    trigger: Trigger
-
-
-@dataclass(frozen=True, eq=False)
-class Send:
-    """A packet on a link; with ``on``, only if the decision is one of ``labels`` (omitted: any but the first)."""
-
-    at: NodeName
-    link: LinkName
-    payload: tuple[str, ...]
-    on: str | None = None
-    labels: tuple[str, ...] = ()
-
-
-Step: TypeAlias = Assign | Evaluate | Draw | Decide | Send
+from taciturn.model.trigger import Form, Scheduled, Trigger, shape_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -225,8 +120,8 @@ class Policy:
         notes: what a reader of its numbers must know.
 
     Raises:
-        ProblemError: a signal, decision or location without origin, a matrix that does not fit, or a cost that is
-            not finite.
+        ProblemError: a signal, decision or location without origin, a matrix that does not fit, a cost that is
+            not finite, or theory of linear steps where one is a function.
     """
 
     kind: str
@@ -260,18 +155,16 @@ class Policy:
         self._check_costs()
         if self.cost is None and (self.identity or self.guarantee or self.closed_form):
             raise ProblemError(f"{self.kind} claims a cost but has none; expected cost, the one it was designed for")
+        self._check_theory()
         sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
         for step in self.steps:
-            if isinstance(step, Assign):
-                if sizes.setdefault(step.signal, step.size) != step.size:
+            for name, size in assigned(step).items():
+                if name == ONE:
+                    raise ProblemError(f"{ONE!r} is assigned; it is the number 1: expected another name")
+                if sizes.setdefault(name, size) != size:
                     raise ProblemError(
-                        f"{step.signal} has {sizes[step.signal]} entries in one step and {step.size} in another; "
-                        "expected one size"
+                        f"{name} has {sizes[name]} entries in one step and {size} in another; expected one size"
                     )
-            elif isinstance(step, Evaluate | Draw):
-                sizes[step.signal] = 1
-            if isinstance(step, Assign | Evaluate | Draw) and step.signal == ONE:
-                raise ProblemError(f"{ONE!r} is assigned; it is the number 1: expected another name")
         object.__setattr__(self, "sizes", sizes)
         initial = {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
         object.__setattr__(self, "initial", initial)
@@ -279,7 +172,7 @@ class Policy:
         for step in self.steps:
             if isinstance(step, Decide):
                 decided.append(step.decision)
-            elif not isinstance(step, Draw) and isinstance(step.on, str) and step.on not in decided:
+            elif not isinstance(step, Apply | Draw) and isinstance(step.on, str) and step.on not in decided:
                 raise ProblemError(
                     f"the condition {step.on!r} is not decided before its use; expected one of {decided}"
                 )
@@ -346,6 +239,9 @@ class Policy:
         elif isinstance(step, Decide):
             for form in step.trigger.options.values():
                 self._check_form(form)
+        elif isinstance(step, Apply):
+            for name in step.reads:
+                self._size(name)
         elif isinstance(step, Send):
             for name in step.payload:
                 self._size(name)
@@ -377,6 +273,17 @@ class Policy:
             raise ProblemError(
                 f"a table by {value.by!r} has {len(value.values)} entries, and there are {got}; "
                 "expected one per location"
+            )
+
+    def _check_theory(self) -> None:
+        """Refuse the theory of linear steps where one is not linear."""
+        names = ("innovations", "identity", "reset", "closed_form", "guarantee")
+        claims = [name for name in names if getattr(self, name) is not None]
+        functions = [step for step in self.steps if isinstance(step, Apply)]
+        if claims and functions:
+            raise ProblemError(
+                f"{self.kind} computes {next(iter(functions[0].signals))} by a function and claims {claims[0]}, which "
+                "is theory of linear steps; expected no such claim"
             )
 
     def _check_costs(self) -> None:

@@ -18,10 +18,12 @@ from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
+from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
+from taciturn.problem.functions import functions_of, locate_functions, read_function
 from taciturn.problem.tables import (
     BurstTable,
     File,
@@ -100,6 +102,12 @@ class Problem:
         """Close the loop with the plant that is simulated."""
         return close(self.actual or self.plant, policy, self.network, self.cost)
 
+    @property
+    def nonlinear(self) -> bool:
+        """Whether the plant that is simulated is a function that A and B are only the linearisation of."""
+        plant = self.actual or self.plant
+        return isinstance(plant, Plant) and plant.function is not None
+
     def changed(self, values: Mapping[str, object]) -> Problem:
         """Return the problem with other values: keys of ``[policy]``, or dotted (``plant.dt``); None removes a key.
 
@@ -133,7 +141,7 @@ class Problem:
                     del table[key]
         tables["policy"] = {"kind": parameters.pop("kind", self.kind), **parameters}
         if touched:
-            parsed = parse(tables, CHANGED)
+            parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual))
             kept = [name for table, names in PARTS.items() if table not in touched for name in names]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = _policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
@@ -176,15 +184,16 @@ def load(path: str | Path) -> Problem:
         raise ProblemError(f"{path} is not valid TOML: it is nested too deeply; expected tables of matrices") from None
     except ValueError as error:  # tomllib's own, and whole numbers beyond what Python reads
         raise ProblemError(f"{path} is not valid TOML: {error}; expected the format of docs/problem-file") from None
-    return parse(tables, str(path))
+    return parse(locate_functions(tables, file.parent), str(path))
 
 
-def parse(tables: Mapping[str, Any], name: str) -> Problem:
+def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None) -> Problem:
     """Return the problem that the tables of a file state.
 
     Args:
         tables: as read from TOML.
         name: of the file, for messages.
+        known: functions of plants that need not be read again, as the tables name them.
 
     Raises:
         ProblemError: a key is unknown or missing, or data do not fit.
@@ -198,8 +207,8 @@ def parse(tables: Mapping[str, Any], name: str) -> Problem:
         if file.reference is not None:
             _expect(kind, "reference", "[reference]", "no reference")
         cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
-        plant = _plant(file.plant)
-        actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant)
+        plant = _plant(file.plant, known or {})
+        actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
         reference = None if file.reference is None else Reference(**file.reference.model_dump())
         return Problem(plant, cost, _network(file.network), kind, parameters, actual, reference, _copied(tables))
     except TaciturnError as error:
@@ -294,13 +303,14 @@ def _expect(kind: str, name: str, given: str, expected: str) -> None:
         raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}: remove it")
 
 
-def _plant(table: PlantTable) -> Plant | ContinuousPlant:
-    if table.function is not None:
-        raise ProblemError(
-            "plant.function is given, and nonlinear plants are not supported yet; expected A and B alone"
-        )
+def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
     initial = table.initial or InitialTable()
     if table.dt is None:
+        if table.function is not None:
+            raise ProblemError(
+                "plant.function is given without plant.dt; expected dt, the seconds of the step that it makes: "
+                "taciturn.integrate makes a step of a differential equation"
+            )
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
             table.A, table.B, table.W, jumps, table.C, table.V, initial.mean, initial.covariance, table.input_limit
@@ -311,15 +321,19 @@ def _plant(table: PlantTable) -> Plant | ContinuousPlant:
         )
     if table.W is None:
         raise ProblemError("plant.W is missing; expected the process-noise covariance per step (zeros for none)")
+    function = None if table.function is None else read_function(table.function, known)
     return Plant(
-        table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit
-    )
+        table.A, table.B, table.W, table.C, table.V, table.dt, initial.mean, initial.covariance, table.input_limit,
+        function,
+    )  # fmt: skip
 
 
-def _actual(table: PlantTable, dt: float | None, design: Plant | ContinuousPlant) -> Plant | ContinuousPlant:
+def _actual(
+    table: PlantTable, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
+) -> Plant | ContinuousPlant:
     """Return the plant that is simulated; it must have the time base and the sizes of the plant of the design."""
     try:
-        plant = _plant(table)
+        plant = _plant(table, known)
     except ProblemError as error:
         raise ProblemError(f"[plant.actual]: {error}") from None
     if table.dt != dt:

@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from taciturn.program.bits import LAYOUTS
 from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Precision, tiles
 
-REAL = "tac_real"
+REAL, ROOT = "tac_real", "tac_root"
 _INFIX: Mapping[str, tuple[str, str]] = {  # operator, and the type of the result; None: that of the operands
     "add": ("+", REAL), "sub": ("-", REAL), "mul": ("*", REAL), "div": ("/", REAL),
     "greater": (">", "bool"), "less_equal": ("<=", "bool"), "and": ("&&", "bool"),
@@ -34,6 +35,15 @@ def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
         places: where each of the program's inputs stands among those that are given.
     """
     return _Printer(program, name, places).text()
+
+
+def print_root(precision: Precision) -> str:
+    """Return the source of ``static tac_real tac_root(x)``, which roots are taken by: digit by digit, rounded once."""
+    layout = LAYOUTS[precision]
+    word = "uint64_t" if precision == "float64" else "uint32_t"
+    return _ROOT.format(
+        name=ROOT, real=REAL, word=word, mantissa=layout.mantissa, bias=layout.bias, one=f"({word})1"
+    )  # fmt: skip
 
 
 def literal(value: float, precision: Precision) -> str:
@@ -130,6 +140,8 @@ class _Printer:
             return REAL, f"{self._name(rest[0])}[{rest[1]}]"
         if name == "narrow":
             return REAL, f"({REAL})(float){self._name(rest[0])}"
+        if name == "sqrt":
+            return REAL, f"{ROOT}({self._name(rest[0])})"
         return self._on_bits(name, rest)
 
     def _on_bits(self, name: str, rest: Sequence[int]) -> tuple[str, str]:
@@ -147,13 +159,16 @@ class _Printer:
             return "uint32_t", f"(uint32_t)({x} & UINT64_C(0xffffffff))"
         if name == "rotate_left":
             return kind, f"({x} << {rest[1]}) | ({x} >> {_WIDTHS[kind] - rest[1]})"
-        assert name in ("shift_left", "shift_right"), f"C knows no {name}: its libraries of mathematics are not called"
+        assert name in ("shift_left", "shift_right"), f"C knows no {name}"
         return kind, f"{x} {'<<' if name == 'shift_left' else '>>'} {rest[1]}"
 
     def _copied(self, index: int, op: Op, kind: str) -> list[str]:
         """Read the bits of a value as another kind of value."""
         self.types[index] = kind
-        return [f"{kind} v{index};", f"memcpy(&v{index}, &v{op.arguments[0]}, sizeof v{index});"]
+        read = op.arguments[0]
+        known = [f"const {REAL} x{index} = {self.names[read]};"] if read in self.names else []
+        source = f"x{index}" if known else f"v{read}"
+        return [*known, f"{kind} v{index};", f"memcpy(&v{index}, &{source}, sizeof v{index});"]
 
     def _table(self, table: int) -> str:
         values = self.program.tables[table]
@@ -189,3 +204,43 @@ class _Printer:
             ]
             before += rows * (end - begin)
         return lines
+
+
+_ROOT = """/* The root of a number, rounded to the nearest, without a library: digit by digit. */
+static {real} {name}({real} x)
+{{
+  const {word} leading = {one} << {mantissa};
+  {word} bits, rest, half, root = 0, found = 0;
+  int32_t exponent;
+  if (!(x > 0) || x + x == x) {{
+    return x < 0 ? (x - x) / (x - x) : x;
+  }}
+  memcpy(&bits, &x, sizeof bits);
+  exponent = (int32_t)(bits >> {mantissa});
+  rest = bits & (leading - 1u);
+  if (exponent == 0) {{
+    for (exponent = 1; rest < leading; --exponent) {{
+      rest <<= 1;
+    }}
+  }}
+  rest |= leading;
+  exponent -= {bias};
+  if (exponent % 2 != 0) {{
+    rest <<= 1;
+    --exponent;
+  }}
+  rest <<= 1;
+  for (half = leading << 1; half != 0; half >>= 1) {{
+    if (found + half <= rest) {{
+      rest -= found + half;
+      found += half << 1;
+      root += half;
+    }}
+    rest <<= 1;
+  }}
+  root = ((root + (root & 1u)) >> 1) - leading;
+  bits = (({word})(exponent / 2 + {bias}) << {mantissa}) + root;
+  memcpy(&x, &bits, sizeof x);
+  return x;
+}}
+"""

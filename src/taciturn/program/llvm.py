@@ -130,7 +130,7 @@ class _Printer(Body):
             ]
 
     def _load_constants(self) -> None:
-        self.base = "%floats" if self.copies else "%constants"
+        self.base = "%floats" if self.copies and constants_of(self.program) else "%constants"
         if self.own:
             size = self._new(f"mul i64 %block, {len(constants_of(self.program)) * self.lanes}")
             self.base = self._new(f"getelementptr double, ptr %constants, i64 {size}")

@@ -15,6 +15,7 @@ from taciturn.model.network import Network
 from taciturn.model.policy import (
     ENDS,
     ONE,
+    Apply,
     Assign,
     Condition,
     Decide,
@@ -27,12 +28,14 @@ from taciturn.model.policy import (
     Step,
     Terms,
 )
+from taciturn.model.steps import assigned
 from taciturn.model.trigger import Bell, Form, Matrix, Scheduled
 from taciturn.model.wire import LARGEST, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Coefficient, Program
 from taciturn.program.ops import State
+from taciturn.program.trace import trace
 
 Vector = list[int]
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
@@ -123,6 +126,9 @@ class Tick:
             self.signals[step.signal] = [self.pick(step.on, options) for options in zip(*values, strict=True)]
         elif isinstance(step, Evaluate):
             self.signals[step.signal] = [self.pick(step.on, [self.form(form) for form in step.forms])]
+        elif isinstance(step, Apply):
+            arguments = {name: self.read(name) for name in step.reads}
+            self.signals |= trace(self.builder, step.function, arguments, step.signals)
         elif isinstance(step, Draw):
             self.signals[step.signal] = [self.builder.scale(0.5, minus_two_log(self.builder, self.uniform()))]
         elif isinstance(step, Decide):
@@ -306,8 +312,7 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
     """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
-    computed = [step for step in policy.steps if isinstance(step, Assign | Evaluate | Draw)]
-    homes = {step.signal: step.at for step in computed} | {"y": "sensor", ONE: ENDS[link]}
+    homes = {name: step.at for step in policy.steps for name in assigned(step)} | {"y": "sensor", ONE: ENDS[link]}
     names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
     return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
 

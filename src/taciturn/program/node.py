@@ -17,7 +17,6 @@ from taciturn.model.policy import (
     Acknowledged,
     Assign,
     Condition,
-    Draw,
     Evaluate,
     Location,
     NodeName,
@@ -26,6 +25,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
+from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, rebuild
 from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads, told_by
@@ -114,7 +114,7 @@ def check_separable(policy: Policy) -> None:
         sent, count = places[on.link], len(policy.steps)
         between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
         for name in told_by(policy, on.link):
-            if any(_assigns(policy.steps[i], name) for i in between):
+            if any(name in assigned(policy.steps[i]) for i in between):
                 raise ProblemError(
                     f"the nodes of {policy.kind} cannot be separated: {name} changes between the packet that tells it "
                     f"and {step.signal}, which reads it; expected the packet after the change"
@@ -215,7 +215,7 @@ class _Lowering:
 
     def _leaves(self, step: Step) -> bool:
         """Whether a step is one whose result leaves the node."""
-        return isinstance(step, Send) or (isinstance(step, Assign) and step.signal == "input")
+        return isinstance(step, Send) or "input" in assigned(step)
 
     def _order(self, link: str) -> tuple[str, ...]:
         return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
@@ -285,10 +285,6 @@ class _Lowering:
 
 def _condition(step: Step) -> Condition | None:
     return step.on if isinstance(step, Assign | Evaluate) else None
-
-
-def _assigns(step: Step, signal: str) -> bool:
-    return isinstance(step, Assign | Evaluate | Draw) and step.signal == signal
 
 
 def _flags(decision: str) -> str:

@@ -69,20 +69,14 @@ def _any_bit(x: Value) -> Value:
 
 
 def _narrow(x: Value) -> Value:
-    with np.errstate(over="ignore"):
-        return x.astype(np.float32).astype(x.dtype)
-
-
-def _divide(x: Value, y: Value) -> Value:
-    with np.errstate(all="ignore"):  # lanes whose quotient is not used divide by what they like
-        return np.divide(x, y)
+    return x.astype(np.float32).astype(x.dtype)
 
 
 _RULES: Mapping[str, Callable[..., Value]] = {
     "add": np.add,
     "sub": np.subtract,
     "mul": np.multiply,
-    "div": _divide,
+    "div": np.divide,
     "sqrt": np.sqrt,
     "narrow": _narrow,
     "select": np.where,
@@ -126,6 +120,7 @@ class Run:
     outputs: Mapping[str, Array]
 
 
+@np.errstate(all="ignore")  # paths compute what a select leaves out, and divide by what they like there
 def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
     """Run ``ticks`` ticks of a program on every path.
 

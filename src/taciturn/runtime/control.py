@@ -12,6 +12,7 @@ from taciturn._arrays import Array, ArrayLike, instance
 from taciturn._control import is_linear, nonlinear_system, state_space
 from taciturn.errors import ProblemError
 from taciturn.loop import SENT, Loop
+from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, plant_from
 from taciturn.model.policy import Policy
@@ -26,13 +27,15 @@ def to_control(
     | of | a | from | to | dt |
     |---|---|---|---|---|
     | a plant | `StateSpace` | u | y | its own, True where it has none; 0 of a continuous one |
+    | one that is not linear | `NonlinearIOSystem` | u | y | the same |
     | a policy | `NonlinearIOSystem` | y | u, sent | that of the plant it was designed for, as sampled |
     | a loop | `NonlinearIOSystem` | w, v | y, u, sent | that of its plant, as sampled |
 
     Signals are named ``u[0]``, ``y[0]``, …, and ``sent_actuator`` or ``sent_sensor``: 1 in a tick in which a packet is
-    sent on the link, for each link whose rate the policy decides. In a loop x⁺ = A x + B u + w and y = C x + v.
+    sent on the link, for each link whose rate the policy decides. In a loop x⁺ = A x + B u + w, or f(x, u, w), and
+    y = C x + v.
 
-    A plant's noise, initial state and input limit are not in its `StateSpace`; the u of a policy or loop is clipped.
+    A plant's noise, initial state and input limit are not in its system; the u of a policy or loop is clipped.
     Where an actuator predicts between ticks, u is the state of its model when the tick begins, as in ``policy.model``.
 
     The state of a policy is what its nodes remember and, last, the number of the tick. Where that is 0 nothing is
@@ -66,6 +69,8 @@ def to_control(
         )
     if isinstance(thing, ContinuousPlant):
         return state_space(thing.A, thing.B, thing.C, 0, "plant")
+    if isinstance(thing, Plant) and thing.function is not None:
+        return _moving(thing, thing.function)
     if isinstance(thing, Plant):
         return state_space(thing.A, thing.B, thing.C, _step(thing), "plant")
     if isinstance(thing, Policy):
@@ -149,6 +154,20 @@ def _system(
     outputs = _labels({"u" if signal == "applied" else signal: size for signal, size in shown.items()})
     outputs += [f"{SENT}_{link}" for link in links]
     return nonlinear_system(update, output, [*turns.states, "tick"], _labels(taken), outputs, _step(plant), name)
+
+
+def _moving(plant: Plant, function: Dynamics) -> Any:
+    """Return the system of a plant that is not linear, without its noise."""
+    n, names = plant.states, _labels({"x": plant.states})
+
+    def update(t: float, x: Array, u: Array, params: object) -> Array:
+        return function(x, u, np.zeros(n))
+
+    def output(t: float, x: Array, u: Array, params: object) -> Array:
+        return plant.C @ x
+
+    taken, shown = _labels({"u": plant.inputs}), _labels({"y": plant.outputs})
+    return nonlinear_system(update, output, names, taken, shown, _step(plant), "plant")
 
 
 def _step(plant: Plant) -> float | bool:

@@ -78,9 +78,17 @@ class SimulatedPlant:
         """
         if len(inputs) != self.inputs:
             raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}: those of the plant")
-        self._states, outputs = self._turn(self._states, [float(value) for value in inputs])
+        before, u = self.state, [float(value) for value in inputs]
+        self._states, outputs = self._turn(self._states, u)
         self.measurement = tuple(outputs[i] for i in self._y)
         self.tick += 1
+        lost = np.flatnonzero(~np.isfinite(self.state))
+        if lost.size and self.loop.problem.plant.function is not None and np.isfinite(u).all():
+            raise ProblemError(
+                f"the loop takes the plant to where its function gives {self.state[lost[0]]} as state {lost[0] + 1} at "
+                f"tick {self.tick}, from x = {before.round(6).tolist()}, u = {u}; expected finite numbers: send more "
+                "often, clip the inputs (input_limit), or mend the function"
+            )
         if not np.isfinite(outputs[self._cost]) or not np.isfinite(self.measurement).all():
             raise ProblemError(
                 f"the plant has left the range of numbers at tick {self.tick}: the loop is unstable; "

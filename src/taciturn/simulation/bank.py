@@ -11,8 +11,9 @@ import numpy.typing as npt
 from taciturn._arrays import Array, count, instance, quoted
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
-from taciturn.program.engine import Stepper
+from taciturn.program.engine import Stepper, prepare
 from taciturn.program.ir import Program
+from taciturn.simulation.lost import find_loss
 from taciturn.simulation.sampling import sends
 
 
@@ -70,7 +71,7 @@ class Bank:
         self._links = list(dict.fromkeys(link for loop in loops for link in loop.policy.scheduled))
         groups: dict[object, list[tuple[int, Program]]] = {}
         for index, loop in enumerate(loops):
-            program = loop.program().keep({COST, *sends(loop)})
+            program = _lean(loop)
             groups.setdefault(program.structure, []).append((index, program))
         self._steppers: list[tuple[npt.NDArray[np.int64], Stepper]] = []
         self._states: list[Array] = []
@@ -96,16 +97,20 @@ class Bank:
             What each loop cost and sent in these ticks.
 
         Raises:
-            UnstableError: a loop diverges.
+            UnstableError: a loop diverges, or takes a plant that is not linear to where its function gives no number.
         """
         ticks, many = count("ticks", ticks), len(self.loops)
         threads = None if threads is None else count("threads", threads)
         cost, sent = self._noise.copy(), {link: np.zeros(many) for link in self._links}
         for k, (indices, stepper) in enumerate(self._steppers):
-            self._states[k], sums = stepper.run(self._states[k], ticks, threads)
+            before = self._states[k]
+            self._states[k], sums = stepper.run(before, ticks, threads)
             for name, total in sums.items():
                 if not np.isfinite(total).all():
-                    lost = int(indices[~np.isfinite(total)][0])
+                    place = int(np.flatnonzero(~np.isfinite(total))[0])
+                    lost = int(indices[place])
+                    program = _lean(self.loops[lost])
+                    find_loss(self.loops[lost], program, prepare(program), before[:, [place]], ticks)
                     raise UnstableError(
                         f"loop {lost} of the bank ({self.loops[lost].policy.kind}) diverges; expected stable loops"
                     )
@@ -114,3 +119,8 @@ class Bank:
                 else:
                     sent[name.removeprefix(f"{SENT} ")][indices] = total / ticks
         return Tally(cost, sent)
+
+
+def _lean(loop: Loop) -> Program:
+    """Return what a bank runs of a loop."""
+    return loop.program().keep({COST, *sends(loop)})

@@ -11,6 +11,7 @@ from taciturn._arrays import Array, count, instance
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
+from taciturn.simulation.lost import find_loss
 from taciturn.simulation.sampling import sends
 from taciturn.simulation.statistics import mean
 
@@ -57,6 +58,7 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
 
     Raises:
         ProblemError: ticks, paths or seed out of range.
+        UnstableError: the function of a plant that is not linear gives no finite number.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design
@@ -69,9 +71,12 @@ def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Cour
     names = sends(loop)
     program = loop.program().keep({COST}, {*names}, {"x"})
     run, states = prepare(program), loop.start(program, paths, seed)
+    state = [i for i, one in enumerate(program.states) if one.name == "x"]
     cost, sent = list[Estimate](), list[list[Estimate]]()
     for _ in range(ticks):
         found = run(states, 1, None)
+        if not np.isfinite(found.states[state]).all():
+            find_loss(loop, program, run, states, 1)
         states = found.states
         cost.append(mean(found.sums[COST]))
         sent.append([mean(found.outputs[name][0]) for name in names])

@@ -17,6 +17,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.program.controls import CONTROL, controlled
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
+from taciturn.simulation.lost import find_loss
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
 PATHS = 4096
@@ -152,7 +153,7 @@ class Sampling:
 
     def _read(self, programs: Sequence[Program], names: Sequence[Sequence[str]]) -> None:
         """Run these programs from now on, and read these sums of theirs."""
-        self.runs, self.names = [prepare(program) for program in programs], names
+        self.programs, self.runs, self.names = programs, [prepare(program) for program in programs], names
         sizes = [len(some) for some in names]
         self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
         kinds = [name.split()[0] for some in names for name in some]
@@ -298,11 +299,12 @@ class Sampling:
             for k, (part, run, rows, names) in enumerate(
                 zip(self.parts, self.runs, self.rows, self.names, strict=True)
             ):
-                result = run(after[k], now, self.threads)
+                before, result = after[k], run(after[k], now, self.threads)
                 after[k] = result.states
                 sums[rows] += np.array([result.sums[name] for name in names])
                 self.steps += now * paths
                 if not np.abs(sums[rows]).max() < HUGE:  # or not a number
+                    find_loss(part.loop, self.programs[k], run, before, now)
                     single = part.loop.precision == "float32"
                     passed = "the range of single precision" if single else f"{HUGE:g}"
                     raise part.diverges(f"its cost passed {passed} within {self.steps} steps")

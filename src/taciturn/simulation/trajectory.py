@@ -13,6 +13,7 @@ from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.loop import SENT, Loop
 from taciturn.program.engine import prepare
+from taciturn.simulation.lost import expect_numbers
 
 if TYPE_CHECKING:
     import pandas
@@ -95,6 +96,7 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
 
     Raises:
         ProblemError: ticks or seed out of range.
+        UnstableError: the function of a plant that is not linear gives no finite number.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design
@@ -114,12 +116,14 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
         rows = [records[key] for key in sorted((k for k in records if k.rpartition(" ")[0] == name), key=_entry)]
         return np.array(rows).T if rows else np.empty((ticks, 0))
 
+    states = stacked("x")
+    expect_numbers(loop, states)
     weighed = [name for name, trigger in loop.policy.decisions.items() if trigger.reads]  # a clock weighs nothing
     options = [values for key, values in records.items() if weighed and key.startswith(f"option {weighed[0]} ")]
     silent, others = (options[0], np.min(options[1:], axis=0)) if options else (np.empty(0), np.empty(0))
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
     time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)
-    return Trajectory(time, stacked("x"), stacked("estimate"), stacked("applied"), silent, others, sends)
+    return Trajectory(time, states, stacked("estimate"), stacked("applied"), silent, others, sends)
 
 
 def _entry(name: str) -> int:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.metadata import version
@@ -191,6 +192,8 @@ def _one_by_one(kept: _Kept, advance: Callable[[float], None]) -> Iterator[tuple
 
 def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
     """Yield answers of an executor, to which blocks are handed as it takes them; in the end, nothing is left there."""
+    if not isinstance(executor, ThreadPoolExecutor):
+        pickle.dumps(kept.problem)  # a function that no other process has is told here; a pool would wait
     workers, size, total, came = workers_of(executor), 1, len(kept.cells), 0
     flying: dict[Future[tuple[list[Answer], float]], list[int]] = {}
     ahead = iter(range(total))

@@ -31,6 +31,19 @@ SURE = 4.0  # standard errors
 
 
 @dataclass(frozen=True)
+class Linearisation:
+    """What the theory says of the linearisation of a plant; of the plant itself nothing of it is claimed.
+
+    Args:
+        cost_all_time: of the linear plant, at every tick sent.
+        cost_bound: proved of the linear plant, or None.
+    """
+
+    cost_all_time: float
+    cost_bound: float | None
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """What a policy costs, how often it sends, and what is proved of it.
 
@@ -59,6 +72,7 @@ class Evaluation:
         consistency: whether the policy costs no more than the above: ``"guaranteed"`` by its theorem, ``"verified"`` by
             these numbers and their errors (4 standard errors), or ``"not verified"``; None where it is not asked for.
         notes: what the reader must know.
+        linearisation: where the plant is not linear, what its linearisation would cost; else None.
     """
 
     policy: str
@@ -81,6 +95,7 @@ class Evaluation:
     rate_bounds: tuple[float, float] | None
     consistency: Consistency | None
     notes: tuple[str, ...]
+    linearisation: Linearisation | None = None
 
     @property
     def rate_unit(self) -> Literal["step", "second"]:
@@ -115,6 +130,11 @@ class Evaluation:
         if self.mean_interval is not None:
             result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
             result["mean_interval"] = _estimate(self.mean_interval)
+        if self.linearisation is not None:
+            result["linearisation"] = {
+                "cost_all_time": self.linearisation.cost_all_time,
+                "cost_bound": self.linearisation.cost_bound,
+            }
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
@@ -217,6 +237,7 @@ def evaluate(
         rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
         consistency=_consistency(found.cost, periodic, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+        linearisation=_linearisation(policy) if problem.nonlinear else None,
     )
 
 
@@ -319,6 +340,10 @@ def _events(
         consistency=_consistency(found.cost, same, policy.statement is not None),
         notes=policy.notes,
     )
+
+
+def _linearisation(policy: Policy) -> Linearisation:
+    return Linearisation(policy.cost_all_time, None if policy.guarantee is None else policy.guarantee.cost)
 
 
 def _predicts(policy: Policy) -> bool:

@@ -42,6 +42,9 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
         problem: its plant and cost.
         rate: sends per step or per second.
         actuation: of the periodic controller.
+
+    Returns:
+        The cost; none for a plant that is not linear.
     """
     if rate <= 0:
         return None
@@ -84,7 +87,7 @@ def _first_stable(problem: Problem, steps: Sequence[int], actuation: Actuation) 
 
 def _cost(problem: Problem, interval: float, actuation: Actuation) -> float | None:
     """The closed form of a periodic policy; sampling that loses a mode and predictions without the state have none."""
-    if problem.network != Network():  # it knows ideal links only
+    if problem.network != Network() or problem.nonlinear:  # it knows ideal links and linear plants only
         return None
     try:
         if isinstance(problem.plant, ContinuousPlant):

@@ -11,13 +11,17 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn.analyse.limits import LowerBound
+from taciturn.model.dynamics import Dynamics
 from taciturn.model.estimate import Estimate
+from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
-from taciturn.study.evaluate import Evaluation
+from taciturn.program.ir import Builder, Program
+from taciturn.program.trace import trace
+from taciturn.study.evaluate import Evaluation, Linearisation
 
 KIND = "kind of data"  # key of what a mapping stands for
-RECORDED = {known.__name__: known for known in (Evaluation, Estimate, LowerBound, Schedule)}
+RECORDED = {known.__name__: known for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule)}
 
 
 def encode(value: object) -> str:
@@ -45,7 +49,19 @@ def fingerprint(problem: Problem) -> str:
     return digest(encode([stated, problem.kind, problem.parameters]))
 
 
+def _operations(plant: Plant, function: Dynamics) -> Program:
+    """Return what a plant's function computes, in which all shows that its text, or values in its scope, decide."""
+    builder, sizes = Builder(), {"x": plant.states, "u": plant.inputs, "w": plant.states}
+    given = {name: [builder.input(f"{name} {i}") for i in range(size)] for name, size in sizes.items()}
+    moved = trace(builder, function.function, given, {"x": plant.states})["x"]
+    return builder.finish([], {}, {f"x {i}": index for i, index in enumerate(moved)})
+
+
 def _plain(value: object) -> object:
+    if isinstance(value, Plant):
+        held = {field.name: _plain(getattr(value, field.name)) for field in fields(value) if field.name != "function"}
+        moved = {} if value.function is None else {"function": _plain(_operations(value, value.function))}
+        return held | moved | {KIND: "Plant"}
     if is_dataclass(value) and not isinstance(value, type):
         held = {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
         return held | {KIND: type(value).__name__}

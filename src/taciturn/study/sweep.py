@@ -259,6 +259,10 @@ COLUMNS = {
     "cost_all_time": _Column(lambda found: found.cost_all_time, _per),
     "cost_bound": _Column(lambda found: found.cost_bound, _per),
     "cost_bound_at_rate": _Column(lambda found: found.cost_bound_at_rate, _per),
+    **{
+        f"linearisation_{name}": _Column(lambda found, name=name: getattr(found.linearisation, name, None), _per)
+        for name in ("cost_all_time", "cost_bound")
+    },
     "cost_periodic_same_rate": _Column(lambda found: found.cost_periodic_same_rate, _per),
     "cost_lower_bound": _Column(lambda found: None if found.lower_bound is None else found.lower_bound.cost, _per),
     "mean_interval": _Column(

@@ -1,0 +1,306 @@
+"""Symbols that stand for numbers of a program while a function of NumPy is traced, and what is recorded of them.
+
+An array of symbols is an array of objects, so that indexing, slicing and reshaping are NumPy's own; what computes is
+looked up in ``elementary``, and functions of whole arrays in ``FUNCTIONS``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import reduce
+from itertools import chain
+from typing import Any, TypeGuard, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn.errors import ProblemError
+from taciturn.program.elementary import COMPARISONS, LOGIC, NUMBERS, choose
+from taciturn.program.ir import Builder, Coefficient
+
+Objects = npt.NDArray[Any]  # floats, truth values and symbols
+FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # what functions of whole arrays do with their arguments
+_ARRAYS = "functions of NumPy, and arrays made by np.array([…]) or np.zeros_like(x)"
+
+
+class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
+    """What a traced function sees in place of a number or of a truth value.
+
+    Args:
+        recorder: where its operations go.
+        index: operation that it stands for.
+    """
+
+    def __init__(self, recorder: Recorder, index: int) -> None:
+        """Stand for an operation."""
+        self.recorder, self.index = recorder, index
+
+    def __array_ufunc__(
+        self,
+        ufunc: np.ufunc,
+        method: str,
+        *inputs: Any,
+        out: Any = None,
+        axis: Any = 0,
+        keepdims: bool = False,
+        dtype: object = None,
+        where: object = True,
+        initial: object = None,
+    ) -> Any:
+        """Record what an operator or a function of NumPy computes entry by entry."""
+        if where is not True or initial is not None or dtype is not None:
+            raise recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
+        return compute(ufunc, method, inputs, out, axis, keepdims)
+
+    def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
+        """Record what a function of NumPy does with arrays."""
+        given = [*args, *kwargs.values()]
+        if not symbols_in(given):
+            named = {name: _as_floats(value) for name, value in kwargs.items()}
+            return held(function(*map(_as_floats, args), **named))
+        if function not in FUNCTIONS:
+            raise recorder_of(given).refused(function.__name__)
+        return FUNCTIONS[function](args, kwargs)
+
+    def __repr__(self) -> str:
+        """Say that it is traced."""
+        return f"a traced {type(self).__name__.lower()}"
+
+    def __bool__(self) -> bool:
+        """Refuse: it is not known."""
+        raise self._asked("whether something is true, as by if, and, or, max", "np.where, & and |, np.maximum")
+
+    def __float__(self) -> float:
+        """Refuse: it is not known."""
+        raise self._asked("for a number as a float, as by math.sin, float() or np.zeros(n)[i] =", _ARRAYS)
+
+    def __int__(self) -> int:
+        """Refuse: it is not known."""
+        raise self._asked("for a number as a whole one, as by int() or round()", "np.floor or np.rint")
+
+    __index__ = __int__
+
+    def _asked(self, what: str, remedy: str) -> ProblemError:
+        return ProblemError(
+            f"{self.recorder.name} asks {what}, and its numbers are not known when it is traced; expected {remedy}"
+        )
+
+
+class Number(Symbol):
+    """A number that is known when the program runs."""
+
+
+class Truth(Symbol):
+    """A truth value that is known when the program runs."""
+
+
+class Vector(np.ndarray[Any, Any]):
+    """An array whose entries may be symbols."""
+
+    __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
+    __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
+
+
+class Recorder:
+    """Turns what a function does into operations.
+
+    Args:
+        builder: where they go.
+        name: of the function.
+    """
+
+    def __init__(self, builder: Builder, name: str) -> None:
+        """Start before the function is called."""
+        self.builder, self.name = builder, name
+
+    def symbols(self, values: Sequence[int]) -> Vector:
+        """Return a vector of symbols, one for each operation."""
+        vector = np.empty(len(values), dtype=object)
+        vector[:] = [self.symbol(self._known(value)) for value in values]
+        return vector.view(Vector)
+
+    def symbol(self, value: Coefficient) -> float | Number:
+        """Return a number known now, or the symbol of an operation."""
+        return value if isinstance(value, float) else Number(self, value)
+
+    def number(self, value: object) -> Coefficient:
+        """Return what an entry of an array is.
+
+        Raises:
+            ProblemError: no number.
+        """
+        if isinstance(value, Number):
+            return value.index
+        if isinstance(value, Truth):
+            return choose(self.builder, value.index, 1.0, 0.0)
+        try:
+            found = float(value)  # type: ignore[arg-type]
+        except (TypeError, ValueError):
+            raise ProblemError(
+                f"{self.name} computes with {value!r:.60}; expected numbers, or arrays of numbers"
+            ) from None
+        if math.isnan(found):
+            raise ProblemError(f"{self.name} computes with a constant that is no number (NaN); expected finite numbers")
+        return found
+
+    def truth(self, value: object) -> int | bool:
+        """Return what an entry of an array of truth values is."""
+        if isinstance(value, Truth):
+            return value.index
+        if isinstance(value, Number):
+            return COMPARISONS["not_equal"](self.builder, value.index, 0.0)
+        return bool(value)
+
+    def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
+        """Return what a function of NumPy makes of single entries."""
+        name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
+        if not any(isinstance(value, Symbol) for value in values):
+            return ufunc(*(float(value) if type(value) is int else value for value in values))
+        if name in LOGIC:
+            return self.condition(LOGIC[name](self.builder, *(self.truth(value) for value in values)))
+        if name in COMPARISONS:
+            return self.condition(COMPARISONS[name](self.builder, *(self.number(value) for value in values)))
+        if name in NUMBERS:
+            return self.symbol(NUMBERS[name](self.builder, *(self.number(value) for value in values)))
+        raise self.refused(name)
+
+    def condition(self, truth: int | bool) -> bool | Truth:
+        """Return a truth value known now, or the symbol of one."""
+        return truth if isinstance(truth, bool) else Truth(self, truth)
+
+    def either(self, condition: object, yes: object, no: object) -> object:
+        """Return one of two entries, by a condition."""
+        truth = self.truth(condition)
+        if isinstance(truth, bool):
+            return yes if truth else no
+        return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
+
+    def product(self, matrix: Objects, column: Objects) -> list[object]:
+        """Return a matrix times a column; a large matrix of numbers known now is one operation."""
+        b, values = self.builder, [self.number(value) for value in column]
+        rows = [[self.number(entry) for entry in row] for row in matrix]
+        known = all(isinstance(entry, float) for row in rows for entry in row)
+        if known and all(isinstance(value, int) for value in values):
+            found = b.transform(rows, [b.value(value) for value in values])
+            return [self.symbol(0.0 if index is None else index) for index in found]
+        return [self.symbol(self._inner(row, values)) for row in rows]
+
+    def _inner(self, row: Sequence[Coefficient], values: Sequence[Coefficient]) -> Coefficient:
+        """Return Σ row·values."""
+        fixed, pairs = 0.0, list[tuple[Coefficient, int]]()
+        for one, other in zip(row, values, strict=True):
+            if isinstance(other, int):
+                pairs.append((one, other))
+            elif isinstance(one, int):
+                pairs.append((other, one))
+            else:
+                fixed += one * other
+        total = self.builder.combine([weight for weight, _ in pairs], [value for _, value in pairs])
+        return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
+
+    def refused(self, name: str) -> ProblemError:
+        """Return that a function of NumPy cannot be traced."""
+        known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
+        return ProblemError(f"{self.name} uses np.{name}, which cannot be traced; expected one of {', '.join(known)}")
+
+    def _known(self, index: int) -> Coefficient:
+        """Return the number of a constant, or the operation."""
+        op = self.builder.ops[index]
+        return self.builder.constants[op.arguments[0]] if op.name == "const" else index
+
+
+def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
+    """Return what a function of single entries makes of arrays of them, or what its ``reduce`` does."""
+    if not symbols_in(inputs):
+        more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
+        result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
+    elif method == "reduce":
+        result = _reduced(ufunc, objects(inputs[0]), axis, keepdims)
+    elif method == "__call__" and ufunc.__name__ == "matmul":
+        result = multiply(objects(inputs[0]), objects(inputs[1]))
+    elif method == "__call__":
+        recorder = recorder_of(inputs)
+        rule = np.frompyfunc(lambda *values: recorder.entry(ufunc, *values), len(inputs), 1)
+        result = rule(*(objects(one) for one in inputs))
+    else:
+        raise recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
+    if out is None or isinstance(out[0], Symbol):  # x[0] += 1: a symbol is never another one
+        return seen(result)
+    out[0][...] = result
+    return out[0]
+
+
+def multiply(A: Objects, B: Objects) -> Any:
+    """Return the matrix product of vectors and matrices."""
+    if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
+        raise ProblemError(f"@ is between shapes {A.shape} and {B.shape}; expected vectors and matrices that fit")
+    recorder = recorder_of([A, B])
+    columns = B[:, None] if B.ndim == 1 else B
+    found = [recorder.product(A[None] if A.ndim == 1 else A, column) for column in columns.T]
+    result = np.empty((1 if A.ndim == 1 else len(A), columns.shape[1]), dtype=object)
+    for j, column in enumerate(found):
+        result[:, j] = column
+    return result.reshape((*A.shape[:-1], *B.shape[1:]))[()]
+
+
+def objects(value: object) -> Objects:
+    """Return a plain array of objects."""
+    return np.asarray(value, dtype=object).view(np.ndarray)
+
+
+def seen(value: Any) -> Any:
+    """Return arrays of objects as ones whose functions are recorded; anything else as it is."""
+    if isinstance(value, list):
+        return [seen(one) for one in cast("list[Any]", value)]
+    return value.view(Vector) if is_array(value) and value.dtype == object and value.ndim else value
+
+
+def held(value: Any) -> Any:
+    """Return an array of floats as one into which symbols can be put; whole numbers and truth values as they are."""
+    return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
+
+
+def is_array(value: object) -> TypeGuard[Objects]:
+    """Tell whether a value is an array."""
+    return isinstance(value, np.ndarray)
+
+
+def is_list(value: object) -> TypeGuard[Sequence[Any]]:
+    """Tell whether a value is a list or a tuple."""
+    return isinstance(value, list | tuple)
+
+
+def _as_floats(value: Any) -> Any:
+    """Return an argument without symbols with arrays of floats in place of those of objects."""
+    if is_list(value):
+        return [_as_floats(one) for one in value]
+    return objects(value).astype(float) if isinstance(value, Vector) else value
+
+
+def symbols_in(value: object) -> list[Symbol]:
+    """Return the symbols among arguments, and in their arrays and lists."""
+    if isinstance(value, Symbol):
+        return [value]
+    if is_array(value) and value.dtype == object:
+        return [entry for entry in value.ravel().tolist() if isinstance(entry, Symbol)]
+    return list(chain.from_iterable(map(symbols_in, value))) if is_list(value) else []
+
+
+def recorder_of(values: Sequence[object]) -> Recorder:
+    """Return the recorder of the symbols in arguments, or one of what is known now alone."""
+    found = symbols_in(list(values))
+    return found[0].recorder if found else Recorder(Builder(), "the function")
+
+
+def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any:
+    """Return a fold of all entries, or along one axis, from the first."""
+    shape = values.shape
+    lines = values.ravel() if axis is None else np.moveaxis(values, axis, 0)
+    if not len(lines):
+        return ufunc.reduce(np.zeros(shape), axis=axis, keepdims=keepdims)
+    result = reduce(lambda one, other: compute(ufunc, "__call__", (one, other), None, 0, False), lines)
+    if keepdims:
+        kept = [1] * len(shape) if axis is None else [1 if i == axis % len(shape) else n for i, n in enumerate(shape)]
+        result = np.asarray(result, dtype=object).reshape(kept)
+    return result
