@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from taciturn.simulation.access import MostUrgent
 from taciturn.simulation.channel import ERROR, Channel, Group
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.kinds import Kind
+
+if TYPE_CHECKING:
+    from taciturn.renewal.fitted import Fitting
 
 PER_OCTAVE = 2  # prices of a table
 FEW = 300  # errors that the schedules of a table are fitted to
@@ -84,10 +88,7 @@ class Curve:
             self.table[place] = self._measured(2.0 ** (place / PER_OCTAVE), self._coarse).rate.value
         return self.table[place]
 
-    def _measured(self, price: float, fitting: object) -> Schedule:
-        from taciturn.renewal.fitted import Fitting
-
-        assert isinstance(fitting, Fitting)
+    def _measured(self, price: float, fitting: Fitting) -> Schedule:
         kind, silent = self.kind, Schedule(price, NEVER, Estimate(0.0, 0.0, "bound"))
         if bound_rare_sends(kind.F, kind.noise, kind.Gamma, price).rate < RAREST:
             return silent
