@@ -29,6 +29,7 @@ SHORTEST = 64  # ticks of a stretch
 STRETCHES = 32  # at least, of all channels
 BUDGET = 20_000_000_000  # looks of all loops together
 RELATIVE_ERROR = 1e-3  # of the cost, where no standard error is asked
+CLOCK = 4.0  # times the price of triggers, about, is that of clocks: 3 of a random walk, 5 of two masses
 LOST = 1e6  # times its all-time cost: a loop that costs more is not controlled
 LOADS = (1.6, 0.15)  # of what random access carries at best: where its price is sought
 TRIALS = 9  # prices that random access is tried at, at most
@@ -65,7 +66,7 @@ class Game:
     @cached_property
     def price(self) -> float:
         """The common price at which the expected load meets the capacity."""
-        return self.price_of(self.capacity, self.clocked.price / 2 or 1.0)
+        return self.price_of(self.capacity, self.clocked.price / CLOCK or 1.0)
 
     def price_of(self, load: float, guess: float) -> float:
         """Return the common price at which the loops load the channel with so many sends per tick."""
