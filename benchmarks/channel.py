@@ -21,8 +21,7 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"  # before numpy is imported: times are 
 
 import taciturn
 from taciturn import Problem, share_channel
-from taciturn.simulation.access import MostUrgent
-from taciturn.simulation.channel import Channel, Group
+from taciturn.simulation.channel import Group, measure_freely
 from taciturn.study.kinds import Kind, gather
 from taciturn.study.prices import Curve
 from taciturn.study.schedulers import SCHEDULERS, Game
@@ -106,9 +105,7 @@ def excess_at(kind: Kind, rate: float) -> float:
         middle = (low * high) ** 0.5
         low, high = (middle, high) if curve.rate(middle) > rate else (low, middle)
     group = Group(kind.F, kind.noise, kind.Gamma, curve.schedule(high).urgency, 16_384)
-    channel = Channel([group], MostUrgent(16_384))
-    channel.run(int(20 / rate))
-    return float(channel.run(int(60 / rate)).cost[0, 0]) / 16_384
+    return float(measure_freely(group, int(60 / rate), seed=0)[1].mean())
 
 
 def crossing(cost: Callable[[float], float], limit: float, low: float, high: float, digits: float) -> float:

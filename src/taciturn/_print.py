@@ -273,7 +273,7 @@ def sharing(found: Sharing) -> None:
         text = f"{_rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
     lines += [
-        ("best clock", f"{found.cost_periodic:.6g} at this load{above(found.cost_periodic)}"),
+        ("best clock", f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
         ("consistent", {True: "yes", False: "no", None: "not to be told apart"}[found.consistent]),
         ("load", f"{found.load} sends per tick"),
     ]
@@ -295,7 +295,7 @@ def sharing(found: Sharing) -> None:
         ]
         for one in found.shares
     ]
-    _print_table(["", "loops", f"cost per {found.unit}", "all-time", "sends per look", "best clock"], rows)
+    _print_table(["", "loops", f"cost per {found.unit}", "all-time", "sends per look", "of the best clock"], rows)
 
 
 def certificates(found: Certificates) -> None:

@@ -122,3 +122,12 @@ def test_tune_seeks_the_period_of_the_looks(run: Run, tmp_path: Path) -> None:
     lines = told.out.splitlines()
     assert lines[0].split() == ["period", "delta", "cost", "consistent"]
     assert f"period         {document['period']:g}" in lines
+
+
+@pytest.mark.parametrize("rate", ["0.203", "0.2033"])
+def test_a_budget_at_the_end_of_what_can_be_reached_ends_in_a_sentence(run: Run, rate: str) -> None:
+    """A digit of the parameter decides on which side of the budget its limit is: an answer, and no traceback."""
+    answer = run("tune", "two-mass", "--rate", rate, "--standard-error", "1e-3")
+    assert answer.code in (0, 2)
+    assert "Traceback" not in answer.err
+    assert answer.err.count("\n") == (answer.code == 2)

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from cli.conftest import PLANT, Run, Write
 
+import taciturn
+
 SENDS = ["--copies", "20", "--capacity", "4", "--ticks", "2000"]
 
 
@@ -71,7 +73,11 @@ def test_loops_without_a_common_tick_are_refused(run: Run, write: Write, tmp_pat
     text = first.read_text(encoding="utf-8")
     other.write_text(text.replace("dt = 1.0", "dt = 0.7071067811865476"), encoding="utf-8")
     share = ["--copies", "10", "--capacity", "4"]
-    assert "their looks do not repeat within" in run("channel", str(first), str(other), *share).sentence
+    assert "the steps have different lengths" in run("channel", str(first), str(other), *share).sentence
+    wiener = (Path(taciturn.__file__).parent / "problems" / "wiener-double-integrator.toml").read_text(encoding="utf-8")
+    other.write_text(wiener.replace("period = 0.1", "period = 0.07071067811865476"), encoding="utf-8")
+    told = run("channel", "wiener-double-integrator", str(other), *share).sentence
+    assert "their looks do not repeat within" in told
     assert "one unit" in run("channel", str(first), "wiener-double-integrator", *share).sentence
     assert "policy.period is missing" in run("channel", write(PLANT.replace("dt = 1.0\n", "")), *share).sentence
 

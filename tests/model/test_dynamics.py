@@ -119,6 +119,13 @@ def test_what_is_no_function_of_a_plant_is_refused_in_a_sentence(function: Any, 
     assert "\n" not in str(refused.value)
 
 
+def test_a_function_that_draws_is_refused() -> None:
+    """Recorded once, its draw would be the same at every tick; the noise of a plant is w."""
+    draws = np.random.default_rng(1)
+    with pytest.raises(ProblemError, match="two results for the same x, u and w"):
+        Plant([[0.5]], [[1.0]], [[1.0]], function=lambda x, u, w: 0.5 * x + u + w + draws.normal() * x**2)
+
+
 def test_noise_that_is_never_drawn_may_enter_as_it_likes() -> None:
     """The derivative by w matters where W is not 0."""
     assert plant_of(lambda x, u, w: 1.2 * np.sin(x) + u + 7.0 * w, W=0.0).function is not None

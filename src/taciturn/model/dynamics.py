@@ -75,6 +75,11 @@ class Dynamics:
             ProblemError: the function fails, 0 is no equilibrium, or a derivative is another.
         """
         n, m = B.shape
+        probe = np.full(n, 0.1), np.full(m, 0.1), np.zeros(n)
+        if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
+            raise ProblemError(
+                "function gives two results for the same x, u and w; expected one that draws nothing: noise comes as w"
+            )
         rest = self(np.zeros(n), np.zeros(m), np.zeros(n))
         _expect_finite(rest, "function", "at x = 0, u = 0, w = 0")
         if np.abs(rest).max() > AT_REST:

@@ -44,7 +44,7 @@ class Access(Protocol):
 
 
 class MostUrgent:
-    """Those with the highest urgency above 0 send, at most so many.
+    """Those with the highest urgency send, as many as there are slots, whether they want to or not: a slot is free.
 
     Args:
         capacity: sends per tick.
@@ -56,11 +56,7 @@ class MostUrgent:
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
         """Let those send."""
-        sent: Bits = np.asarray(urgency > 0, dtype=np.bool_)
-        crowded = np.flatnonzero(sent.sum(axis=1) > self.capacity)
-        if crowded.size:
-            wishes = np.where(sent[crowded], urgency[crowded], -np.inf)
-            sent[crowded] = _lowest(-wishes, self.capacity)
+        sent = _lowest(-urgency, self.capacity)
         return Grant(sent, sent.sum(axis=1).astype(np.float64))
 
 

@@ -12,13 +12,13 @@ from taciturn._arrays import Array
 from taciturn._modes import factor
 from taciturn.model.trigger import Form
 from taciturn.program.draws import NORMAL, seed_generators, with_draws
-from taciturn.program.engine import Resident
+from taciturn.program.engine import Resident, prepare
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
 from taciturn.simulation.access import Access, Places
 
 ERROR = "error"  # what a rule's forms weigh
-KEPT, EXCESS, URGENCY, GRANTED = "kept", "excess", "urgency", "granted"
+KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,13 +50,13 @@ class Stretch:
         cost: per tick, summed over the loops of each group, (channels, groups).
         sends: per tick, of each group, (channels, groups).
         busy: sends and collisions per tick, (channels,).
-        wishes: loops per tick that want to send, (channels,).
+        waiting: loops per tick that want to send and do not get through, (channels,).
     """
 
     cost: Array
     sends: Array
     busy: Array
-    wishes: Array
+    waiting: Array
 
 
 class Channel:
@@ -81,7 +81,7 @@ class Channel:
             for phase in range(group.every):
                 loops = len(range(phase, group.count, group.every))
                 if loops:
-                    states = _start(program, loops * channels, seed, first * channels)
+                    states = start(program, loops * channels, seed, first * channels)
                     places = np.arange(first, first + loops)
                     urgency = np.full((channels, loops), -1.0)
                     cohort = _Cohort(index, phase, group.every, places, Resident(program, states), urgency)
@@ -91,7 +91,7 @@ class Channel:
     def run(self, ticks: int) -> Stretch:
         """Run on for some ticks, a multiple of the ticks between two looks of every group."""
         groups, channels = len(self._groups), self._channels
-        sends, busy, wishes = np.zeros((channels, groups)), np.zeros(channels), np.zeros(channels)
+        sends, busy, waiting = np.zeros((channels, groups)), np.zeros(channels), np.zeros(channels)
         active: dict[tuple[bool, ...], tuple[list[_Cohort], Places]] = {}
         for tick in range(self._tick, self._tick + ticks):
             key = tuple(tick % cohort.every == cohort.phase for cohort in self._cohorts)
@@ -105,7 +105,7 @@ class Channel:
             urgency = np.concatenate([cohort.urgency for cohort in cohorts], axis=1)
             grant = self._access.grant(tick, places, urgency)
             busy += grant.busy
-            wishes += (urgency > 0).sum(axis=1)
+            waiting += ((urgency > 0) & ~grant.sent).sum(axis=1)
             end = 0
             for cohort in cohorts:
                 sent = grant.sent[:, end : (end := end + len(cohort.places))]
@@ -116,7 +116,7 @@ class Channel:
         for cohort in self._cohorts:
             added = cohort.errors.take_sums()[EXCESS].reshape(channels, -1).sum(axis=1)
             cost[:, cohort.group] += added / ticks
-        return Stretch(cost, sends / ticks, busy / ticks, wishes / ticks)
+        return Stretch(cost, sends / ticks, busy / ticks, waiting / ticks)
 
 
 @dataclass(eq=False)
@@ -133,21 +133,46 @@ class _Cohort:
 
 def contend(group: Group) -> Program:
     """Return one look of a loop that is told whether it sends: the error's cost is summed, its next urgency put out."""
-    builder, spread = Builder(), factor(group.noise)
-    sizes = {ERROR: len(group.F)}
-    tick = Tick(builder, sizes, {}, ())
-    granted = builder.emit("greater", builder.input(GRANTED), builder.constant(0.0))
-    zero = builder.constant(0.0)
-    tick.signals[KEPT] = [tick.choose(granted, zero, value) for value in tick.recall(ERROR)]
-    excess = tick.form(Form((KEPT,), group.Gamma))
-    drawn = [builder.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
-    tick.signals |= {NORMAL: drawn}
-    tick.signals[ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
+    tick = _look(group)
+    told = tick.builder.emit("greater", tick.builder.input(GRANTED), tick.builder.constant(0.0))
+    excess = _decide(tick, group, told)
     return with_draws(tick.finish({EXCESS: excess}, {URGENCY: tick.form(group.urgency)}))
 
 
-def _start(program: Program, paths: int, seed: int, first: int) -> Array:
+def send_freely(group: Group) -> Program:
+    """Return one look of a loop that sends whenever it wants to: the error's cost and its sends are summed."""
+    tick = _look(group)
+    wants = tick.builder.emit("greater", tick.form(group.urgency), tick.builder.constant(0.0))
+    excess = _decide(tick, group, wants)
+    return with_draws(tick.finish({EXCESS: excess, SENT: tick.as_number(wants)}))
+
+
+def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
+    """Return sends and cost per look of each loop of a group on its own, after as many looks that are dropped."""
+    program = send_freely(group)
+    run, states = prepare(program), start(program, group.count, seed)
+    found = run(run(states, looks, None).states, looks, None)
+    return found.sums[SENT] / looks, found.sums[EXCESS] / looks
+
+
+def _look(group: Group) -> Tick:
+    return Tick(Builder(), {ERROR: len(group.F)}, {}, ())
+
+
+def _decide(tick: Tick, group: Group, sends: int) -> int:
+    """Reset the error where it is sent, move it on, and return what was kept costs."""
+    builder, spread = tick.builder, factor(group.noise)
+    zero = builder.constant(0.0)
+    tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(ERROR)]
+    excess = tick.form(Form((KEPT,), group.Gamma))
+    tick.signals[NORMAL] = [builder.input(f"{NORMAL} {i}") for i in range(spread.shape[1])]
+    tick.signals[ERROR] = tick.combine({KEPT: group.F, NORMAL: spread}, len(group.F))
+    return excess
+
+
+def start(program: Program, paths: int, seed: int, first: int = 0) -> Array:
     """Return the states of errors of 0, (states, paths)."""
     drawn = seed_generators(seed, paths, first)
     starts = [state.start for state in program.states]
-    return np.array([drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts])
+    rows = [drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts]
+    return np.array(rows).reshape(len(rows), paths)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from taciturn._arrays import choice, count, number
@@ -65,7 +66,8 @@ class Sharing:
         waiting: loops per tick that wanted to send and did not get through; of schedulers with a price.
         load_expected: sends per tick if none had to wait; of schedulers with a price.
         price: of a send, that is common to all loops; of schedulers with one.
-        cost_periodic: of the best periodic allocation with the same load.
+        cost_periodic: of the best periodic allocation with as many sends per tick as there may be.
+        cost_periodic_same_load: of the best with no more sends than there were.
         ticks: that were measured, of all channels that were simulated together.
         reached: whether the asked standard error was met.
         seed: of the draws.
@@ -86,6 +88,7 @@ class Sharing:
     load_expected: Estimate | None
     price: float | None
     cost_periodic: float
+    cost_periodic_same_load: float
     ticks: int
     reached: bool
     seed: int
@@ -100,7 +103,7 @@ class Sharing:
 
     @property
     def consistent(self) -> bool | None:
-        """Whether the loops cost no more than the best periodic allocation of the same load; None: not to be told.
+        """Whether the loops cost no more than the best periodic allocation of the channel; None: not to be told.
 
         True and False by 4 standard errors.
         """
@@ -119,7 +122,8 @@ class Sharing:
             "cost_all_time": self.cost_all_time,
             "cost_lower_bound": None if bound is None else bound.cost,
             "cost_lower_bound_confidence": None if bound is None else bound.confidence,
-            "cost_periodic": self.cost_periodic,
+            "cost_periodic": _finite(self.cost_periodic),
+            "cost_periodic_same_load": _finite(self.cost_periodic_same_load),
             "consistent": self.consistent,
             "load": _document(self.load),
             "load_expected": None if self.load_expected is None else _document(self.load_expected),
@@ -180,7 +184,8 @@ def share_channel(
     E[(1−σ)e'Γe] with the error e that a send resets; the scheduler alone decides who sends. Of these
 
     * ``price``: a loop wants to send where its nearly optimal trigger at a common price per send says so; the price is
-      where the expected load meets the capacity. If more want to send, those wait whose silence costs least;
+      where the expected load meets the capacity. If more want to send, those wait whose silence costs least; if fewer,
+      those whose silence costs most take the slots that are left;
     * ``largest``: those with the largest e'Γe;
     * ``once-discard``: those with the largest error of the input, |û − Lx̂|² (try-once-discard);
     * ``round-robin``: each in its turn;
@@ -257,6 +262,7 @@ def share_channel(
         None if plan.price is None else mean(measured.waiting),
         plan.load,
         plan.price,
+        base + float(game.counts @ game.clocked.costs),
         base + float(game.counts @ periodic.costs),
         measured.ticks,
         measured.reached,
@@ -265,6 +271,10 @@ def share_channel(
         prepared,
         plan.notes,
     )
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None
 
 
 def _document(estimate: Estimate) -> dict[str, Any]:

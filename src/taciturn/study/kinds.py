@@ -82,7 +82,9 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
                 f"the cost of {first} counts per {units[first]} and that of {name} per {unit}; expected one unit, to "
                 "add them up: give all plants in continuous time with policy.period, or all with plant.dt"
             )
-    every = _common_ticks({name: _period(name, problem) for name, problem in problems.items()})
+    every = _common_ticks(
+        {name: _period(name, problem) for name, problem in problems.items()}, units[next(iter(units))]
+    )
     return tuple(
         _kind(name, problem, number, step)
         for (name, problem), number, step in zip(problems.items(), copies, every, strict=True)
@@ -117,12 +119,13 @@ def _period(name: str, problem: Problem) -> float | None:
     period = problem.parameters.get("period")
     if period is None:
         raise ProblemError(
-            f"{name}: the plant is continuous in time and policy.period is missing; expected the seconds between looks"
+            f"{name}: the plant is continuous in time and policy.period is missing; expected the seconds between looks "
+            "(give plant.dt if A and B are those of a step)"
         )
     return float(period)
 
 
-def _common_ticks(periods: Mapping[str, float | None]) -> list[int]:
+def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
     """Return how many ticks of the channel each period is.
 
     Raises:
@@ -137,6 +140,12 @@ def _common_ticks(periods: Mapping[str, float | None]) -> list[int]:
         raise ProblemError(
             f"{without} has no plant.dt and {other} looks every {periods[other]:g} s; expected plant.dt in all, for a "
             "common tick"
+        )
+    if len(set(seconds)) > 1 and unit == "step":
+        listed = ", ".join(f"{name} {period:g} s" for name, period in periods.items())
+        raise ProblemError(
+            f"costs count per step, and the steps have different lengths ({listed}); expected one plant.dt, to add "
+            "them up, or plants in continuous time with policy.period"
         )
     exact = [Fraction(period).limit_denominator(FINEST) for period in seconds]
     whole = lcm(*(part.denominator for part in exact))

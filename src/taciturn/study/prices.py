@@ -15,8 +15,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Bell, Form
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.rare import bound_rare_sends
-from taciturn.simulation.access import MostUrgent
-from taciturn.simulation.channel import ERROR, Channel, Group
+from taciturn.simulation.channel import ERROR, Group, measure_freely
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.kinds import Kind
 
@@ -25,14 +24,18 @@ if TYPE_CHECKING:
 
 PER_OCTAVE = 2  # prices of a table
 FEW = 300  # errors that the schedules of a table are fitted to
-LOOPS = 4096  # that a rate is measured on
+LOOPS, FEWEST = 4096, 256  # that a rate is measured on
+MEASURED = 1 << 21  # looks of all of them
 SETTLE = 8  # mean intervals between sends that are dropped first, and that are measured
 SHORTEST, LONGEST = 64, 16_384  # looks that are measured
+CLOCK = 4.0  # times the price of triggers, about, is that of clocks: 3 of a random walk, 5 of two masses
+FACTORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5)  # of the price: thresholds that are tried
+OFF = 0.1  # relative, by which a fit's gain and what is measured may differ
 HALVINGS = 8  # of a price at which there is no bound
 CHEAPEST = 1e-9  # of the price from where a search begins: next to nothing
 RAREST = 1 / LONGEST  # sends per look: what sends less often never sends
 ACCURATE = 1e-3  # relative, of a bound by quadrature, from which its error is taken
-ALWAYS, NEVER = Form(constant=1.0), Form(constant=-1.0)
+ALWAYS = Form(constant=1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,30 +92,52 @@ class Curve:
         return self.table[place]
 
     def _measured(self, price: float, fitting: Fitting) -> Schedule:
-        kind, silent = self.kind, Schedule(price, NEVER, Estimate(0.0, 0.0, "bound"))
+        kind = self.kind
+        if kind.clocked.forever == 0:  # silence costs nothing
+            return Schedule(price, Form(constant=-price), Estimate(0.0, 0.0, "exact"))
         if bound_rare_sends(kind.F, kind.noise, kind.Gamma, price).rate < RAREST:
-            return silent
+            return Schedule(price, self._saving(np.inf, price), Estimate(0.0, 0.0, "bound"))
         try:
             found = fitting.at(price)
-        except ProblemError:  # hardly anything is worth a send
-            return silent
+        except ProblemError:  # sends are too rare for a fit
+            return self._rare(price)
         urgency = Form((ERROR,), kind.Gamma, -found.gain, bell=Bell(-found.height, found.Pi))
-        rate = measure_rate(kind, urgency, 1 / found.interval, self._seed)
-        return silent if rate.value < RAREST else Schedule(price, urgency, rate)
+        rate, excess = measure_alone(kind, urgency, 1 / found.interval, self._seed)
+        if abs(excess + price * rate.value - found.gain) > OFF * found.gain:  # it has not converged
+            return self._rare(price)
+        return Schedule(price, urgency, rate)
+
+    def _rare(self, price: float) -> Schedule:
+        """Return the best threshold on what a send saves until the next one, which a clock makes."""
+        interval, best, least = self.kind.clocked.interval(CLOCK * price), None, np.inf
+        for factor in FACTORS:
+            urgency = self._saving(interval, factor * price)
+            rate, excess = measure_alone(self.kind, urgency, 1 / interval, self._seed)
+            if excess + price * rate.value < least:
+                best, least = Schedule(price, urgency, rate), excess + price * rate.value
+        assert best is not None
+        return best
+
+    def _saving(self, interval: float, price: float) -> Form:
+        """Return e'Se − price, S = Σ F'ʲΓFʲ over the looks of an interval."""
+        F, S = self.kind.F, self.kind.Gamma
+        if np.isinf(interval):
+            S = _scipy.discrete_lyapunov(F.T, S)
+        for _ in range(0 if np.isinf(interval) else int(interval) - 1):
+            S = F.T @ S @ F + self.kind.Gamma
+        return Form((ERROR,), (S + S.T) / 2, -price)
 
 
-def measure_rate(kind: Kind, urgency: Form, about: float, seed: int) -> Estimate:
-    """Return the sends per look of loops that send whenever they want to."""
-    group = Group(kind.F, kind.noise, kind.Gamma, urgency, LOOPS)
-    channel = Channel([group], MostUrgent(LOOPS), seed=seed)
+def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[Estimate, float]:
+    """Return sends and cost per look of loops that send whenever they want to, about so often."""
+    looks = int(np.clip(SETTLE / max(about, RAREST), SHORTEST, LONGEST))
     while True:
-        looks = int(np.clip(SETTLE / max(about, RAREST), SHORTEST, LONGEST))
-        channel.run(looks)
-        parts = np.array([channel.run(looks // 16).sends[0, 0] for _ in range(16)]) / LOOPS
-        found = rate_of(parts, LOOPS * looks)
-        if looks * found.value >= SETTLE / 2 or looks == LONGEST:
-            return found
-        about = max(found.value, about / 4)
+        loops = int(np.clip(MEASURED // looks, FEWEST, LOOPS))
+        sends, costs = measure_freely(Group(kind.F, kind.noise, kind.Gamma, urgency, loops), looks, seed)
+        rate = rate_of(sends, loops * looks)
+        if looks * rate.value >= SETTLE / 2 or looks == LONGEST:
+            return rate, float(costs.mean())
+        looks = min(4 * looks, LONGEST)
 
 
 def find_price(curves: Sequence[Curve], capacity: float, guess: float) -> float:

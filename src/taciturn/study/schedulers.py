@@ -19,7 +19,7 @@ from taciturn.simulation.channel import ERROR, Channel, Group, Stretch
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.kinds import Kind
-from taciturn.study.prices import ALWAYS, Curve, find_price
+from taciturn.study.prices import ALWAYS, CLOCK, Curve, find_price
 
 PATHS = 16_384  # loops that are simulated side by side, where there are fewer on the channel: on several channels
 CHANNELS = 32  # at most
@@ -29,7 +29,6 @@ SHORTEST = 64  # ticks of a stretch
 STRETCHES = 32  # at least, of all channels
 BUDGET = 20_000_000_000  # looks of all loops together
 RELATIVE_ERROR = 1e-3  # of the cost, where no standard error is asked
-CLOCK = 4.0  # times the price of triggers, about, is that of clocks: 3 of a random walk, 5 of two masses
 LOST = 1e6  # times its all-time cost: a loop that costs more is not controlled
 LOADS = (1.6, 0.15)  # of what random access carries at best: where its price is sought
 TRIALS = 9  # prices that random access is tried at, at most
@@ -127,8 +126,9 @@ class Game:
             if kind.clocked.growth >= 1 and not each <= limit:
                 raise UnstableError(
                     f"{kind.name}: its loops are unstable (an error grows by {kind.clocked.growth:.4g} per look) and "
-                    f"get {rate:.3g} sends per look each, with which they are not controlled; expected at least "
-                    f"{kind.clocked.least_rate(limit):.3g}: a higher capacity, fewer loops, or another scheduler"
+                    f"get {rate:.3g} sends per look each, with which one costs over {LOST:.0e} times what it does if "
+                    f"it always sends; expected at least {kind.clocked.least_rate(limit):.3g}, as a clock needs, and "
+                    "more where sends come by chance: raise capacity, or share the channel among fewer loops"
                 )
 
 
@@ -221,7 +221,7 @@ def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | N
                 np.concatenate([one.cost for one in kept]),
                 np.concatenate([one.sends for one in kept]),
                 np.concatenate([one.busy for one in kept]),
-                np.concatenate([one.wishes - one.sends.sum(axis=1) for one in kept]),
+                np.concatenate([one.waiting for one in kept]),
                 measured * channels,
                 reached,
             )

@@ -277,7 +277,11 @@ class _Search:
                 ends[side] = look
             return look.above
 
-        _scipy.crossing(above, self._place(low.value), self._place(high.value), JUMP)
+        places = self._place(low.value), self._place(high.value)
+        if above(places[0]) * above(places[1]) > 0:  # at the end of what can be reached a digit decides the side
+            nearest = min(ends, key=lambda look: abs(look.above))
+            return nearest, nearest
+        _scipy.crossing(above, *places, JUMP)
         return ends[0], ends[1]
 
     def _width(self, ends: list[_Look]) -> float:
