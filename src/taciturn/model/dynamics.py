@@ -75,11 +75,6 @@ class Dynamics:
             ProblemError: the function fails, 0 is no equilibrium, or a derivative is another.
         """
         n, m = B.shape
-        probe = np.full(n, 0.1), np.full(m, 0.1), np.zeros(n)
-        if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
-            raise ProblemError(
-                "function gives two results for the same x, u and w; expected one that draws nothing: noise comes as w"
-            )
         rest = self(np.zeros(n), np.zeros(m), np.zeros(n))
         _expect_finite(rest, "function", "at x = 0, u = 0, w = 0")
         if np.abs(rest).max() > AT_REST:
@@ -105,6 +100,11 @@ class Dynamics:
             raise ProblemError(
                 f"the derivative of function by w at 0 has the row [{row}] for state {i + 1}; expected the identity "
                 "wherever W is not 0, as in A x + B u + w: let W be the covariance of what is added to the next state"
+            )
+        probe = np.full(n, 1e-3), np.full(m, 1e-3), np.zeros(n)
+        if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
+            raise ProblemError(
+                "function gives two results for the same x, u and w; expected one that draws nothing: noise comes as w"
             )
 
     def derivatives(self, states: int, inputs: int) -> tuple[Array, Array, Array]:
