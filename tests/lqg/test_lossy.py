@@ -11,7 +11,7 @@ import scipy.linalg
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from taciturn import Cost, Network, Plant, Policy, Reference, Scheduled, UnstableError, design
+from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
 from taciturn._modes import radius
 from taciturn.lqg.lossy import (
     Channel,
@@ -24,6 +24,7 @@ from taciturn.lqg.lossy import (
 )
 from taciturn.lqg.riccati import regulate
 from taciturn.model.policy import Assign
+from taciturn.model.trigger import Scheduled
 
 SEEDS = st.integers(0, 2**32 - 1)
 LINKS = [Channel(0.0, 0.0, told, late) for told, late in product((False, True), repeat=2)]
