@@ -12,7 +12,9 @@ import pytest
 from taciturn.lqg.lossy import Channel, regulate_lossy_finite
 
 
-def best(a: float, b: float, weights: tuple[float, float, float], losses: tuple[float, float], horizon: int):
+def best(
+    a: float, b: float, weights: tuple[float, float, float], losses: tuple[float, float], horizon: int
+) -> tuple[np.ndarray, np.ndarray]:
     """Return v_k, the least cost from x_k = 1 where that is known, and the first input of it, for every k < horizon.
 
     Until the next measurement inputs u_k, u_{k+1}, … are numbers z, and x_{k+j} = a^j + Σ_i a^{j−1−i} b α_i z_i with

@@ -28,7 +28,7 @@ def test_without_acknowledgements_the_critical_losses_trade_as_published(largest
 
 
 def test_a_design_is_refused_on_the_far_side_of_the_published_losses() -> None:
-    """λ = 2 and a tenth of the measurements lost: actuator losses below 3/16.5 = 2/11 are survived."""
+    """λ = 2 and a tenth of the measurements lost: actuator losses below 2/11 are survived."""
     plant, cost = Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
     limit = (1 - 4 * 0.1) / (4 * (1 - 2 * 0.1) + 0.1)
     assert limit == pytest.approx(2 / 11)
