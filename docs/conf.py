@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import sys
+from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.util.docutils import SphinxDirective
+
+sys.path.insert(0, str(Path(__file__).parent))
+from names import listing, mend, shorten, told
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 project = "Taciturn"
 author = "The Taciturn authors"
-extensions = ["myst_nb"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "Taciturn"
@@ -24,11 +31,53 @@ nb_execution_raise_on_error = True
 nb_execution_in_temp = False  # beside the data that a page shows; none writes a file
 nb_execution_timeout = 300
 nb_merge_streams = True
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Matrix", "Progress", "Term", "Terms")}
+python_maximum_signature_line_length = 90
+python_use_unqualified_type_names = True
 
 
 def setup(app: Sphinx) -> None:
     """Render formulas as MathML; one that docutils cannot read stops the build."""
     app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
+    app.add_directive("names", Names)
+    app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
+    app.connect("autodoc-process-signature", _short)
+    app.connect("autodoc-skip-member", _is_field)
+
+
+class Names(SphinxDirective):
+    """Everything that a module offers; modules that are listed one a line get a section each."""
+
+    optional_arguments = 1
+    has_content = True
+
+    def run(self) -> list[nodes.Node]:
+        """Parse what the package says of itself."""
+        if self.arguments:
+            return self.parse_text_to_nodes(listing(self.arguments[0]))
+        return [self._section(module) for module in self.content]
+
+    def _section(self, module: str) -> nodes.section:
+        section = nodes.section("", nodes.title(module, module), names=[nodes.fully_normalize_name(module)])
+        self.state.document.note_implicit_target(section)
+        section += self.parse_text_to_nodes(f"{told(import_module(module))}\n\n{listing(module)}")
+        return section
+
+
+def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:
+    mend(lines)
+
+
+def _short(
+    app: Sphinx, what: str, name: str, value: object, options: object, arguments: str | None, returns: str | None
+) -> tuple[str | None, str | None]:
+    return arguments and shorten(arguments), returns and shorten(returns)
+
+
+def _is_field(app: Sphinx, what: str, name: str, value: object, skip: bool, options: object) -> bool | None:
+    return True if type(value).__name__ == "_tuplegetter" else None  # told under Args
 
 
 def _inline(translator: Any, node: nodes.math) -> None:
