@@ -23,6 +23,9 @@ extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "Taciturn"
+html_show_copyright = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_math_renderer = "mathml"  # the browser's own; the usual one loads a script from elsewhere
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
@@ -42,6 +45,9 @@ def setup(app: Sphinx) -> None:
     """Render formulas as MathML; one that docutils cannot read stops the build."""
     app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
     app.add_directive("names", Names)
+    app.add_directive("figures", Figures)
+    app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
+    app.connect("doctree-resolved", _collect)
     app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
@@ -64,6 +70,36 @@ class Names(SphinxDirective):
         self.state.document.note_implicit_target(section)
         section += self.parse_text_to_nodes(f"{told(import_module(module))}\n\n{listing(module)}")
         return section
+
+
+class Figures(SphinxDirective):
+    """The figures of all other pages, each with the page it is from."""
+
+    def run(self) -> list[nodes.Node]:
+        """Leave a place for them, until those pages are read."""
+        return [nodes.container(classes=["gallery"])]
+
+
+def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:
+    for place in [node for node in tree.findall(nodes.container) if node["classes"] == ["gallery"]]:
+        for page in sorted(app.env.found_docs - {name}):
+            for image in app.env.get_doctree(page).findall(nodes.image):
+                place += _figure(image, app.builder.get_relative_uri(name, page), app.env.titles[page].astext())
+
+
+def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
+    """Return an image of another page with the section it is from and the sentence that stands before it."""
+    part: nodes.Node = image
+    while not isinstance(part.parent, nodes.section):
+        part = part.parent
+    section = part.parent
+    heading = section.next_node(nodes.title).astext()
+    link = {"refuri": f"{uri}#{section['ids'][0]}", "internal": True}
+    caption = nodes.paragraph("", "", nodes.reference("", f"{title}: {heading}".removesuffix(f": {title}"), **link))
+    before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
+    if before:
+        caption += nodes.Text(". " + before[-1].astext().split(". ")[0].rstrip(".:") + ".")
+    return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption)
 
 
 def _plain(app: Sphinx, what: str, name: str, value: object, options: object, lines: list[str]) -> None:

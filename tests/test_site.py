@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import importlib
+import pickle
 import re
 import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
+from test_house import FLOORS
 
 import taciturn
+from taciturn._figure import Panel, Series, draw
+from taciturn.study.reproduce import CHAPTERS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -68,3 +72,32 @@ def test_a_docstring_becomes_markup_that_shows_what_it_says(names: ModuleType) -
     names.mend(lines)
     assert lines[:7] == [r"Of \|e\|:", "", "::", "", "    u = L*x|", "    y_ = x", ""]
     assert lines[7:] == [r"By x\_, ``a*b``.", "", ">>> 2*3", "6", "", r"* a \*list\*"]
+
+
+def test_the_page_of_benchmarks_names_every_file() -> None:
+    """And the tables that they write are there."""
+    text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
+    for path in (ROOT / "benchmarks").iterdir():
+        assert path.is_dir() or f"{path.name}" in text
+    written = re.findall(r"--json docs/(\w+\.json)", text)
+    assert sorted(written) == sorted(path.name for path in DOCS.glob("*.json"))
+
+
+def test_the_floors_of_the_diagram_are_those_that_imports_are_held_to() -> None:
+    """The table of docs/architecture.md, which the diagram reads, and the walk of ``test_house``."""
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| (.*?) \|", text, re.MULTILINE)
+    shown = {part: int(number) for number, parts in rows for part in re.findall(r"`(\w+)/?`", parts)}
+    assert shown == {part: number for part, number in FLOORS.items() if part}
+
+
+def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
+    """By the chapters that ``reproduce`` knows."""
+    shown = re.findall(r'reproduce\("(\w+)"\)', (DOCS / "gallery.md").read_text(encoding="utf-8"))
+    assert sorted(shown) == sorted(CHAPTERS)
+
+
+def test_a_figure_shows_itself_in_a_notebook() -> None:
+    """Also where pyplot was never imported; and it can still be copied to another process."""
+    figure = pickle.loads(pickle.dumps(draw([Panel([Series([0.0, 1.0], [1.0, 0.0])], "x", "y")])))
+    assert figure._repr_png_().startswith(b"\x89PNG")

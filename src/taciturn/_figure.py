@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -58,6 +60,7 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
             axis.set_yticks(range(len(panel.names)), panel.names)
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
+    figure._repr_png_ = partial(_png, figure)  # what a notebook shows; it knows figures of pyplot only
     return figure
 
 
@@ -94,6 +97,12 @@ def save(figure: Figure, path: str | Path) -> None:
             drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
     except OSError as error:
         raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
+
+
+def _png(figure: Any) -> bytes:
+    written = BytesIO()
+    figure.savefig(written, format="png", dpi=110)
+    return written.getvalue()
 
 
 def _plot(axis: Any, series: Series) -> None:
