@@ -83,7 +83,7 @@ def waiting(a: float, level: float) -> float:
 
 
 @pytest.mark.parametrize("a", [-1.0, 1.0], ids=["stable", "unstable"])
-def test_the_variance_of_a_first_order_system_under_events_is_the_published_one(a: float) -> None:
+def test_the_variance_of_a_first_order_system_under_events_is_its_closed_form(a: float) -> None:
     """V = (d²/h − 1)/2a of the mean wait h for a level d, at equal rate, as looks come ever faster.
 
     A level that is looked at is passed by a little, as if it were higher; so d is the one with the same mean wait.
@@ -98,7 +98,7 @@ def test_the_variance_of_a_first_order_system_under_events_is_the_published_one(
 
 
 @pytest.mark.parametrize("a", [-1.0, 1.0], ids=["stable", "unstable"])
-def test_the_variance_of_a_first_order_system_under_periodic_impulses_is_the_published_one(a: float) -> None:
+def test_the_variance_of_a_first_order_system_under_periodic_impulses_is_its_closed_form(a: float) -> None:
     """(e^{2ah} − 1)/(4a²h) − 1/2a: inputs that are free, and come as impulses from a model."""
     for period in (0.1, 1.0):
         found = sample([[a]], [[0.0]], [[1.0]], [[0.0]], [[0.0]], [[1.0]], period)
