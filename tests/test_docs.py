@@ -6,12 +6,14 @@ import doctest
 import importlib
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+import typer
 from twin.crews import blind
 
 ROOT = Path(__file__).parent.parent
@@ -49,6 +51,30 @@ def test_the_index_lists_every_page() -> None:
     )
     assert listed is not None
     assert sorted([*listed[1].split(), "index"]) == sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+
+
+def typed(text: str) -> list[list[str]]:
+    """Return the words behind each ``taciturn`` that the shell blocks of a page type."""
+    blocks = re.findall(r"```(?:sh|console)\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    found = [re.search(r"(?:^|[ /])taciturn (.*?)(?: &.*)?$", line) for line in lines]
+    return [shlex.split(match[1], comments=True) for match in found if match]
+
+
+def test_the_command_line_understands_what_the_pages_type() -> None:
+    """Commands, options and their values are parsed, and nothing is run."""
+    from taciturn.cli import app
+
+    commands = typer.main.get_command(app).commands
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    lines = [words for path in pages for words in typed(path.read_text(encoding="utf-8"))]
+    assert len(lines) > 30
+    for words in lines:
+        if words != ["--version"]:
+            assert words[0] in commands, words
+            assert commands[words[0]].make_context(words[0], words[1:]).args == [], words
+    with pytest.raises(typer.TyperException, match="--rte"):
+        commands["tune"].make_context("tune", ["two-mass", "--rte", "0.5"])
 
 
 def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -153,7 +153,7 @@ def test_the_catalogue_and_the_documentation_name_the_same_policies() -> None:
     """Every policy kind that can be asked for stands in the tables of the documentation."""
     from taciturn.design.catalogue import CATALOGUE
 
-    for page in ("problem-file.md", "architecture.md"):
+    for page in ("problem-file.md", "architecture.md", "choose-a-policy.md"):
         text = (ROOT / "docs" / page).read_text(encoding="utf-8")
         for kind in CATALOGUE:
             assert f"`{kind}`" in text, f"{kind} is missing in {page}"
