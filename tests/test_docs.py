@@ -51,6 +51,51 @@ def test_the_index_lists_every_page() -> None:
     assert sorted([*listed[1].split(), "index"]) == sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
 
 
+def resolves(name: str) -> bool:
+    """Tell whether a dotted name within the package is a module, or what hangs on one."""
+    parts = name.split(".")
+    for last in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(["taciturn", *parts[:last]]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[last:]:
+            found = getattr(found, attribute, None)
+        return found is not None
+    return False
+
+
+def missing(text: str) -> tuple[list[str], int]:
+    """Return the names of code and of tests in backquotes that are not there, and how many names there are."""
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    folders = "|".join(path.name for path in (ROOT / "src" / "taciturn").iterdir() if (path / "__init__.py").exists())
+    code = re.findall(rf"`((?:{folders})(?:\.\w+)+)`", prose)
+    tests = re.findall(r"`([\w/]+\.py)::(\w+)`", prose)
+    wrong = [name for name in code if not resolves(name)]
+    for file, test in tests:
+        path = ROOT / "tests" / file
+        if not path.exists() or f"\ndef {test}(" not in path.read_text(encoding="utf-8"):
+            wrong.append(f"{file}::{test}")
+    return wrong, len(code) + len(tests)
+
+
+@pytest.mark.parametrize(("page", "least"), [("theorems", 120), ("errata", 20), ("other-tools", 10)])
+def test_what_the_pages_of_theory_name_of_code_and_tests_is_there(page: str, least: int) -> None:
+    """A theorem whose test is renamed, or whose function moves, is found out here."""
+    wrong, names = missing((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert wrong == []
+    assert names >= least
+
+
+def test_a_name_that_is_not_there_is_found() -> None:
+    """The search itself can fail: a module, a function, an attribute, a file, a test; code cells are left out."""
+    named = "`lqg.nowhere.f` `lqg.lossy.nothing` `lqg.prediction.PredictionCost.nothing` `lqg/test_no.py::test_it` "
+    named += "`lqg/test_lossy.py::test_nothing` `lqg.lossy.lossy_step`\n```python\n`lqg.nowhere`\n```\n"
+    wrong, names = missing(named)
+    assert len(wrong) == 5
+    assert names == 6
+
+
 def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python of the README runs."""
     monkeypatch.chdir(tmp_path)
