@@ -66,16 +66,19 @@ def resolves(name: str) -> bool:
 
 
 def missing(text: str) -> tuple[list[str], int]:
-    """Return the names of code and of tests in backquotes that are not there, and how many names there are."""
+    """Return what is not there of the code and the tests that a page names, and how many names there are.
+
+    Code is named as `function` in `module`; the name of a test is a sentence, and its file stands behind it.
+    """
     prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
     folders = "|".join(path.name for path in (ROOT / "src" / "taciturn").iterdir() if (path / "__init__.py").exists())
-    code = re.findall(rf"`((?:{folders})(?:\.\w+)+)`", prose)
-    tests = re.findall(r"`([\w/]+\.py)::(\w+)`", prose)
-    wrong = [name for name in code if not resolves(name)]
-    for file, test in tests:
-        path = ROOT / "tests" / file
-        if not path.exists() or f"\ndef {test}(" not in path.read_text(encoding="utf-8"):
-            wrong.append(f"{file}::{test}")
+    code = re.findall(rf"(?:`([\w.]+)` in )?`((?:{folders})(?:\.\w+)+)`", prose)
+    tests = re.findall(r"\*([a-z0-9 ]+)\* \(`([\w/]+\.py)`\)", prose)
+    wrong = [f"{module}.{name}" for name, module in code if not resolves(f"{module}.{name}".rstrip("."))]
+    for sentence, file in tests:
+        path, name = ROOT / "tests" / file, "test_" + sentence.replace(" ", "_")
+        if not path.exists() or f"\ndef {name}(" not in path.read_text(encoding="utf-8"):
+            wrong.append(f"{file}::{name}")
     return wrong, len(code) + len(tests)
 
 
@@ -89,8 +92,9 @@ def test_what_the_pages_of_theory_name_of_code_and_tests_is_there(page: str, lea
 
 def test_a_name_that_is_not_there_is_found() -> None:
     """The search itself can fail: a module, a function, an attribute, a file, a test; code cells are left out."""
-    named = "`lqg.nowhere.f` `lqg.lossy.nothing` `lqg.prediction.PredictionCost.nothing` `lqg/test_no.py::test_it` "
-    named += "`lqg/test_lossy.py::test_nothing` `lqg.lossy.lossy_step`\n```python\n`lqg.nowhere`\n```\n"
+    named = "`lqg.nowhere` `nothing` in `lqg.lossy` `PredictionCost.nothing` in `lqg.prediction` "
+    named += "*it* (`lqg/test_no.py`) *nothing* (`lqg/test_lossy.py`) `lossy_step` in `lqg.lossy`\n"
+    named += "```python\n`lqg.nowhere`\n```\n"
     wrong, names = missing(named)
     assert len(wrong) == 5
     assert names == 6
