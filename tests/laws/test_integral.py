@@ -12,12 +12,13 @@ from hypothesis import strategies as st
 from systems import continuous_system, price_of
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, find_losses, simulate
+from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
 from taciturn.problem import parse
 from taciturn.renewal.cycles import estimate_cycles, sweep
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
+from taciturn.study.losses import find_losses
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])

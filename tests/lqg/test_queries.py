@@ -9,9 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
-from taciturn import Cost, Plant, Schedule, UnstableError, design
+from taciturn import Cost, Plant, UnstableError, design
 from taciturn.lqg import queries
 from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
+from taciturn.model.schedule import Schedule
 
 
 def with_cross_term(plant: Plant, seed: int, **time) -> Cost:

@@ -7,6 +7,7 @@ import pytest
 
 import taciturn
 from taciturn import Cost, Estimate, Plant, Problem, ProblemError, UnstableError
+from taciturn.analyse.limits import solve_optimum
 from taciturn.model.network import Network
 from taciturn.model.trigger import Form
 from taciturn.renewal.chain import Chain
@@ -111,7 +112,7 @@ def test_the_price_loads_the_channel_as_asked() -> None:
     """By quadrature, which the search does not use: the rate at the price, where the best trigger is known."""
     kinds = gather({"walk": WALK}, [100])
     price = find_price([Curve(kinds[0])], 20.0, 1.0)
-    exact = taciturn.solve_optimum(
+    exact = solve_optimum(
         taciturn.close(WALK.plant, taciturn.design.excess(WALK.plant, WALK.cost, delta=1.0, actuation="model")), price
     )
     assert exact.rate == pytest.approx(0.2, rel=0.015)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -119,14 +118,3 @@ def test_a_lambda_is_refused_by_other_processes_in_a_sentence(tmp_path: Path) ->
     assert (sweep(stated, grid, standard_error=0.05).refusal == "").all()
     with processes(2) as pool, pytest.raises(ProblemError, match=r"^function is <function .*no other process can be"):
         sweep(stated, grid, executor=pool, standard_error=0.05)
-
-
-def test_a_wheel_has_the_files_of_the_built_in_functions(tmp_path: Path) -> None:
-    """Beside the problems that name them."""
-    build = pytest.importorskip("hatchling.builders.wheel", reason="NOT SHOWN: what a wheel holds; no hatchling")
-    root = Path(__file__).parent.parent.parent
-    (wheel,) = build.WheelBuilder(str(root)).build(directory=str(tmp_path), versions=["standard"])
-    names = set(zipfile.ZipFile(wheel).namelist())
-    folder = root / "src" / "taciturn" / "problems"
-    assert {f"taciturn/problems/{path.name}" for path in folder.glob("*.*")} <= names
-    assert "taciturn/problems/pendulum_on_a_cart.py" in names

@@ -85,7 +85,7 @@ def tune(
 ) -> None:
     """The parameter of a policy that meets a rate or a cost."""
     import taciturn
-    from taciturn.study.periods import TunedPeriod
+    from taciturn.study.periods import TunedPeriod, tune_period
 
     check_effort(standard_error)
     problem, on = taciturn.load(file), cast("Any", link)
@@ -97,7 +97,7 @@ def tune(
         else:
             if rate is None or cost is not None:
                 raise taciturn.ProblemError("--least-period is given; expected --rate alone beside it, the budget")
-            found = taciturn.tune_period(
+            found = tune_period(
                 problem,
                 rate=rate,
                 least=least_period,
