@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from html import unescape
 from typing import TYPE_CHECKING, Any
+from xml.etree import ElementTree
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -16,6 +19,8 @@ extensions = ["myst_nb"]
 exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "Taciturn"
+html_static_path = ["_static"]
+html_css_files = ["manual.css"]
 html_math_renderer = "mathml"  # the browser's own; the usual one loads a script from elsewhere
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 3
@@ -26,16 +31,34 @@ nb_execution_timeout = 300
 nb_merge_streams = True
 
 
+MATHML = "http://www.w3.org/1998/Math/MathML"
+ElementTree.register_namespace("", MATHML)
+
+
 def setup(app: Sphinx) -> None:
     """Render formulas as MathML; one that docutils cannot read stops the build."""
     app.add_html_math_renderer("mathml", inline_renderers=(_inline, None), block_renderers=(_block, None))
 
 
 def _inline(translator: Any, node: nodes.math) -> None:
-    translator.body.append(tex2mathml(node.astext()))
+    translator.body.append(_rendered(tex2mathml(node.astext())))
     raise nodes.SkipNode
 
 
 def _block(translator: Any, node: nodes.math_block) -> None:
-    translator.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    translator.body.append(f'<div class="math">{_rendered(tex2mathml(node.astext(), as_block=True))}</div>')
     raise nodes.SkipNode
+
+
+def _rendered(formula: str) -> str:
+    """Put the index of an accented letter beside it; docutils puts it below, as that of a sum."""
+    tree = ElementTree.fromstring(re.sub(r"&(?!lt;|gt;|amp;)\w+;", lambda found: unescape(found[0]), formula))
+    for both in list(tree.iter(f"{{{MATHML}}}munderover")):
+        letter, index, accent = both
+        if accent.tag == f"{{{MATHML}}}mo" and accent.get("stretchy") == "false":
+            both.clear()
+            both.tag = f"{{{MATHML}}}msub"
+            over = ElementTree.SubElement(both, f"{{{MATHML}}}mover", accent="true")
+            over.extend((letter, accent))
+            both.append(index)
+    return ElementTree.tostring(tree, encoding="unicode")

@@ -77,6 +77,55 @@ def test_the_command_line_understands_what_the_pages_type() -> None:
         commands["tune"].make_context("tune", ["two-mass", "--rte", "0.5"])
 
 
+def resolves(name: str) -> bool:
+    """Tell whether a dotted name within the package is a module, or what hangs on one."""
+    parts = name.split(".")
+    for last in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(["taciturn", *parts[:last]]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[last:]:
+            found = getattr(found, attribute, None)
+        return found is not None
+    return False
+
+
+def missing(text: str) -> tuple[list[str], int]:
+    """Return what is not there of the code and the tests that a page names, and how many names there are.
+
+    Code is named as `function` in `module`; the name of a test is a sentence, and its file stands behind it.
+    """
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    folders = "|".join(path.name for path in (ROOT / "src" / "taciturn").iterdir() if (path / "__init__.py").exists())
+    code = re.findall(rf"(?:`([\w.]+)` in )?`((?:{folders})(?:\.\w+)+)`", prose)
+    tests = re.findall(r"\*([a-z0-9 ]+)\* \(`([\w/]+\.py)`\)", prose)
+    wrong = [f"{module}.{name}" for name, module in code if not resolves(f"{module}.{name}".rstrip("."))]
+    for sentence, file in tests:
+        path, name = ROOT / "tests" / file, "test_" + sentence.replace(" ", "_")
+        if not path.exists() or f"\ndef {name}(" not in path.read_text(encoding="utf-8"):
+            wrong.append(f"{file}::{name}")
+    return wrong, len(code) + len(tests)
+
+
+@pytest.mark.parametrize(("page", "least"), [("theorems", 120), ("errata", 20), ("other-tools", 10)])
+def test_what_the_pages_of_theory_name_of_code_and_tests_is_there(page: str, least: int) -> None:
+    """A theorem whose test is renamed, or whose function moves, is found out here."""
+    wrong, names = missing((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert wrong == []
+    assert names >= least
+
+
+def test_a_name_that_is_not_there_is_found() -> None:
+    """The search itself can fail: a module, a function, an attribute, a file, a test; code cells are left out."""
+    named = "`lqg.nowhere` `nothing` in `lqg.lossy` `PredictionCost.nothing` in `lqg.prediction` "
+    named += "*it* (`lqg/test_no.py`) *nothing* (`lqg/test_lossy.py`) `lossy_step` in `lqg.lossy`\n"
+    named += "```python\n`lqg.nowhere`\n```\n"
+    wrong, names = missing(named)
+    assert len(wrong) == 5
+    assert names == 6
+
+
 def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python of the README runs."""
     monkeypatch.chdir(tmp_path)
