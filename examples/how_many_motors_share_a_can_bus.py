@@ -1,7 +1,7 @@
 """How many DC motors share a CAN bus, if each may cost a quarter more than alone on it?
 
 Each motor's encoder and controller send an estimate over the bus to its driver, which predicts from it, at most every
-5 ms. By the clock the motors take turns; else the largest error wins the bus, its urgency being the frame's identifier.
+5 ms. By the clock the motors take turns; else the largest error has the most urgent identifier and wins (walsh2002).
 """
 
 import numpy as np

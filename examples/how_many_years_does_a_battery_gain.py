@@ -25,9 +25,9 @@ tick = discretise(house, taciturn.Cost(Q=np.diag([1.0, 0, 0, 0, 0]), R=[[0.01]])
 comfort = taciturn.Cost(tick.Q, tick.R, tick.N)
 room = taciturn.Problem(tick.plant, comfort, taciturn.Network(), "excess", {"delta": 1e-3, "actuation": "model"})
 
-# data sheets: Semtech SX1276, LoRa at spreading factor 12 and 125 kHz, 10 bytes in 12.25 + 18 symbols of 2^12 chips
-# at 29 mA (13 dBm), 0.2 µA asleep; ST STM32L072, 0.86 µA asleep, 93 µA/MHz, 16 MHz for 10 ms a look; Energizer L91,
-# 3 Ah, 20 years on the shelf
+# data sheets: Semtech SX1276, LoRa at spreading factor 12 and 125 kHz: five numbers of 16 bits are 30.25 symbols of
+# 2^12 chips at 29 mA (13 dBm), 0.2 µA asleep; ST STM32L072: 0.86 µA asleep, 93 µA/MHz, 16 MHz for 10 ms a look;
+# Energizer L91: 3 Ah, 20 years on the shelf
 CELL, SHELF = 3.0 * 3600, 20.0  # A s, years
 SEND, LOOK, SLEEP = 29e-3 * 30.25 * 2**12 / 125e3, 93e-6 * 16 * 0.01, (0.86 + 0.2) * 1e-6  # A s, A s, A
 

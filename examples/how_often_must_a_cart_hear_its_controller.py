@@ -11,7 +11,7 @@ import taciturn
 
 # cart 0.5 kg, friction 0.1 N s/m, pendulum 0.2 kg, 0.3 m to its centre of mass, 0.006 kg m² about it: University of
 # Michigan, Control Tutorials for MATLAB and Simulink, "Inverted Pendulum: System Modeling" (ctms). The force is noisy
-# (1 N s^½) and both encoders read to 1 mm and 1 mrad: assumed.
+# (0.1 N s^½) and both encoders read to 1 mm and 1 mrad: assumed.
 cart = taciturn.load("pendulum-by-encoders")
 looks, steps = 50, 2_000_000  # a second; of a run
 
