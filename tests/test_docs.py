@@ -17,6 +17,8 @@ import matplotlib
 import pytest
 from twin.crews import blind
 
+from taciturn._figure import Panel, Series, draw
+
 ROOT = Path(__file__).parent.parent
 PAGES = sorted(path for path in (ROOT / "docs").glob("*.md") if "```{code-cell}" in path.read_text(encoding="utf-8"))
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
@@ -68,6 +70,12 @@ def test_every_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.Mon
 def test_no_notebook_stores_what_it_put_out(path: Path) -> None:
     """What a reader sees is of this version: outputs are made when the site is built."""
     assert [cell for cell in code_of(path) if cell["outputs"] or cell["execution_count"] is not None] == []
+
+
+def test_a_picture_displays_itself_where_no_pyplot_is_used() -> None:
+    """A cell that ends in a picture of the library shows it, also on the site."""
+    picture: Any = draw([Panel([Series([0.0, 1.0], [0.0, 1.0])])])
+    assert picture._repr_png_().startswith(b"\x89PNG")
 
 
 def test_the_index_lists_every_page() -> None:
