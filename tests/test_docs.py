@@ -111,6 +111,16 @@ def test_every_example_runs(path: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_the_sources_that_examples_name_are_known() -> None:
+    """A parameter's source is a key of docs/sources.bib."""
+    keys = re.findall(r"^@\w+\{(\w+),", (ROOT / "docs" / "sources.bib").read_text(encoding="utf-8"), re.MULTILINE)
+    named = {
+        key for path in EXAMPLES for key in re.findall(r"\b[a-z]+(?:19|20)\d\d\b", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert named <= set(keys)
+
+
 @pytest.mark.parametrize("name", MODULES)
 def test_every_docstring_example_holds(name: str) -> None:
     """What a docstring shows is what happens."""
