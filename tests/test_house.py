@@ -153,7 +153,7 @@ def test_the_catalogue_and_the_documentation_name_the_same_policies() -> None:
     """Every policy kind that can be asked for stands in the tables of the documentation."""
     from taciturn.design.catalogue import CATALOGUE
 
-    for page in ("problem-file.md", "architecture.md"):
+    for page in ("problem-file.md", "architecture.md", "choose-a-policy.md"):
         text = (ROOT / "docs" / page).read_text(encoding="utf-8")
         for kind in CATALOGUE:
             assert f"`{kind}`" in text, f"{kind} is missing in {page}"
@@ -166,6 +166,6 @@ def test_the_repository_speaks_of_the_project_alone() -> None:
         pytest.skip("not a git checkout")
     words = ["/wo" + "rk/", "pypi" + ".org", "npmjs" + ".com", "files.python" + "hosted", "deb.debian" + ".org"]
     for name in listed.stdout.split():
-        if name.endswith((".py", ".md", ".toml", ".yaml", ".bib", "run")):
+        if name.endswith((".py", ".md", ".ipynb", ".toml", ".yaml", ".bib", "run")):
             text = (ROOT / name).read_text(encoding="utf-8")
             assert [word for word in words if word in text] == [], name

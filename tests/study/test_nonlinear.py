@@ -51,6 +51,22 @@ def test_a_digest_is_that_of_what_the_function_computes(tmp_path: Path) -> None:
     assert fingerprint(linear) != first
 
 
+def test_what_a_function_prints_is_not_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A document on standard output stays one."""
+    problem(tmp_path, TEXT.replace("    return", "    print('here')\n    return"))
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "here" in printed.err
+
+
+def test_the_linearisation_is_that_of_the_design(tmp_path: Path) -> None:
+    """Where another plant is simulated, which is a function, nothing is promised of it."""
+    bent = problem(tmp_path)
+    linear = replace(bent, plant=Plant([[1.2]], [[1.0]], [[0.05]], dt=1.0), actual=bent.plant)
+    assert evaluate(bent, steps=20_000).linearisation is not None
+    assert evaluate(linear, steps=20_000).linearisation is None
+
+
 def test_the_values_that_a_function_of_python_closes_over_are_in_its_digest(tmp_path: Path) -> None:
     """Two functions of one text are two."""
     base = problem(tmp_path)
