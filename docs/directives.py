@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from importlib import import_module
 from typing import TYPE_CHECKING
 
@@ -69,7 +70,7 @@ def _figure(image: nodes.image, uri: str, title: str) -> nodes.container:
     caption = nodes.paragraph("", "", nodes.reference("", f"{title}: {heading}".removesuffix(f": {title}"), **link))
     before = [node for node in section[: section.index(part)] if isinstance(node, nodes.paragraph)]
     if before:
-        caption += nodes.Text(". " + before[-1].astext().split(". ")[0].rstrip(".:") + ".")
+        caption += nodes.Text(". " + re.split(r"\.\s", before[-1].astext())[0].rstrip(".:") + ".")
     return nodes.container("", nodes.reference("", "", image.deepcopy(), **link), caption)
 
 
