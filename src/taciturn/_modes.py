@@ -8,12 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn import _arrays, _scipy
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import TINY, Array, ArrayLike
 from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
-TINY = 1e-290  # a variance or weight below this is zero: its inverse could not be computed with
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -62,22 +61,54 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     """
     A = _arrays.array("A", A, (None, None), "states × states")
     A = _arrays.array("A", A, (A.shape[0], A.shape[0]), "states × states")
-    reach = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
-    scale = _scipy.balancing(A)  # the units of the states decide nothing
-    rest, reach = A / scale[:, None] * scale, reach / scale[:, None]
-    lengths = np.linalg.norm(reach, axis=0)
-    reach = reach[:, lengths > 0] / lengths[lengths > 0]  # the unit of an input decides nothing
-    size = float(np.linalg.norm(reach, 2)) if reach.size else 0.0
+    B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
+    state, inputs = reach(A, B)  # the units of states and inputs decide nothing
+    rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
+    lengths = np.linalg.norm(pushed, axis=0)
+    pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
+    size = float(np.linalg.norm(pushed, 2)) if pushed.size else 0.0
     norm = float(np.linalg.norm(rest, 2)) if rest.size else 0.0
     while rest.shape[0]:
-        left, values, _ = np.linalg.svd(reach)
+        left, values, _ = np.linalg.svd(pushed)
         rank = int((values > RANK_TOLERANCE * size).sum()) if size > 0 else 0
         if rank == 0:
             break
         turned = left.T @ rest @ left
-        reach, rest = turned[rank:, :rank], turned[rank:, rank:]
+        pushed, rest = turned[rank:, :rank], turned[rank:, rank:]
         size = norm
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
+
+
+def reach(A: Array, B: Array) -> tuple[Array, Array]:
+    """Return units of the states and of the inputs in which each state that is reached at all is moved by about 1.
+
+    A state moved by an input directly has the size of that for its unit, another one the largest of what states that
+    have theirs bring it, by the pace of A. So a change of units is undone, also where the states are not coupled.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+
+    Returns:
+        Powers of two, (n,) and (m,): A/s·s' has no entry much above those of A where A is balanced.
+    """
+    balanced = _scipy.balancing(A)
+    off = np.abs(A - np.diag(np.diag(A)))
+    pace = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), 1e-300)  # no cycle gains by it
+    state, inputs = balanced, np.ones(B.shape[1])
+    for _ in range(3):  # either unit rests on the other
+        moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
+        inputs = 1 / np.where(moved > 0, moved, 1.0)
+        found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
+        for _ in range(len(A)):
+            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / pace), found
+            if (found <= before).all():
+                break
+        state = np.where(found > TINY, found, 0.0)
+        if not state.all():  # states beyond reach: as large as balancing makes them beside the rest
+            beside = np.max(state / balanced, initial=0.0)
+            state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
+    return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
 
 
 def root(matrix: Array) -> Array:

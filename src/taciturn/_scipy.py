@@ -36,7 +36,9 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Arra
 
 def continuous_lyapunov(F: Array, M: Array) -> Array:
     """Return X with F X + X F' + M = 0."""
-    X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
     return (X + X.T) / 2
 
 
