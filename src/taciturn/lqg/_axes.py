@@ -14,6 +14,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import reach
 
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
+VANISHING = 1e-40  # of what a cost could be
 FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which an axis is no longer told from others
 
 
@@ -30,6 +31,12 @@ class Quadratic(NamedTuple):
         """Return the closed loop A + BL and its stage cost."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
         return self.A + self.B @ L, symmetrised(stage)
+
+    def terms(self, L: Array) -> Array:
+        """Return the size of what is summed for the stage cost of each state, (n,)."""
+        size = np.abs(L)
+        terms = np.abs(self.Q) + 2 * np.abs(self.N) @ size + size.T @ np.abs(self.R) @ size
+        return np.asarray(np.diag(terms), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +96,25 @@ def units_of_reach(given: Quadratic) -> Axes:
     return Axes(np.diag(state), np.diag(1 / state), inputs)
 
 
-def units_of(F: Array, K: Array, H: Array, least: float) -> Axes:
+def nothing(given: Quadratic, L: Array) -> Array:
+    """Return for each state the cost below which it has none: rounding, or one that tends to zero by iteration, (n,).
+
+    A state with a weight of its own has that at least. Another one is measured by the price of the inputs that move
+    it, or by the states that it moves.
+
+    Args:
+        given: the problem.
+        L: the gain; what its stage cost is summed of has a rounding.
+    """
+    weight = np.maximum(np.diag(given.Q), 0.0)
+    moved = np.where(given.B != 0, np.abs(given.B), np.inf)
+    natural = np.maximum(weight, np.max(np.diag(given.R) / moved / moved, axis=1, initial=0.0))
+    for _ in range(len(natural)):
+        natural = np.where(natural > 0, natural, np.max(given.A.T**2 * natural, axis=1, initial=0.0))
+    return np.maximum(np.where(weight > 0, 0.0, VANISHING * natural), CRUMB * given.terms(L))
+
+
+def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
     """Return the units in which the costs K of a closed loop F, and the prices H of inputs, have a diagonal of 1.
 
     A loop without cost to see a state by gives it the unit of what reaches it.
@@ -98,7 +123,7 @@ def units_of(F: Array, K: Array, H: Array, least: float) -> Axes:
         F: (n, n) of a step; of continuous time, divided by its pace.
         K: (n, n), semidefinite but for rounding.
         H: (m, m), semidefinite but for rounding.
-        least: a cost that is as good as none.
+        least: for each state the cost that is as good as none, (n,).
     """
     spread = np.sqrt(np.where(np.diag(K) > least, np.diag(K), 0.0))
     spread = np.maximum(spread, np.sqrt(CRUMB) * (np.abs(F).T @ spread))

@@ -10,12 +10,11 @@ import numpy as np
 
 from taciturn._arrays import TINY, Array, symmetrised
 from taciturn.errors import UnstableError
-from taciturn.lqg._axes import Axes, Quadratic, principal_axes, units_of, units_of_reach
+from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach
 
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 ENOUGH = 1e-11  # relative error from which on other coordinates are tried
 TURNS = 100
-VANISHING = 1e-28  # of the unit that was taken for it: such a cost tends to zero by iteration
 RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 
@@ -31,6 +30,7 @@ class Solution:
         error: (n, n) with −error ⪯ K − exact ⪯ error: the equation's measured residual, and the rounding that may be
             in it, summed along the closed loop. To first order.
         residual: of the equation, relative to its terms, where K has a diagonal of 1.
+        unit: cost of each state; where it is rounding, that of its terms, (n,).
     """
 
     K: Array
@@ -38,14 +38,17 @@ class Solution:
     H: Array
     error: Array
     residual: float
+    unit: Array
+
+    @property
+    def relative(self) -> Array:
+        """Bound on the relative error of the cost of each state, (n,)."""
+        return np.diag(self.error) / np.maximum(self.unit, TINY)
 
     @property
     def doubt(self) -> float:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
-        unit = np.diag(self.K)
-        unit = np.where(unit > 0, unit, np.inf)
-        many = int(np.isfinite(unit).sum())
-        return float(np.sum(np.diag(self.error) / unit)) / many if many else 0.0
+        return float(self.relative.mean()) if len(self.K) else 0.0
 
 
 def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
@@ -61,8 +64,7 @@ def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
     """
     if found.residual <= RESIDUAL and found.doubt <= TOLERANCE:
         return
-    unit = np.maximum(np.diag(found.K), 1e-300)
-    worst = int(np.argmax(np.diag(found.error) / unit))
+    worst = int(np.argmax(found.relative))
     raise UnstableError(
         f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its terms "
         f"(at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
@@ -146,8 +148,8 @@ class Time(ABC):
         if not np.isfinite(K).all():
             return
         H = self.answer(here, K, L)[1]
-        for least in (TINY, VANISHING):
-            inner = units_of(self.step(F), K, H, least)
+        for _ in range(2):
+            inner = units_of(self.step(F), K, H, np.maximum(nothing(here, L), TINY))
             axes, L = axes.then(inner), inner.gain(L)
             here = axes.problem(given)
             found = self._settled(here, L)
@@ -207,10 +209,13 @@ class Time(ABC):
         rounding = 2 * np.sqrt(len(K) + len(H)) * ROUNDOFF * np.linalg.norm(terms, axis=1)
         bound = np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(K))
         largest = float(terms.max(initial=0.0))
+        K, L = axes.form_from(K), axes.gain_from(L)
+        diagonal, least = np.diag(K), nothing(given, L)
         return Solution(
-            axes.form_from(K),
-            axes.gain_from(L),
+            K,
+            L,
             axes.price_from(H),
             axes.form_from(self.summed(F, bound)),
             float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
+            np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
         )

@@ -11,6 +11,7 @@ from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
 from taciturn._modes import mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import refuse_doubtful
 
@@ -234,13 +235,7 @@ def _cleaned(posterior: Array, prior: Array) -> Array:
 
 def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
     """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
-    seen = np.where(C != 0, C, np.inf)
-    natural = np.maximum(np.diag(W), np.max(np.diag(V)[:, None] / seen**2, axis=0, initial=0.0))
-    for _ in range(len(A)):  # a state without noise of its own, and not seen, has the size that others bring it
-        natural = np.where(natural > 0, natural, np.max(A * A * natural, axis=1, initial=0.0))
-    terms = np.diag(W) + np.diag(np.abs(L.T) @ np.abs(V) @ np.abs(L))
-    floor = np.where(np.diag(W) > 0, 0.0, 1e-28 * natural)
-    kept = np.diag(Sigma) > np.maximum(1e-13 * terms, floor)
+    kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
     half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
