@@ -51,6 +51,20 @@ class Solution:
         return float(self.relative.mean()) if len(self.K) else 0.0
 
 
+def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
+    """Return a matrix above ± what an equation misses, and above ± the rounding of its terms, in units that fit.
+
+    Rounding errors of sums are as good as independent: they add as roots of sums of squares.
+
+    Args:
+        missed: residual that was computed, (n, n), symmetric.
+        terms: sizes of what was summed for it, (n, n).
+        summands: how many of them.
+    """
+    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
+    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
+
+
 def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
     """Refuse a solution whose residual or error is too large.
 
@@ -205,9 +219,7 @@ class Time(ABC):
         pushed = np.abs(here.N) @ np.abs(L)
         terms = np.outer(spread, moved) + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
         terms = terms + terms.T
-        # Rounding errors of sums are as good as independent: they add as roots of sums of squares.
-        rounding = 2 * np.sqrt(len(K) + len(H)) * ROUNDOFF * np.linalg.norm(terms, axis=1)
-        bound = np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(K))
+        bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
         diagonal, least = np.diag(K), nothing(given, L)

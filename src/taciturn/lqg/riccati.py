@@ -13,11 +13,12 @@ from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._kept import kept
-from taciturn.lqg._newton import Solution, refuse_doubtful
+from taciturn.lqg._newton import TOLERANCE, Solution, refuse_doubtful
 
 __all__ = [
     "FiniteRegulator",
     "Regulator",
+    "refuse_uncertain",
     "regulate",
     "regulate_continuous",
     "regulate_discounted",
@@ -213,6 +214,24 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N))
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error))
+
+
+def refuse_uncertain(cost: float, doubt: float) -> None:
+    """Refuse a cost of sending always that rounding makes uncertain.
+
+    Args:
+        cost: J_all.
+        doubt: bound on its error.
+
+    Raises:
+        UnstableError: the error may be larger than 1e-6 of the cost.
+    """
+    if not doubt <= TOLERANCE * abs(cost):
+        raise UnstableError(
+            f"the cost of sending always is {cost:.6g} and uncertain by {doubt:.1e} (at most {TOLERANCE:.0e} of it): modes "
+            "that hardly any noise excites cost so much more than those it does that their rounding covers the cost; "
+            "expected noise W on them, or a plant without them"
+        )
 
 
 @kept
