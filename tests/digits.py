@@ -43,7 +43,13 @@ def summed(F: np.ndarray, M: np.ndarray) -> np.ndarray:
 
 
 def regulated(
-    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, N: np.ndarray, start: np.ndarray, continuous: bool = False
+    A: np.ndarray,
+    B: np.ndarray,
+    Q: np.ndarray,
+    R: np.ndarray,
+    N: np.ndarray,
+    start: np.ndarray,
+    continuous: bool = False,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return (K, L) of the stabilising solution in sixty digits, as floats.
 

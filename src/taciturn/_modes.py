@@ -13,6 +13,8 @@ from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
+ROUNDOFF = float(np.finfo(np.float64).eps) / 2
+TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -142,7 +144,7 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
 
     Raises:
         ProblemError: a matrix of the wrong shape, not finite, or not symmetric.
-        UnstableError: F has an eigenvalue on or outside the unit circle.
+        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum has few digits.
 
     Source: anderson1990optimal
 
@@ -158,12 +160,49 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
             f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}; the sum Σ F^k W F'^k needs all "
             "of them inside the unit circle; stabilise the loop first"
         )
+    return _arrays.frozen(stationary(F, W))
+
+
+def stationary(F: Array, W: Array) -> Array:
+    """Return Σ_k F^k W F'^k for a semidefinite W and an F already known to be stable, its digits checked.
+
+    Raises:
+        UnstableError: it overflows, or its residual and rounding make it uncertain.
+    """
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
             "the sum Σ F^k W F'^k overflows: F is stable but its powers grow too far first; scale the states"
         )
-    return _arrays.frozen(X)
+    spread = np.sqrt(np.maximum(np.diag(X), 0.0))
+    unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
+    F, W, X_here = F / unit[:, None] * unit, W / unit / unit[:, None], X / unit / unit[:, None]
+    moved = np.abs(F) @ (spread / unit)
+    missed = _arrays.symmetrised(F @ X_here @ F.T + W - X_here)
+    error = summed(F, bound_residual(missed, np.outer(moved, moved) + np.abs(W), len(F)))
+    seen = spread > 0
+    doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
+    if not doubt <= TOLERANCE:
+        raise UnstableError(
+            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has the eigenvalue "
+            f"{mode_text(complex(eigenvalues(F)[0]))}, and its powers fade too slowly, or grow too far first; expected a "
+            "loop that is more clearly stable"
+        )
+    return X
+
+
+def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
+    """Return a matrix above ± what an equation misses, and above ± the rounding of its terms, in units that fit.
+
+    Rounding errors of sums are as good as independent: they add as roots of sums of squares.
+
+    Args:
+        missed: residual that was computed, (n, n), symmetric.
+        terms: sizes of what was summed for it, (n, n).
+        summands: how many of them.
+    """
+    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
+    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
 
 
 def summed(F: Array, W: Array) -> Array:

@@ -42,11 +42,6 @@ def continuous_lyapunov(F: Array, M: Array) -> Array:
     return (X + X.T) / 2
 
 
-def discrete_lyapunov(F: Array, M: Array) -> Array:
-    """Return X with X = F X F' + M."""
-    return np.asarray(scipy.linalg.solve_discrete_lyapunov(F, M), dtype=np.float64)
-
-
 def block_diagonal(*blocks: Array) -> Array:
     """Return a matrix with these blocks on its diagonal."""
     return np.asarray(scipy.linalg.block_diag(*blocks), dtype=np.float64)

@@ -63,7 +63,9 @@ class MeanSquare:
         if len(self.A) <= FEW:
             if self.reach:
                 return radius(self._stacked)
-            squared = len(self.A) ** 2  # the weights do not meet; A alone may be defective, and has all digits of its modes
+            squared = (
+                len(self.A) ** 2
+            )  # the weights do not meet; A alone may be defective, and has all digits of its modes
             return max(radius(self._stacked[:squared, :squared]), self.beta * radius(self.A) ** 2)
         low = max(self.apart, 1e-12)
         if self.spread == 0 or self.at(low * (1 + NEAREST)).joined() <= 1:
@@ -71,9 +73,7 @@ class MeanSquare:
         high = 2 * low
         while self.at(high).joined() > 1:
             high *= 2
-        return _scipy.crossing(
-            lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high
-        )
+        return _scipy.crossing(lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high)
 
     def joined(self) -> float:
         """Return the growth of Y from one passage through both equations to the next: below 1 where they have a sum."""

@@ -9,14 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import TINY, Array, symmetrised
+from taciturn._modes import TOLERANCE, bound_residual
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach
 
-ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 ENOUGH = 1e-11  # relative error from which on other coordinates are tried
 TURNS = 100
 RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
-TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,20 +48,6 @@ class Solution:
     def doubt(self) -> float:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
-
-
-def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
-    """Return a matrix above ± what an equation misses, and above ± the rounding of its terms, in units that fit.
-
-    Rounding errors of sums are as good as independent: they add as roots of sums of squares.
-
-    Args:
-        missed: residual that was computed, (n, n), symmetric.
-        terms: sizes of what was summed for it, (n, n).
-        summands: how many of them.
-    """
-    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
-    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
 
 
 def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:

@@ -12,12 +12,11 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, frozen, symmetrised
-from taciturn._modes import eigenvalues, mode_text, radius, uncontrollable_modes
+from taciturn._modes import bound_residual, eigenvalues, mode_text, radius, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing, units_of
 from taciturn.lqg._mean_square import MeanSquare
-from taciturn.lqg._newton import bound_residual
 from taciturn.lqg.riccati import regulate
 
 TURNS = 100

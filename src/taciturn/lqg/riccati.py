@@ -9,11 +9,11 @@ import numpy as np
 
 from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike, symmetrised
-from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
+from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._kept import kept
-from taciturn.lqg._newton import TOLERANCE, Solution, refuse_doubtful
+from taciturn.lqg._newton import Solution, refuse_doubtful
 
 __all__ = [
     "FiniteRegulator",
