@@ -15,6 +15,7 @@ Modes: TypeAlias = npt.NDArray[np.complex128]
 
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
+EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -27,6 +28,25 @@ def eigenvalues(A: Array) -> Modes:
 def radius(A: Array) -> float:
     """Return the largest modulus among the eigenvalues of ``A``."""
     return float(np.abs(eigenvalues(A)).max(initial=0.0))
+
+
+def pace(A: Array) -> float:
+    """Return the largest entry of ``A`` where its states are balanced: what the rounding of its modes is relative to."""
+    scale = _scipy.balancing(A)
+    return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
+
+
+def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
+    """Return those of the modes of ``A`` that do not decay, or that rounding does not tell from such.
+
+    Args:
+        modes: some eigenvalues of A.
+        A: (n, n) dynamics.
+        continuous: whether time is.
+    """
+    if continuous:
+        return modes[modes.real >= -EDGE * pace(A)]
+    return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
 
 
 def mode_text(mode: complex) -> str:
@@ -96,14 +116,14 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
     """
     balanced = _scipy.balancing(A)
     off = np.abs(A - np.diag(np.diag(A)))
-    pace = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), 1e-300)  # no cycle gains by it
+    largest = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), TINY)  # no cycle gains by it
     state, inputs = balanced, np.ones(B.shape[1])
     for _ in range(3):  # either unit rests on the other
         moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
         inputs = 1 / np.where(moved > 0, moved, 1.0)
         found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
         for _ in range(len(A)):
-            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / pace), found
+            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found
             if (found <= before).all():
                 break
         state = np.where(found > TINY, found, 0.0)

@@ -8,7 +8,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
-from taciturn._modes import mode_text, radius, root, uncontrollable_modes
+from taciturn._modes import mode_text, persistent, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
@@ -169,8 +169,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
 @kept
 def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady filter of data that were checked."""
-    unseen = uncontrollable_modes(A.T, C.T)
-    unseen = unseen[np.abs(unseen) >= 1 - 1e-12]
+    unseen = persistent(uncontrollable_modes(A.T, C.T), A, continuous=False)
     if unseen.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "

@@ -7,9 +7,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn import _arrays, _scipy
+from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, symmetrised
-from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, root, uncontrollable_modes
+from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, pace, persistent, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._kept import kept
@@ -25,8 +25,6 @@ __all__ = [
     "regulate_finite",
     "uncontrollable_modes",
 ]
-
-EDGE = 1e-15  # of the pace of A, and of 1: a mode beyond reach this near to the edge is not told from one on it
 
 _Data: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
@@ -206,12 +204,9 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     """
     A, B, Q, R, N = _checked(A, B, Q, R, N)
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
-    balanced = _scipy.balancing(A)
-    pace = float(np.abs(A / balanced[:, None] * balanced).max(initial=0.0))
-    fixed = uncontrollable_modes(A, B)
-    _refuse_unmoved(fixed[fixed.real >= -EDGE * pace], "the open left half-plane")
+    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace], "the imaginary axis")
+    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N))
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error))
 
@@ -237,8 +232,7 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 @kept
 def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
-    fixed = uncontrollable_modes(A, B)
-    _refuse_unmoved(fixed[np.abs(fixed) >= 1 - 1e-12] / unit, _disc(unit))
+    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
     if _dare.is_definite(R):
         unseen = _unseen_modes(A, B, Q, R, N)
         _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
