@@ -77,7 +77,9 @@ class MeanSquare:
 
     def joined(self) -> float:
         """Return the growth of Y from one passage through both equations to the next: below 1 where they have a sum."""
-        return radius(self._turn) if self.spread > 0 else 0.0
+        if self.spread == 0:
+            return 0.0
+        return radius(self._turn) if np.isfinite(self._turn).all() else np.inf
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
         """Return K and T for what is added to either in each step: the sum over all steps.
@@ -87,7 +89,7 @@ class MeanSquare:
             second: (n, n), added to T.
 
         Raises:
-            LinAlgError: the level is that of the growth itself.
+            LinAlgError: the level is that of the growth itself, or so near that the sums overflow.
         """
         if len(self.A) <= FEW:
             rows = np.concatenate([first.ravel(), second.ravel()])
@@ -95,6 +97,8 @@ class MeanSquare:
             one, two = np.split(np.asarray(found, dtype=np.float64), 2)
             return symmetrised(one.reshape(first.shape)), symmetrised(two.reshape(first.shape))
         K, T = self._apart(first, second)
+        if not all(np.isfinite(part).all() for part in (K, T, self._turn)):
+            raise np.linalg.LinAlgError
         if self.spread == 0:
             return K, T
         upper = np.triu_indices(len(self.L))
@@ -124,6 +128,8 @@ class MeanSquare:
     @cached_property
     def _turn(self) -> Array:
         """The map from Y to the Y that its K and T make."""
+        if self.spread == 0:
+            return np.zeros((0, 0))
         upper = np.triu_indices(len(self.L))
         return np.stack([self._seen(*pair)[upper] for pair in self._answers], axis=1)
 

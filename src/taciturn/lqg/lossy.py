@@ -155,9 +155,12 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     L = axes.gain(plain.L)
     if not _loop(here.A, here.B, L, channel).bounded:
         L = axes.gain(_stabilising(A, B, channel))
-    previous = np.inf
+    previous = gap = np.inf
     for _ in range(TURNS):
-        K, P = _cost_of(here, L, channel)
+        try:
+            K, P = _cost_of(here, L, channel)
+        except np.linalg.LinAlgError:  # so near to the critical losses that the cost of the gain has no digits
+            break
         gap = float(np.abs(K).max())
         following = lossy_step(here.A, here.B, here.Q, here.R, K, P, channel)
         change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
@@ -167,8 +170,9 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
             return LossyRegulator(*(frozen(part) for part in (K, P, axes.gain_from(following[2]), Gamma, error)))
         previous, L = change, following[2]
     raise UnstableError(
-        f"the fixed point of the lossy Riccati recursions was not reached in {TURNS} turns: the last one changed it by "
-        f"{previous / gap:.1e} of its size (at most 1e-13); expected losses further from the critical ones"
+        "the fixed point of the lossy Riccati recursions was not reached to rounding: the last turn changed it by "
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} of its size (at most 1e-13); expected losses further from the "
+        "critical ones"
     )
 
 
