@@ -1,4 +1,4 @@
-"""Riccati equations in sixty digits: Newton's method on matrices of Python's decimals, against which floats are held."""
+"""Riccati equations in sixty digits: Newton's method on matrices of decimals, against which floats are held."""
 
 from __future__ import annotations
 
@@ -74,3 +74,27 @@ def regulated(
                 return K.astype(np.float64), L.astype(np.float64)
             last = K
     raise AssertionError("Newton's method has not settled")
+
+
+def sampled(
+    A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, N: np.ndarray, W: np.ndarray, period: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return [A_d, B_d], the joint weight and the noise of a period, as floats: power series, then doublings."""
+    n, m = B.shape
+    with localcontext() as context:
+        context.prec = DIGITS + 40
+        F = exactly(np.block([[A, B], [np.zeros((m, n + m))]]))
+        M, G = exactly(np.block([[Q, N], [N.T, R]])), exactly(np.pad(W, ((0, m), (0, m))))
+        step, doublings = Decimal(period), 0
+        while np.abs(F).max() * step * (n + m) > Decimal("1e-3"):
+            step, doublings = step / 2, doublings + 1
+        one = exactly(np.eye(n + m))
+        power, weight, noise = one, M * 0, M * 0
+        Phi, m_k, g_k = one, M * step, G * step
+        for k in range(1, 40):
+            weight, noise, power = weight + m_k, noise + g_k, power @ F * step / k
+            Phi = Phi + power
+            m_k, g_k = (m_k @ F + F.T @ m_k) * step / (k + 1), (F @ g_k + g_k @ F.T) * step / (k + 1)
+        for _ in range(doublings):
+            weight, noise, Phi = weight + Phi.T @ weight @ Phi, noise + Phi @ noise @ Phi.T, Phi @ Phi
+        return Phi[:n].astype(np.float64), weight.astype(np.float64), noise[:n, :n].astype(np.float64)

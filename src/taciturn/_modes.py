@@ -31,7 +31,7 @@ def radius(A: Array) -> float:
 
 
 def pace(A: Array) -> float:
-    """Return the largest entry of ``A`` where its states are balanced: what the rounding of its modes is relative to."""
+    """Return the largest entry of ``A`` where its states are balanced; rounding of its modes is relative to it."""
     scale = _scipy.balancing(A)
     return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
 
@@ -204,9 +204,9 @@ def stationary(F: Array, W: Array) -> Array:
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
     if not doubt <= TOLERANCE:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has the eigenvalue "
-            f"{mode_text(complex(eigenvalues(F)[0]))}, and its powers fade too slowly, or grow too far first; expected a "
-            "loop that is more clearly stable"
+            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has the "
+            f"eigenvalue {mode_text(complex(eigenvalues(F)[0]))}, and its powers fade too slowly, or grow too far "
+            "first; expected a loop that is more clearly stable"
         )
     return X
 

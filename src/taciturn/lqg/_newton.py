@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import TINY, Array, symmetrised
-from taciturn._modes import TOLERANCE, bound_residual
+from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach
 
@@ -65,8 +65,8 @@ def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
         return
     worst = int(np.argmax(found.relative))
     raise UnstableError(
-        f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its terms "
-        f"(at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
+        f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its "
+        f"terms (at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
         f"{TOLERANCE:.0e}), most in state {worst}; units do not matter here: expected modes {remedy}"
     )
 
@@ -208,11 +208,12 @@ class Time(ABC):
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
         diagonal, least = np.diag(K), nothing(given, L)
+        written = 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K as it stands here
         return Solution(
             K,
             L,
             axes.price_from(H),
-            axes.form_from(self.summed(F, bound)),
+            axes.form_from(self.summed(F, bound)) + np.diag(written),
             float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
             np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
         )

@@ -171,8 +171,8 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
         previous, L = change, following[2]
     raise UnstableError(
         "the fixed point of the lossy Riccati recursions was not reached to rounding: the last turn changed it by "
-        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} of its size (at most 1e-13); expected losses further from the "
-        "critical ones"
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} of its size (at most 1e-13); expected losses further from "
+        "the critical ones"
     )
 
 

@@ -166,9 +166,9 @@ class QueryValue:
         self._done += ticks * (1e3 + self._predictor.plant.states**3)
         if self._done > WORK and self._weights.horizon is None:
             raise UnstableError(
-                f"the schedule of queries has not repeated within what {self._predictor.plant.states} states allow in about "
-                "a minute: errors fade too slowly; expected a horizon, fewer states, or noise W and V that let the filter "
-                "forget sooner"
+                f"the schedule of queries has not repeated within about a minute of work for "
+                f"{self._predictor.plant.states} states: errors fade too slowly; expected a horizon, fewer states, or "
+                "noise W and V that let the filter forget sooner"
             )
 
     def _follow(self, both: Array, D: Array, tick: int) -> float:

@@ -223,9 +223,9 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
     """
     if not doubt <= TOLERANCE * abs(cost):
         raise UnstableError(
-            f"the cost of sending always is {cost:.6g} and uncertain by {doubt:.1e} (at most {TOLERANCE:.0e} of it): modes "
-            "that hardly any noise excites cost so much more than those it does that their rounding covers the cost; "
-            "expected noise W on them, or a plant without them"
+            f"the cost of sending always is {cost:.6g} and uncertain by {doubt:.1e} (at most {TOLERANCE:.0e} of it): "
+            "modes that hardly any noise excites cost so much more than those it does that their rounding covers the "
+            "cost; expected noise W on them, or a plant without them"
         )
 
 
@@ -246,8 +246,8 @@ def _checked_solution(found: Solution | None) -> Solution:
     if found is None:
         raise UnstableError(
             "the Riccati equation of the regulator has no solution that stabilises clear of rounding: from no gain "
-            "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and R "
-            "on every state and input"
+            "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and "
+            "R on every state and input"
         )
     refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them")
     return found

@@ -126,9 +126,9 @@ def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> In
         off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
     if not max(off) <= TOLERANCE:
         raise ProblemError(
-            f"period is {period:g}, over which the fastest modes that last move by {pace(F) * period:.1e} of their size, so "
-            f"that the sampled plant is uncertain by {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, "
-            "or a plant without these modes"
+            f"period is {period:g}, in which the fastest mode turns or decays {pace(F) * period:.1e} times, and the "
+            f"sampled plant is uncertain by {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
+            "plant without that mode"
         )
     return whole
 

@@ -167,8 +167,8 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     into = (right[seen] / deviations[seen, None]) / units
     if len(into) > DIRECTIONS:
         raise ProblemError(
-            f"the error moves in {len(into)} directions, and the value of keeping one is fitted in at most {DIRECTIONS}; "
-            "expected a plant with fewer states, or policy 'excess'"
+            f"the error moves in {len(into)} directions, and the value of keeping one is fitted in at most "
+            f"{DIRECTIONS}; expected a plant with fewer states, or policy 'excess'"
         )
     draws = np.random.default_rng(seed)
     x = kept[draws.choice(len(kept), points)] * draws.uniform(NEAREST, FARTHEST, (points, 1))
