@@ -204,8 +204,8 @@ def stationary(F: Array, W: Array) -> Array:
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
     if not doubt <= TOLERANCE:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has the "
-            f"eigenvalue {mode_text(complex(eigenvalues(F)[0]))}, and its powers fade too slowly, or grow too far "
+            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has an "
+            f"eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers fade too slowly, or grow too far "
             "first; expected a loop that is more clearly stable"
         )
     return X
