@@ -56,6 +56,24 @@ def mode_text(mode: complex) -> str:
     return f"{mode.real:.6g}{mode.imag:+.6g}i"
 
 
+def least_eigenvalue(matrix: Array) -> float:
+    """Return the least eigenvalue of a definite matrix, with its digits in any units; at most 0 of another matrix.
+
+    A matrix counts as definite by its eigenvalues with a unit diagonal. Then its least eigenvalue is the inverse of the
+    largest one of its inverse, which, unlike the least, rounding of large entries does not cover.
+    """
+    diagonal = np.diag(matrix)
+    if not (diagonal > TINY).all():
+        return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
+    unit = np.sqrt(diagonal)
+    scaled = matrix / unit / unit[:, None]
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
+    if smallest <= 1e-12:
+        return min(float(np.linalg.eigvalsh(matrix)[0]), smallest, 0.0)
+    inverse = np.linalg.inv(scaled) / unit / unit[:, None]
+    return 1 / float(np.linalg.eigvalsh(_arrays.symmetrised(np.asarray(inverse, dtype=np.float64)))[-1])
+
+
 def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     """Return the eigenvalues of A that the input through B cannot move.
 

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Plant, design
-from taciturn._modes import accumulate, radius, uncontrollable_modes
+from taciturn._modes import accumulate, least_eigenvalue, radius, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare, _mean_square
 from taciturn.lqg.kalman import steady_filter
@@ -250,3 +250,12 @@ def test_two_lyapunov_equations_grow_and_sum_like_the_stacked_rows(draw, seed, t
         assert loop.growth() == pytest.approx(growth, rel=1e-7)  # of a double eigenvalue
         for one, other in zip(above.solve(c.Q, c.W), stacked, strict=True):
             assert off(one, other) < 1e-9
+
+
+def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():
+    """Of a definite matrix in units of 1e-8 … 1e8, whose largest eigenvalue is 1e32 times the least."""
+    matrix = np.array([[2.0, 1.0], [1.0, 2.0]]) * np.outer([1e8, 1e-8], [1e8, 1e-8])
+    assert least_eigenvalue(matrix) == pytest.approx(1.5e-16, rel=1e-12)  # the determinant over the trace
+    assert least_eigenvalue(np.diag([1.0, -1.0])) == -1.0
+    assert least_eigenvalue(np.diag([1.0, 0.0])) == 0.0
+    assert least_eigenvalue(np.ones((2, 2))) <= 0.0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, symmetrised
+from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import Certainty
 from taciturn.model.policy import Guarantee
 
@@ -58,8 +59,8 @@ def bound_by_state(
     problem = certainty.problem
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
     least = problem.Q - problem.N @ np.linalg.pinv(problem.R, hermitian=True) @ problem.N.T
-    q = float(np.linalg.eigvalsh(least)[0])
-    if q <= 1e-12 * np.abs(problem.Q).max():
+    q = least_eigenvalue(symmetrised(least))
+    if q <= 0:
         return None, ("no bound is known: Q − NR^{-1}N' is not positive definite",) if sigma else ()
     share = sigma**2 * mu / q
     if share >= 1:
