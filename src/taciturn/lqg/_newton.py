@@ -120,7 +120,7 @@ class Time(ABC):
         input hardly moves a mode, a gain has its digits only along the axes of the cost.
         """
         n, m = given.B.shape
-        reached, plain = units_of_reach(given), Axes(np.eye(n), np.eye(n), np.ones(m))
+        reached, plain = units_of_reach(given), Axes(np.eye(n), np.eye(n), np.ones(len(given.R)))
         for axes, weighed in ((reached, True), (reached, False), (plain, True)):
             for _ in range(3):
                 here = axes.problem(given)

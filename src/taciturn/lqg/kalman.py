@@ -183,7 +183,8 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
     if not V.any() and not W.any():
         observer = _filter(A, C, np.eye(n), np.eye(p))
         if observer is not None:
-            return _frozen(*np.zeros((2, n, n)), observer.gain, np.zeros((p, p)), np.zeros((n, n)))
+            none = np.zeros((n, n))
+            return _frozen(none, none, observer.gain, np.zeros((p, p)), none)
     elif _dare.is_definite(V):
         _refuse_unreached(A, W)
     found = _filter(A, C, W, V)
