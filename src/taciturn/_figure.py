@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from taciturn.errors import ProblemError
 
@@ -44,7 +44,9 @@ class Panel:
 
 def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
     """Return a figure of panels under one another, over one axis unless more than the last name their own."""
-    figure: Any = _displayed()(figsize=(width, height), layout="constrained")
+    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
+
+    figure: Any = Figure(figsize=(width, height), layout="constrained")
     shared = not any(panel.xlabel for panel in panels[:-1])
     axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=shared)
     for axis, panel in zip(axes[:, 0], panels, strict=True):
@@ -58,21 +60,8 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
             axis.set_yticks(range(len(panel.names)), panel.names)
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
+    figure._repr_png_ = partial(_png, figure)  # what a notebook shows; it knows figures of pyplot only
     return figure
-
-
-@cache
-def _displayed() -> type[Figure]:
-    """Return the figure that a notebook displays; of others it learns how when pyplot has drawn one, not before."""
-    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
-
-    class Displayed(Figure):
-        def _repr_png_(self) -> bytes:
-            written, drawn = BytesIO(), cast("Any", self)
-            drawn.savefig(written, format="png")
-            return written.getvalue()
-
-    return Displayed
 
 
 def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
@@ -108,6 +97,12 @@ def save(figure: Figure, path: str | Path) -> None:
             drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
     except OSError as error:
         raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
+
+
+def _png(figure: Any) -> bytes:
+    written = BytesIO()
+    figure.savefig(written, format="png", dpi=110)
+    return written.getvalue()
 
 
 def _plot(axis: Any, series: Series) -> None:
