@@ -12,10 +12,12 @@ from taciturn.cli.frame import (
     File,
     Json,
     Link,
+    Plot,
     Seed,
     StandardError,
     Steps,
     app,
+    can_print,
     check_effort,
     print_json,
     progress_bar,
@@ -68,6 +70,34 @@ def evaluate(
             f"the standard error {wanted} was not reached within {found.steps} steps; "
             f"reached {found.cost.standard_error:.3g}: ask for a larger --standard-error"
         )
+
+
+@app.command()
+def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
+    """Plant, gains, guarantee, triggers and node diagram of a problem, before anything runs."""
+    import taciturn
+    from taciturn._figure import check_format, save
+    from taciturn.study.describe import describe
+
+    if plot is not None:
+        check_format(plot)
+    found = describe(taciturn.load(file))
+    drawn = found.diagram
+    if plot is not None and drawn is None:
+        raise taciturn.ProblemError(
+            f"{found.problem.kind} without a period has no loop of nodes to be drawn; expected policy.period, or no "
+            "--plot"
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.pairs(found.lines())
+        if drawn is not None:
+            typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
+    if plot is not None and drawn is not None:
+        save(drawn.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
 
 
 @app.command()

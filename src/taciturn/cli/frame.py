@@ -111,6 +111,15 @@ def print_json(document: object) -> None:
     typer.echo(json.dumps(document, indent=1, allow_nan=False))
 
 
+def can_print(letters: str) -> bool:
+    """Tell whether standard output can show these letters."""
+    try:
+        letters.encode(sys.stdout.encoding or "ascii")
+    except UnicodeError:
+        return False
+    return True
+
+
 def check_effort(standard_error: float | None, steps: int | None = None) -> None:
     """Refuse what no simulation can do, whether or not this problem is simulated."""
     from taciturn._arrays import count, number

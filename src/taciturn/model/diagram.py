@@ -178,7 +178,7 @@ class Diagram:
             ends = self.place_of(link.sender), self.place_of(link.receiver)
             arrows.append(Arrow(*ends, link.briefly, dashed=link.when != "always"))
             if link.acknowledged:
-                arrows.append(Arrow(*ends[::-1], "acknowledged", dashed=True))
+                arrows.append(Arrow(ends[1], ends[0], "acknowledged", dashed=True))
         return draw_lanes([place.lines for place in self.places], arrows)
 
 
