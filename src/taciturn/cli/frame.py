@@ -27,6 +27,7 @@ app = typer.Typer(
 File = Annotated[
     str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem, as two-mass.")
 ]
+Kind = Annotated[str | None, typer.Option(metavar="KIND", help="Of policy, as lqg. Default: asked for.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
 Link = Annotated[str | None, typer.Option(help="sensor or actuator: whose rate, where a policy decides on both.")]
