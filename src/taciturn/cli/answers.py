@@ -25,7 +25,7 @@ from taciturn.cli.frame import (
 )
 
 
-@app.command()
+@app.command(epilog="Example: taciturn evaluate two-mass --standard-error 1e-3")
 def evaluate(
     file: File,
     as_json: Json = False,
@@ -72,7 +72,7 @@ def evaluate(
         )
 
 
-@app.command()
+@app.command(epilog="Example: taciturn show two-mass")
 def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
     """Plant, gains, guarantee, triggers and node diagram of a problem, before anything runs."""
     import taciturn
@@ -100,7 +100,7 @@ def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
             typer.echo(f"picture: {plot}")
 
 
-@app.command()
+@app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
     rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
@@ -147,7 +147,7 @@ def tune(
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
 
 
-@app.command()
+@app.command(epilog="Example: taciturn certify two-mass")
 def certify(file: File, as_json: Json = False) -> None:
     """Decay, gain and cost that are proved by matrix inequalities, beside sending always."""
     import taciturn
@@ -160,7 +160,7 @@ def certify(file: File, as_json: Json = False) -> None:
         _print.certificates(found)
 
 
-@app.command()
+@app.command(epilog="Example: taciturn bench --rounds 3")
 def bench(
     as_json: Json = False,
     rounds: Annotated[int, typer.Option(help="Of which medians are taken.")] = 5,

@@ -26,7 +26,7 @@ GOALS = {
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
 
-@app.command()
+@app.command(epilog="Example: taciturn new mine.toml --from plant.mat --kind lqg")
 def new(
     out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="The file to be written.")] = Path("problem.toml"),
     source: Annotated[

@@ -256,7 +256,7 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
 
 
-def check_parameter(kind: str, key: str, value: object) -> Any:
+def check_parameter(kind: str, key: str, value: Any) -> Any:
     """Return a parameter that a policy kind has, checked against its design function.
 
     Raises:

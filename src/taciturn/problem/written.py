@@ -16,6 +16,7 @@ from taciturn.errors import ProblemError
 from taciturn.problem.matrices import matrix_text, number_text
 
 WIDTH = 98  # letters of a comment
+MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that know one
 PER = {True: "per second", False: "per step"}
 
 
@@ -83,7 +84,8 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
     about = {"Q": "weight of the state", "R": "weight of the input", "N": "cross weight"}
     lines += _table(tables["cost"], about)
-    lines += _offered({"horizon": ("60", "steps of a mission; without this key the cost is an average")})
+    if policy["kind"] in MISSIONS:
+        lines += _offered({"horizon": ("60", "steps of a mission; without this key the cost is an average")})
     if "network" in tables:
         lines += ["", "# the links between sensor, controller and actuator", "[network]"]
         about = {
@@ -94,7 +96,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
         }
         lines += _table(tables["network"], about)
     lines += ["", *_comment(kind_note(policy["kind"])), "[policy]"]
-    lines += _table(policy, {"kind": "which policy", **parameter_notes(policy["kind"])})
+    lines += _table(policy, parameter_notes(policy["kind"]))
     lines += _offered(_optional(policy["kind"], policy, continuous))
     return "\n".join(lines) + "\n"
 
