@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
+from zipfile import is_zipfile
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +39,7 @@ def read_variables(path: Path) -> dict[str, Variable]:
             f"{str(path)!r} ends in {path.suffix!r}; expected a file of matrices, {' or '.join(ENDINGS)}"
         )
     try:
+        path.open("rb").close()  # what is not there is told so by any reader
         return _numpy(path) if path.suffix.lower() == ".npz" else _matlab(path)
     except OSError as error:
         why = error.strerror or "it is damaged"
@@ -48,9 +50,20 @@ def read_variables(path: Path) -> dict[str, Variable]:
 
 
 def _numpy(path: Path) -> dict[str, Variable]:
+    if not is_zipfile(path):
+        raise OSError
     with np.load(path, allow_pickle=False) as held:
         found: Mapping[str, npt.NDArray[Any]] = held
-        return {name: found[name] for name in found}
+        return {name: _numbers(found, name) for name in found}
+
+
+def _numbers(held: Mapping[str, npt.NDArray[Any]], name: str) -> Variable:
+    """Return an array of a file; objects of Python are not opened."""
+    try:
+        value = held[name]
+    except ValueError:
+        return Foreign("pickled object")
+    return value if value.dtype.kind in "biufc" else Foreign("text or structure")
 
 
 def _matlab(path: Path) -> dict[str, Variable]:

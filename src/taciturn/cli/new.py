@@ -140,12 +140,17 @@ class _Interview:
         draft, per = self.draft, "second" if self.draft.continuous else "step"
         self._take("A", f"A, the dynamics per {per}, as [1 2; 3 4]")
         self._take("B", "B, what the inputs do")
-        whole = not self._has("C")
+        whole = not self._has("C") and not self._has("V")
         if whole and not self.questions.yes:
             question = "Is the whole state measured, exactly?"
             whole = self.questions.choose("what is measured", question, ("yes", "no"), "yes") == "yes"
         if not whole:
-            self._take("C", "C, what is measured, y = Cx + v")
+            if self._has("V") and not self._has("C"):  # y = x + v
+                draft.keep(
+                    "C", [[float(i == j) for j in range(len(draft.plant["A"]))] for i in range(len(draft.plant["A"]))]
+                )
+            else:
+                self._take("C", "C, what is measured, y = Cx + v")
             self._take("V", f"V, the covariance of v in a sample: {SQUARE}", "0")
             if not draft.plant["V"].any():
                 draft.drop("V")

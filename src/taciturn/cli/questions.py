@@ -34,11 +34,14 @@ class Questions:
         Raises:
             ProblemError: the answers have ended, or, where nobody sits at a terminal, one does not fit.
         """
-        from taciturn.errors import TaciturnError
+        from taciturn.errors import ProblemError, TaciturnError
 
         while True:
+            given = self._answer(name, text, default)  # whose end is not asked for again
             try:
-                return read(self._answer(name, text, default))
+                if not given:
+                    raise ProblemError(f"{name} is missing; expected an answer, as there is no usual value")
+                return read(given)
             except TaciturnError as error:
                 if not self.patient or self.yes:
                     raise
@@ -76,8 +79,6 @@ class Questions:
         given = self._line(name, f"{text} [{default}]: " if default is not None else f"{text}: ")
         while given.count("[") > given.count("]"):
             given += "\n" + self._line(name, "  … ")
-        if not given and default is None:
-            raise ProblemError(f"{name} is missing; expected an answer, as there is no usual value")
         return given or default or ""
 
     def _line(self, name: str, prompt: str) -> str:

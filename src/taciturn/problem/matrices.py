@@ -35,20 +35,17 @@ def parse_matrix(name: str, text: str) -> Array:
     given = text.strip()
     try:
         rows: object = ast.literal_eval(given) if re.match(r"\[\s*\[", given) else _matlab_rows(given)
-        found = array(name, np.array(rows, dtype=np.float64), (None, None), "(rows, columns)")
+        return array(name, np.array(rows, dtype=np.float64), (None, None), "(rows, columns)")
     except ProblemError:
         raise
     except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError):
         raise ProblemError(f"{name} is {quoted(given)}; expected a number, or a matrix as {FORMS}") from None
-    if not found.size:
-        raise ProblemError(f"{name} is {quoted(given)}, which is empty; expected a number, or a matrix as {FORMS}")
-    return found
 
 
 def _matlab_rows(text: str) -> list[list[float]]:
     """Return the rows of a matrix as MATLAB reads them; a new line ends a row but after three dots."""
     inside = text.rstrip(";").strip()
-    if inside.startswith("[") != inside.endswith("]") or any(letter in inside[1:-1] for letter in "[]_"):
+    if inside.startswith("[") != inside.endswith("]") or "_" in inside or set(inside[1:-1]) & {"[", "]"}:
         raise ValueError
     lines = re.sub(r"\.\.\.\s*\n", " ", inside.removeprefix("[").removesuffix("]"))
     rows = [
@@ -56,7 +53,7 @@ def _matlab_rows(text: str) -> list[list[float]]:
         for row in re.split(r"[;\n]+", lines)
         if row.strip()
     ]
-    if len({len(row) for row in rows}) > 1:
+    if len({len(row) for row in rows}) != 1:
         raise ValueError
     return rows
 

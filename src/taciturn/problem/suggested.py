@@ -47,7 +47,8 @@ def needed_parameters(kind: str, continuous: bool) -> tuple[str, ...]:
     }
     needed = [name for name, parameter in known.items() if parameter.default is parameter.empty and name != "period"]
     needed += [name for name in ALTERNATIVES.get(kind, ()) if name != "every" or not continuous]
-    period = ["period"] if "period" in known and continuous else []
+    asked = "period" in known and (continuous or known["period"].default is inspect.Parameter.empty)
+    period = ["period"] if asked else []
     return (*period, *needed)
 
 
