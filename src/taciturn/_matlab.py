@@ -119,7 +119,7 @@ def _hdf5_variable(item: Any) -> Variable:
 
 def _sparse(item: Any) -> npt.NDArray[Any]:
     """Return a sparse matrix, which is kept by columns, with its zeros."""
-    starts: npt.NDArray[Any] = np.asarray(item["jc"])
+    starts: npt.NDArray[Any] = np.asarray(item["jc"]).astype(np.int64)
     found = np.zeros((int(item.attrs["MATLAB_sparse"]), len(starts) - 1))
     if "data" in item:  # not of a matrix of zeros
         found[np.asarray(item["ir"]), np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = np.asarray(item["data"])
