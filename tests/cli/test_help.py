@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -19,21 +19,21 @@ from taciturn.design.catalogue import CATALOGUE
 COMMANDS = sorted(name for names in GROUPS.values() for name in names)
 
 
-def complete(typed: str, folder: Path) -> list[str]:
-    """Return what bash offers for the last word of a line, as typer's protocol asks for it, and as a process."""
-    line = shlex.split(typed) + [""] * typed.endswith(" ")
-    asked = {"_TACITURN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(line) - 1)}
-    code = "import sys; sys.argv = ['taciturn']; from taciturn.cli import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        cwd=folder,
-        env={**os.environ, **asked},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    return done.stdout.split()
+@pytest.fixture
+def complete(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], list[str]]:
+    """Return what bash offers for the last word of a line, asked for by typer's protocol."""
+    monkeypatch.chdir(tmp_path)
+
+    def complete(typed: str) -> list[str]:
+        line = shlex.split(typed) + [""] * typed.endswith(" ")
+        asked = {"_TACITURN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(line) - 1)}
+        for name, value in asked.items():
+            monkeypatch.setenv(name, value)
+        told = run()
+        assert (told.code, told.err) == (0, "")
+        return told.out.split()
+
+    return complete
 
 
 def test_help_lists_every_command_once_under_what_it_is_for(run: Run) -> None:
@@ -68,23 +68,23 @@ def test_pages_that_help_names_are_there() -> None:
     assert all((docs.parent / f"{page}.md").is_file() for page in named)
 
 
-def test_files_and_built_in_problems_are_completed(tmp_path: Path) -> None:
+def test_files_and_built_in_problems_are_completed(complete: Callable[[str], list[str]], tmp_path: Path) -> None:
     """TOML files beside built-in problems, in folders too; where nothing fits the shell goes on by itself."""
     (tmp_path / "two.toml").touch()
     (tmp_path / "two.mat").touch()
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "mine.toml").touch()
-    assert complete("taciturn show two", tmp_path) == ["two.toml", "two-mass", "two-mass-continuous"]
-    assert complete("taciturn evaluate sub/", tmp_path) == ["sub/mine.toml"]
-    assert complete("taciturn compare two-mass rov", tmp_path) == ["rover"]
-    assert complete("taciturn show su", tmp_path) == []
+    assert complete("taciturn show two") == ["two.toml", "two-mass", "two-mass-continuous"]
+    assert complete("taciturn evaluate sub/") == ["sub/mine.toml"]
+    assert complete("taciturn compare two-mass rov") == ["rover"]
+    assert complete("taciturn show su") == []
 
 
-def test_commands_kinds_and_words_are_completed(tmp_path: Path) -> None:
+def test_commands_kinds_and_words_are_completed(complete: Callable[[str], list[str]]) -> None:
     """Each where it is asked for."""
-    assert complete("taciturn sh", tmp_path) == ["show"]
-    assert complete("taciturn new --kind re", tmp_path) == ["remote-lqg", "relative"]
-    assert complete("taciturn tune two-mass --link ", tmp_path) == ["sensor", "actuator"]
+    assert complete("taciturn sh") == ["show"]
+    assert complete("taciturn new --kind re") == ["remote-lqg", "relative"]
+    assert complete("taciturn tune two-mass --link ") == ["sensor", "actuator"]
     assert set(words.KINDS) == set(CATALOGUE)
 
 
@@ -101,9 +101,6 @@ def test_completion_imports_nothing_heavy(tmp_path: Path) -> None:
     assert done.stdout.split("\n")[-2] == "heavy: []"
 
 
-def test_the_script_for_a_shell_names_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_script_for_a_shell_names_the_command(run: Run) -> None:
     """Whatever the process is called."""
-    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
-    code = "import sys; sys.argv = ['x', '--show-completion', 'bash']; from taciturn.cli import main; main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "complete -o default -F _taciturn_completion taciturn" in done.stdout
+    assert "complete -o default -F _taciturn_completion taciturn" in run("--show-completion", "bash").out

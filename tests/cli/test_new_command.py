@@ -82,7 +82,7 @@ def test_matrices_are_taken_as_matlab_and_python_write_them(ask: Ask, A: str, W:
     ("goal", "kind"),
     [
         ("1", "lqg"),
-        ("2", "near-optimal"),
+        pytest.param("2", "near-optimal", marks=pytest.mark.evidence),
         ("3", "remote-lqg"),
         ("4", "send-on-delta"),
         ("5", "lossy-lqg"),
@@ -118,7 +118,13 @@ def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
     assert "V" not in tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["plant"]
 
 
-@pytest.mark.parametrize("kind", sorted(set(CATALOGUE) - {"integral"}))  # whose fixed point takes seconds
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param(kind, marks=pytest.mark.evidence) if kind in ("near-optimal", "optimal", "rollout") else kind
+        for kind in sorted(set(CATALOGUE) - {"integral"})  # whose fixed point takes seconds
+    ],
+)
 def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
     """What it must be told is asked; what is written is designed before it is."""
     continuous = kind == "consistent"
