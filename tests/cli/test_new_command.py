@@ -24,6 +24,8 @@ Ask = Callable[..., Answer]
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
 STEP = ("discrete", "0.5", "1.1", "1", "yes", "0.1", "2", "1")  # a scalar, as far as its cost
 
+ORDINARY = ("periodic", "remote-lqg", "consistent", "mixed", "downsampled", "stochastic")  # one of each sort
+
 
 @pytest.fixture
 def ask(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ask:
@@ -121,7 +123,7 @@ def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param(kind, marks=pytest.mark.evidence) if kind in ("near-optimal", "optimal", "rollout") else kind
+        kind if kind in ORDINARY else pytest.param(kind, marks=pytest.mark.evidence)
         for kind in sorted(set(CATALOGUE) - {"integral"})  # whose fixed point takes seconds
     ],
 )
@@ -218,6 +220,18 @@ def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
     ):
         assert sentence in told.out
     assert taciturn.load("new.toml").parameters == {"theta": 0.2}
+
+
+def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:
+    """As is what matters."""
+    told = ask(
+        ("discrete", "0.5", "3", "1", "yes", "0.1", "2", "1", "udp", "0.9", "0", "0.1", "ideal", "1", "0.2"),
+        patient=True,
+    )
+    assert told.code == 0
+    assert "mean-square stability allows actuator losses below 0.111111" in told.out
+    problem = taciturn.load("new.toml")
+    assert (problem.kind, problem.network) == ("lqg", taciturn.Network())
 
 
 def test_the_end_of_the_answers_ends_it_at_a_terminal_too(ask: Ask) -> None:

@@ -153,8 +153,9 @@ def test_a_system_object_is_refused_with_the_remedy(run: Run, name: str) -> None
     if name == "sys.mat":
         Path(name).write_bytes(opaque("sys", "ss"))
     else:
-        write(name, {})
+        write(name, {"Ts": 0.1})
         with h5py.File(name, "r+") as file:
+            file.create_dataset("note", data=np.zeros((1, 2), "u2")).attrs["MATLAB_class"] = np.bytes_("char")
             item = file.create_dataset("sys", data=np.zeros((1, 6), "u4"))
             item.attrs["MATLAB_class"], item.attrs["MATLAB_object_decode"] = np.bytes_("ss"), np.int32(3)
     assert run("new", "new.toml", "--yes", "--from", name).sentence == (

@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from catalogue import POLICIES, outputs
+from catalogue import MISSIONS, POLICIES, outputs
 from systems import make_system
 
 from taciturn import ContinuousPlant, Cost, Plant, Policy, design, load
@@ -34,6 +34,7 @@ CONTINUOUS = {
 }
 SYSTEM = make_system(5, 2, 1, 2, full_state=False)
 NAMES = (*POLICIES, *CONTINUOUS)
+MARKED = [pytest.param(name, marks=pytest.mark.evidence) if name in MISSIONS else name for name in NAMES]
 
 
 @cache
@@ -53,7 +54,7 @@ def test_every_kind_that_has_nodes_is_drawn_here() -> None:
     assert drawn | {"optimal"} == set(CATALOGUE)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", MARKED)
 def test_links_are_those_of_the_wire(name: str) -> None:
     """As many data packets, between the same nodes, with as many entries; acknowledged where the receiver tells."""
     policy = made(name)
@@ -72,7 +73,7 @@ def test_links_are_those_of_the_wire(name: str) -> None:
     )
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", MARKED)
 def test_the_text_has_an_arrow_for_every_packet(name: str) -> None:
     """From the line under the sender's box to that under the receiver's, with what is in it; in the order of a tick."""
     policy = made(name)

@@ -105,6 +105,8 @@ class _Interview:
                 if not questions.patient or questions.yes:
                     raise
                 questions.say(str(error))
+                if self.draft.network:  # which may lose more than any policy bears
+                    self._ask_network("ideal")
                 kind = None  # whatever was asked for, another one may fit
 
     def _expect_all(self, dt: float | None) -> None:
@@ -182,6 +184,7 @@ class _Interview:
         ask = self.questions.ask
         question = "Network: ideal, tcp (losses, the sender is told) or udp (losses, nobody is told)"
         protocol = ask("the network", question, read_protocol, default)
+        self.draft.network.clear()
         if protocol == "ideal":
             return
         self.draft.network["protocol"] = protocol

@@ -27,6 +27,8 @@ NAMES = {
 }
 """What a variable may be called, by key of the problem file; upper and lower case as here."""
 
+SYSTEMS = ("ss", "tf", "zpk", "idss", "frd")  # classes of MATLAB's
+
 
 @dataclass(frozen=True, eq=False)
 class Given:
@@ -61,8 +63,9 @@ def read_given(path: Path) -> Given:
             raise ProblemError(f"{path} has {' and '.join(there)}; expected one of them, as both are {key}")
         if there:
             found[key] = _expect_array(path, there[0], held[there[0]])
-    systems = [(name, value.kind) for name, value in held.items() if isinstance(value, Foreign) and "A" not in found]
-    if systems and systems[0][1] in ("ss", "tf", "zpk", "idss", "frd"):
+    foreign = {name: value.kind for name, value in held.items() if isinstance(value, Foreign)}
+    systems = [(name, kind) for name, kind in foreign.items() if kind in SYSTEMS]
+    if systems and "A" not in found:
         name, kind = systems[0]
         raise ProblemError(
             f"{name} in {path} is an object of MATLAB's class {kind}, which only MATLAB opens; expected its matrices: "
