@@ -256,15 +256,16 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
 
 
-def check_parameter(kind: str, key: str, value: Any) -> Any:
+def check_parameter(kind: str, key: str, value: object) -> Any:
     """Return a parameter that a policy kind has, checked against its design function.
 
     Raises:
         ProblemError: it is of the wrong type.
     """
+    if isinstance(value, np.ndarray):
+        return cast("Array", value)
     try:
-        adapter, _ = _accepted(kind)[key]
-        return value if isinstance(value, np.ndarray) else adapter.validate_python(value, strict=True)
+        return _accepted(kind)[key][0].validate_python(value, strict=True)
     except ValidationError as error:
         raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
 
