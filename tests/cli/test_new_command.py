@@ -172,7 +172,11 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
         ((*STEP, "", "1", "-1"), "theta is -1; expected 0 ≤ theta"),
         ((*STEP, "", "periodic", "1.5"), "policy.every is 1.5; expected a whole number"),
-        ((*STEP, "", "consistent"), "the answers end before period; expected one more; nothing is written"),
+        (
+            (*STEP, "", "consistent"),
+            "the plant is discrete in time, and consistent predicts in continuous time; expected",
+        ),
+        ((*STEP, "", "1"), "the answers end before theta; expected one more; nothing is written"),
         (("c", "[0 1; 0 0", "1"), "the answers end before A; expected one more; nothing is written"),
         ((), "the answers end before the time base; expected one more; nothing is written"),
     ],
@@ -203,7 +207,6 @@ def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
         "1",
         "",
         "consistent",
-        "0.1",
         "1",
         "-1",
         "1",
@@ -220,6 +223,14 @@ def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
     ):
         assert sentence in told.out
     assert taciturn.load("new.toml").parameters == {"theta": 0.2}
+
+
+def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_asked(ask: Ask) -> None:
+    """From a pipe that is the end, at a terminal another one is asked for."""
+    told = ask(STEP, "--kind", "integral")
+    assert told.err.startswith("taciturn: the plant is discrete in time, and integral predicts in continuous time; ex")
+    assert ask((*STEP, "", "1", ""), "--kind", "integral", patient=True).code == 0
+    assert taciturn.load("new.toml").kind == "lqg"
 
 
 def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:

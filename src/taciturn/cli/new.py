@@ -13,6 +13,7 @@ from taciturn.cli.frame import Kind, app
 from taciturn.cli.questions import Questions
 
 if TYPE_CHECKING:
+    from taciturn.errors import TaciturnError
     from taciturn.problem.given import Given
 
 GOALS = {
@@ -95,6 +96,11 @@ class _Interview:
         self._ask_time(dt)
         self._ask_plant()
         self._ask_cost()
+        try:
+            self.draft.expect_fit(kind or "")
+        except TaciturnError as error:
+            self._tell(error)
+            kind = None
         if kind == "lossy-lqg" or (kind is None and not questions.yes):
             self._ask_network("ideal" if kind is None else "udp")
         while True:
@@ -102,12 +108,16 @@ class _Interview:
             try:
                 return self.draft.write(policy, self.name)
             except TaciturnError as error:
-                if not questions.patient or questions.yes:
-                    raise
-                questions.say(str(error))
+                self._tell(error)
+                kind = None
                 if self.draft.network:  # which may lose more than any policy bears
                     self._ask_network("ideal")
-                kind = None  # whatever was asked for, another one may fit
+
+    def _tell(self, error: TaciturnError) -> None:
+        """Tell why a kind of policy does not fit, so that another one is asked for; from a pipe that is the end."""
+        if not self.questions.patient or self.questions.yes:
+            raise error
+        self.questions.say(str(error))
 
     def _expect_all(self, dt: float | None) -> None:
         """Refuse a file that lacks what has no usual value."""
@@ -227,7 +237,8 @@ class _Interview:
 
         def read(text: str) -> str:
             if not text.isdecimal():
-                return _expect_kind(text)
+                self.draft.expect_fit(_expect_kind(text))
+                return text
             if not 1 <= int(text) <= len(fitting):
                 raise ProblemError(f"what matters is {text}; expected a number from 1 to {len(fitting)}, or a kind")
             return fitting[int(text) - 1]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike
+from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import parse
@@ -17,6 +18,7 @@ from taciturn.problem.matrices import square_matrix
 from taciturn.problem.written import problem_text
 
 COST = ("Q", "R", "N")
+PREDICTED = ("consistent", "integral")
 
 
 @dataclass
@@ -93,6 +95,15 @@ class Draft:
         if kind == "lossy-lqg":
             return self.bears_losses
         return {"consistent": self.continuous and whole, "near-optimal": whole or not self.continuous}.get(kind, True)
+
+    def expect_fit(self, kind: str) -> None:
+        """Refuse a policy kind that predicts in continuous time where that cannot be.
+
+        Raises:
+            ProblemError: the plant is discrete in time, or its state is not measured.
+        """
+        if kind in PREDICTED:
+            refuse_what_is_not_predicted(kind, self.made_plant(), self.made_cost())
 
     def write(self, policy: Mapping[str, Any], name: str) -> str:
         """Return the text of a problem file, once it is read back and its policy is designed.

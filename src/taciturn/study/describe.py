@@ -294,6 +294,8 @@ def _decision_lines(name: str, options: Mapping[str, Form]) -> Lines:
             terms.append(f"{form.bell.height:.6g} exp(−½ η'Πη)")
         terms += [f"{weight:g} {signal}" for signal, weight in form.plus.items()]
         constant = form.constant
+        if isinstance(constant, Scheduled) and len(constant.values) == 1:
+            constant = float(constant.values[0])
         if isinstance(constant, Scheduled):
             terms.append(f"a number by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}")
         elif constant or not terms:
