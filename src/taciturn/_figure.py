@@ -64,6 +64,39 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
     return figure
 
 
+@dataclass(frozen=True)
+class Arrow:
+    """From one lane to another, by index, with a label in its middle."""
+
+    start: int
+    end: int
+    label: str
+    dashed: bool = False
+
+
+def draw_lanes(boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow]) -> Figure:
+    """Return a figure of boxes side by side, a line under each, and arrows from line to line, one under the other."""
+    from matplotlib.figure import Figure
+
+    apart = max(2.2, 0.6 + 0.085 * max((len(arrow.label) for arrow in arrows), default=0))  # inches
+    height = 0.2 * max(map(len, boxes)) + 0.5 * len(arrows) + 0.6
+    figure: Any = Figure(figsize=(apart * (len(boxes) - 1) + 2.4, height), layout="constrained")
+    axis: Any = figure.subplots()
+    axis.set_axis_off()
+    axis.set_xlim(-1.2, apart * (len(boxes) - 1) + 1.2)
+    axis.set_ylim(-0.5 * len(arrows) - 0.4, height - 0.5 * len(arrows) - 0.4)
+    for i, lines in enumerate(boxes):
+        axis.plot([apart * i] * 2, [-0.5 * len(arrows) - 0.3, 0.1], color="0.6", linewidth=1.0, zorder=0)
+        framed = {"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": "0.3"}
+        axis.text(apart * i, 0.1, "\n".join(lines), ha="center", va="bottom", fontsize="small", bbox=framed)
+    for k, arrow in enumerate(arrows):
+        y, start, end = -0.5 * (k + 1), apart * arrow.start, apart * arrow.end
+        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": "C0"}
+        axis.annotate("", xy=(end, y), xytext=(start, y), arrowprops=look)
+        axis.text((start + end) / 2, y + 0.06, arrow.label, ha="center", va="bottom", fontsize="small")
+    return figure
+
+
 def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
     """Return the path if its ending is one of ours.
 
