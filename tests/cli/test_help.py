@@ -45,7 +45,7 @@ def test_help_lists_every_command_once_under_what_it_is_for(run: Run) -> None:
         assert [line.split()[0] for line in section.splitlines() if line[:2] == "  " and line[2] != " "] == list(names)
     assert "..." not in told.partition("COMMAND [ARGS]...")[2]
     assert "\n    taciturn evaluate two-mass    what a policy costs" in told
-    assert "docs/quickstart" in told
+    assert "docs/first-hour" in told
 
 
 @pytest.mark.parametrize("name", COMMANDS)

@@ -39,7 +39,7 @@ First a built-in problem, then one of your own:
 READ_ON = """\b
 Every command has an example in its own --help. FILE is a problem file, or a
 built-in problem: a shell completes them after taciturn --install-completion.
-Read on: docs/quickstart, docs/command-line, docs/problem-file (all keys).
+Read on: docs/first-hour, docs/command-line, docs/problem-file (all keys).
 Exit code 0, or 2 with one sentence on standard error.
 """
 

@@ -13,6 +13,10 @@ LARGEST = 1e100  # threshold, factor or share that a rule may have: its square i
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
     """Return the least μ with M ⪯ μ·weight, both semidefinite; None where the weight does not see all that M does."""
+    size = np.maximum(np.diag(weight), 0.0)
+    size = np.sqrt(np.where(size > 0, size, np.maximum(np.diag(M), 0.0)))
+    unit = np.where(size > 0, size, 1.0)  # those of the variables decide nothing
+    M, weight = M / unit / unit[:, None], weight / unit / unit[:, None]
     values, vectors = np.linalg.eigh(weight)
     seen = values > 1e-12 * max(float(values[-1]), 1e-300)
     blind = vectors[:, ~seen]
