@@ -29,13 +29,14 @@ from limit import Limit
 from others import Data, control_steps, jax_scan, numba_loop
 
 import taciturn
-from taciturn import Bank, ContinuousPlant, Cost, Jumps, Plant, close, design
+from taciturn import ContinuousPlant, Cost, Jumps, Plant, close, design
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.policy import Policy
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
+from taciturn.simulation.bank import Bank
 from taciturn.simulation.statistics import mean
 from taciturn.study import bench
 from taciturn.study.bench import PATHS, TICKS, Contestant, by_matrices, compiled, race

@@ -8,13 +8,13 @@ is lost to the policy, and its cost is that of a loop that loses as much. Time i
 from dataclasses import replace
 
 import taciturn
-from taciturn.study.network import losses
+from taciturn.study.network import NetworkRun, losses
 
 NAME, SEEDS = "lossy-double-integrator", range(3)
 problem = taciturn.load(NAME)
 
 
-def run(seed: int, **worse: float) -> taciturn.NetworkRun:
+def run(seed: int, **worse: float) -> NetworkRun:
     """Run one mission, over links that do something else as well."""
     fates = {link: replace(fate, **worse) for link, fate in losses(problem.network, seed).items()}
     return taciturn.run_network(NAME, seed=seed, fates=fates)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 import taciturn
+from taciturn.simulation.bank import Bank
 
 WANTED = 0.5  # sends per look
 
@@ -16,7 +17,7 @@ problem = taciturn.load("two-mass")
 thetas = np.geomspace(0.02, 2.0, 40)
 loops = [problem.close(problem.changed({"theta": float(theta)}).design()) for theta in thetas]
 
-bank = taciturn.Bank(loops, seed=1)
+bank = Bank(loops, seed=1)
 bank.run(300)  # what the start leaves
 rates = bank.run(20_000).sends["actuator"]
 print(f"{len(loops)} loops, {bank.structures} compiled; sends per look from {rates[0]:.2f} down to {rates[-1]:.2f}")

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure
 import taciturn
 from taciturn.lqg.prediction import prediction_cost
 from taciturn.simulation.events import average_events
+from taciturn.study.losses import find_losses
 
 # position and velocity; gusts come twice a second and push the velocity, a slow drift pushes the position
 gusts = taciturn.Jumps(rate=2.0, covariance=[[0.02, 0.0], [0.0, 1.0]])
@@ -34,7 +35,7 @@ for share in (0.2, 0.5, 0.95):
     print(f"slope {share:.0%} of its limit: α* = {policy.alpha} s, costs {result.cost}")
     assert result.cost.value < price.periodic(1 / result.rates["sensor"].value)
 
-losses = taciturn.find_losses(plant, cost, levels=[0.1, 0.3, 1.0, 2.0, 4.0], cycles=100_000)
+losses = find_losses(plant, cost, levels=[0.1, 0.3, 1.0, 2.0, 4.0], cycles=100_000)
 found["Euclidean"] = [(point.rate.value, point.cost.value) for point in losses.points]
 print("the Euclidean threshold loses to a clock at the rates", losses.rates)
 

@@ -1,21 +1,29 @@
-"""Every documentation page, README block, example and docstring example runs."""
+"""Every documentation page, notebook, README block, example and docstring example runs."""
 
 from __future__ import annotations
 
 import doctest
 import importlib
+import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import matplotlib
 import pytest
+import typer
 from twin.crews import blind
 
 ROOT = Path(__file__).parent.parent
+CELL = r"```\{code-cell\} python\n(?::[^\n]*\n)*(.*?)```"
 PAGES = sorted(path for path in (ROOT / "docs").glob("*.md") if "```{code-cell}" in path.read_text(encoding="utf-8"))
+NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
+PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 MODULES = sorted(
     ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
@@ -24,37 +32,136 @@ MODULES = sorted(
 )
 
 
-def run_blocks(text: str, pattern: str, name: str) -> int:
+def run_blocks(blocks: list[str], name: str) -> int:
     """Run the blocks of a page in one namespace; return how many there were."""
-    blocks = re.findall(pattern, text, flags=re.DOTALL)
     namespace: dict[str, object] = {}
     for block in blocks:
         exec(compile(block, name, "exec"), namespace)
     return len(blocks)
 
 
+def code_of(notebook: Path) -> list[dict[str, Any]]:
+    """Return the code cells of a notebook."""
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
+
+
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
 def test_every_page_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The cells of a page run in order beside the data they show, and what they assert holds."""
-    for data in (ROOT / "docs").glob("*.json"):
+    for data in (path, *(ROOT / "docs").glob("*.json")):
         shutil.copy(data, tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert run_blocks(path.read_text(encoding="utf-8"), r"```\{code-cell\} python\n(.*?)```", path.name) > 0
+    blocks = re.findall(CELL, path.read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert run_blocks(blocks, path.name) > 0
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_every_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The code cells of a notebook run in order without a Jupyter, and what they assert holds."""
+    pyplot = importlib.import_module("matplotlib.pyplot")
+    matplotlib.use("agg")
+    monkeypatch.chdir(tmp_path)
+    try:
+        assert run_blocks(["".join(cell["source"]) for cell in code_of(path)], path.name) > 0
+    finally:
+        pyplot.close("all")
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_no_notebook_stores_what_it_put_out(path: Path) -> None:
+    """What a reader sees is of this version: outputs are made when the site is built."""
+    assert [cell for cell in code_of(path) if cell["outputs"] or cell["execution_count"] is not None] == []
 
 
 def test_the_index_lists_every_page() -> None:
     """Once; a page that stands in no table of contents is not found."""
-    listed = re.search(
-        r"```\{toctree\}\n:maxdepth: 1\n\n(.*?)```\n", (ROOT / "docs" / "index.md").read_text(), re.DOTALL
-    )
-    assert listed is not None
-    assert sorted([*listed[1].split(), "index"]) == sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+    docs = ROOT / "docs"
+    text = (docs / "index.md").read_text(encoding="utf-8")
+    trees = re.findall(r"```\{toctree\}\n(?::[^\n]*\n)*\n(.*?)```\n", text, re.DOTALL)
+    pages = [path for path in docs.rglob("*") if path.suffix in (".md", ".ipynb") and "_build" not in path.parts]
+    names = [path.relative_to(docs).with_suffix("").as_posix() for path in pages]
+    assert sorted([name for tree in trees for name in tree.split()] + ["index"]) == sorted(names)
+
+
+def typed(text: str) -> list[list[str]]:
+    """Return the words behind each ``taciturn`` that the shell blocks of a page type."""
+    blocks = re.findall(r"```(?:sh|console)\n(.*?)```", text, re.DOTALL)
+    lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
+    found = [re.search(r"(?:^|[ /])taciturn (.*?)(?: &.*)?$", line) for line in lines]
+    return [shlex.split(match[1], comments=True) for match in found if match]
+
+
+def test_the_command_line_understands_what_the_pages_type() -> None:
+    """Commands, options and their values are parsed, and nothing is run."""
+    from taciturn.cli import app
+
+    commands = typer.main.get_command(app).commands
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    lines = [words for path in pages for words in typed(path.read_text(encoding="utf-8"))]
+    assert len(lines) > 30
+    for words in lines:
+        if words != ["--version"]:
+            assert words[0] in commands, words
+            assert commands[words[0]].make_context(words[0], words[1:]).args == [], words
+    with pytest.raises(typer.TyperException, match="--rte"):
+        commands["tune"].make_context("tune", ["two-mass", "--rte", "0.5"])
+
+
+def resolves(name: str) -> bool:
+    """Tell whether a dotted name within the package is a module, or what hangs on one."""
+    parts = name.split(".")
+    for last in range(len(parts), 0, -1):
+        try:
+            found: object = importlib.import_module(".".join(["taciturn", *parts[:last]]))
+        except ModuleNotFoundError:
+            continue
+        for attribute in parts[last:]:
+            found = getattr(found, attribute, None)
+        return found is not None
+    return False
+
+
+def missing(text: str) -> tuple[list[str], int]:
+    """Return what is not there of the code and the tests that a page names, and how many names there are.
+
+    Code is named as `function` in `module`; the name of a test is a sentence, and its file stands behind it.
+    """
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    folders = "|".join(path.name for path in (ROOT / "src" / "taciturn").iterdir() if (path / "__init__.py").exists())
+    code = re.findall(rf"(?:`([\w.]+)` in )?`((?:{folders})(?:\.\w+)+)`", prose)
+    tests = re.findall(r"\*([a-z0-9 ]+)\* \(`([\w/]+\.py)`\)", prose)
+    wrong = [f"{module}.{name}" for name, module in code if not resolves(f"{module}.{name}".rstrip("."))]
+    for sentence, file in tests:
+        path, name = ROOT / "tests" / file, "test_" + sentence.replace(" ", "_")
+        if not path.exists() or f"\ndef {name}(" not in path.read_text(encoding="utf-8"):
+            wrong.append(f"{file}::{name}")
+    return wrong, len(code) + len(tests)
+
+
+@pytest.mark.parametrize(("page", "least"), [("theorems", 120), ("errata", 20), ("other-tools", 10)])
+def test_what_the_pages_of_theory_name_of_code_and_tests_is_there(page: str, least: int) -> None:
+    """A theorem whose test is renamed, or whose function moves, is found out here."""
+    wrong, names = missing((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert wrong == []
+    assert names >= least
+
+
+def test_a_name_that_is_not_there_is_found() -> None:
+    """The search itself can fail: a module, a function, an attribute, a file, a test; code cells are left out."""
+    named = "`lqg.nowhere` `nothing` in `lqg.lossy` `PredictionCost.nothing` in `lqg.prediction` "
+    named += "*it* (`lqg/test_no.py`) *nothing* (`lqg/test_lossy.py`) `lossy_step` in `lqg.lossy`\n"
+    named += "```python\n`lqg.nowhere`\n```\n"
+    wrong, names = missing(named)
+    assert len(wrong) == 5
+    assert names == 6
 
 
 def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The Python of the README runs."""
     monkeypatch.chdir(tmp_path)
-    assert run_blocks((ROOT / "README.md").read_text(encoding="utf-8"), r"```python\n(.*?)```", "README.md") > 0
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), flags=re.DOTALL)
+    assert run_blocks(blocks, "README.md") > 0
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
@@ -70,6 +177,16 @@ def test_every_example_runs(path: Path, tmp_path: Path) -> None:
         [sys.executable, path], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+def test_the_sources_that_examples_name_are_known() -> None:
+    """A parameter's source is a key of docs/sources.bib."""
+    keys = re.findall(r"^@\w+\{(\w+),", (ROOT / "docs" / "sources.bib").read_text(encoding="utf-8"), re.MULTILINE)
+    named = {
+        key for path in EXAMPLES for key in re.findall(r"\b[a-z]+(?:19|20)\d\d\b", path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 5
+    assert named <= set(keys)
 
 
 @pytest.mark.parametrize("name", MODULES)

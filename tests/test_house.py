@@ -15,7 +15,8 @@ ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "taciturn"
 FLOORS = {
     "errors": 0, "_arrays": 0, "_modes": 0, "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0,
-    "_files": 0, "_dask": 0, "_control": 0, "_mujoco": 0, "_cv2": 0, "_version": 0,
+    "_files": 0, "_dask": 0, "_control": 0, "_mujoco": 0, "_cv2": 0, "_matlab": 0,
+    "_version": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3,
@@ -33,6 +34,7 @@ MEETINGS = {
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
+    ("_matlab", "errors"),
     ("study", "problem"), ("cli", ""), ("cli", "_print"), ("cli", "twin"), ("renewal", "program"),
 }  # fmt: skip
 
@@ -123,10 +125,11 @@ def test_no_function_takes_anything() -> None:
 
 
 def test_every_public_name_resolves_and_says_what_it_is() -> None:
-    """What ``dir(taciturn)`` lists is there, documented, and the list is the promised one."""
+    """What ``dir(taciturn)`` lists is there, documented, holds what was promised, and fits into a head."""
     promised = {"Plant", "ContinuousPlant", "Cost", "Network", "Policy", "Trigger", "Guarantee", "Estimate", "design"}
     promised |= {"plant_from", "close", "load", "evaluate", "tradeoff", "reproduce", "simulate", "average"}
     assert promised <= set(taciturn.__all__)
+    assert len(taciturn.__all__) <= 40
     for name in set(taciturn.__all__) - {"__version__"}:
         assert getattr(taciturn, name).__doc__, name
     with pytest.raises(AttributeError):
@@ -152,7 +155,7 @@ def test_the_catalogue_and_the_documentation_name_the_same_policies() -> None:
     """Every policy kind that can be asked for stands in the tables of the documentation."""
     from taciturn.design.catalogue import CATALOGUE
 
-    for page in ("problem-file.md", "architecture.md"):
+    for page in ("problem-file.md", "architecture.md", "choose-a-policy.md"):
         text = (ROOT / "docs" / page).read_text(encoding="utf-8")
         for kind in CATALOGUE:
             assert f"`{kind}`" in text, f"{kind} is missing in {page}"
@@ -165,6 +168,6 @@ def test_the_repository_speaks_of_the_project_alone() -> None:
         pytest.skip("not a git checkout")
     words = ["/wo" + "rk/", "pypi" + ".org", "npmjs" + ".com", "files.python" + "hosted", "deb.debian" + ".org"]
     for name in listed.stdout.split():
-        if name.endswith((".py", ".md", ".toml", ".yaml", ".bib", "run")):
+        if name.endswith((".py", ".md", ".ipynb", ".toml", ".yaml", ".bib", "run")):
             text = (ROOT / name).read_text(encoding="utf-8")
             assert [word for word in words if word in text] == [], name

@@ -260,7 +260,9 @@ def sharing(found: Sharing) -> None:
     base, bound = found.cost_all_time, found.lower_bound
 
     def above(cost: float) -> str:
-        return f"   ({100 * (cost / base - 1):+.2f} %)" if base else ""
+        if not base:
+            return ""
+        return f"   ({100 * (cost / base - 1):+.2f} %)" if cost < 10 * base else f"   ({cost / base:.4g} times)"
 
     lines = [
         ("scheduler", found.scheduler),

@@ -10,10 +10,11 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Form, Network, Plant, Policy, ProblemError, Trigger, close, design
+from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError, Trigger, close, design
 from taciturn.analyse.renewal import chain_of, solve_renewal
 from taciturn.model.policy import Assign, Decide, Identity, Received, Send
 from taciturn.model.theory import Reset
+from taciturn.model.trigger import Form
 from taciturn.problem import parse
 from taciturn.renewal.chain import NoQuadratureError
 

@@ -13,6 +13,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.simulation import sampling as module
 from taciturn.simulation.average import average, completed_squares, difference, plain_average
+from taciturn.simulation.course import course
 
 PLANT = Plant([[1.1, 0.3], [0.0, 0.8]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]], [[1.0, 0.0]], [[0.1]])
 COST = Cost([[1.0, 0.0], [0.0, 0.5]], [[0.3]])
@@ -52,7 +53,7 @@ def test_completed_squares_have_far_less_variance_than_the_plain_average() -> No
     assert (plain / squares) ** 2 > 1000
 
 
-@pytest.mark.parametrize("call", [average, difference, taciturn.course, taciturn.simulate])
+@pytest.mark.parametrize("call", [average, difference, course, taciturn.simulate])
 def test_what_is_no_loop_is_refused(call: Callable[..., object]) -> None:
     """In one sentence."""
     arguments = {average: (), difference: (None,)}.get(call, (3,))

@@ -10,6 +10,9 @@ from hypothesis import strategies as st
 from systems import System, systems
 
 from taciturn import Loop, Policy, close, design
+from taciturn.design.certainty import Actuation
+from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.riccati import regulate
 from taciturn.model.policy import Decide
 from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
 
@@ -125,6 +128,32 @@ def test_the_separate_trigger_fires_whenever_the_joint_one_does(system: System, 
     assert (at_joint > 0).any()
     assert (at_separate[at_joint > 0] > -rounding[at_joint > 0]).all()
     assert (at_separate + rounding >= at_joint - rounding).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(system=systems(), theta=st.floats(0.001, 20), actuation=st.sampled_from(["hold", "model"]))
+def test_the_joint_trigger_is_what_silence_adds_to_the_cost_to_go(
+    system: System, theta: float, actuation: Actuation
+) -> None:
+    """Stage cost and (1+θ)x̂'Kx̂ of the next tick, in silence and after a send, whose own stage counts 1 + θ."""
+    plant, cost = system.plant, system.cost
+    policy = design.lqg(plant, cost, theta=theta, actuation=actuation)
+    K, L = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).K, close_gain(policy)
+    unseen = np.trace(cost.Q @ steady_filter(plant.A, plant.C, plant.W, plant.V).posterior)
+    draws = np.random.default_rng(system.seed)
+    x, held = draws.standard_normal((plant.states, 50)), draws.standard_normal((plant.inputs, 50))
+
+    def quadratic(M: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.einsum("ip,ij,jp->p", z, M, z)
+
+    weight = np.block([[cost.Q, cost.N], [cost.N.T, cost.R]])
+    stages, later = ([], [])
+    for u in (held, L @ x):
+        stages.append(quadratic(weight, np.vstack([x, u])) + unseen)
+        later.append((1 + theta) * quadratic(K, plant.A @ x + plant.B @ u))
+    added = stages[0] + later[0] - (1 + theta) * stages[1] - later[1]
+    size = np.abs(stages[1]) + np.abs(later[0]) + np.abs(later[1])
+    assert (np.abs(trigger_values(policy, x, held, held - L @ x) - added) <= 1e-9 * size).all()
 
 
 def close_gain(policy: Policy) -> np.ndarray:

@@ -12,11 +12,13 @@ from hypothesis import strategies as st
 from systems import continuous_system, price_of
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, find_losses, simulate
+from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
 from taciturn.problem import parse
-from taciturn.renewal.cycles import estimate_cycles
+from taciturn.renewal.cycles import estimate_cycles, sweep
+from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
+from taciturn.study.losses import find_losses
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -66,6 +68,26 @@ def test_the_dynamic_trigger_beats_periodic_control_over_many_plants(law: str) -
     MANY(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, law)))()
 
 
+@pytest.mark.parametrize("law", ["normal", "two-point"])
+@settings(FEW, max_examples=2)
+@given(seed=SEEDS)
+def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, seed: int) -> None:
+    """Lemma 4.2: L(ε) > ε for a small ε, L(h_max) < h_max, and L never falls."""
+    plant, cost, _ = continuous_system(seed, law)
+    price = price_of(plant, cost)
+    assert plant.jumps is not None
+    h_max = 5.0 / max(1.0, float(np.abs(np.linalg.eigvals(plant.A)).max()))
+    slope = price.least_ratio(0.0, h_max)[0]
+    assume(slope > 1e-3 * price.growth(h_max) / h_max)
+    process = JumpProcess(plant.A, plant.jumps, price.S)
+    alphas = h_max * np.array([0.001, 0.03, 0.1, 0.3, 0.6, 1.0])
+    found = sweep(process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed)
+    means, errors = np.array([(one.interval.value, one.interval.standard_error) for one in found]).T
+    assert means[0] - 4 * errors[0] > alphas[0]
+    assert means[-1] + 4 * errors[-1] < h_max
+    assert (np.diff(means) >= -4 * np.hypot(errors[1:], errors[:-1])).all()
+
+
 LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 
 
@@ -74,7 +96,6 @@ LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 def test_nodes_do_what_cycles_tell(plant: ContinuousPlant, limits: dict) -> None:
     """Rate and cost by the loop with its plant, by its exact identity, and by the cycles of the error alone."""
     from taciturn.design.integral import sampled_error
-    from taciturn.renewal.events import IntegralTrigger
 
     policy = design.integral(plant, COST, slope=8.0, alpha=0.15, period=0.05, **limits)
     loop = close(plant, policy)

@@ -16,7 +16,6 @@ from scipy.linalg import solve_discrete_are
 from systems import System, systems
 
 from taciturn import (
-    Bank,
     Cost,
     Loop,
     Network,
@@ -24,7 +23,6 @@ from taciturn import (
     UnstableError,
     average,
     close,
-    course,
     design,
     difference,
     integrate,
@@ -32,6 +30,8 @@ from taciturn import (
     simulate,
 )
 from taciturn.program.numpy import run
+from taciturn.simulation.bank import Bank
+from taciturn.simulation.course import course
 
 Ode = Callable[[np.ndarray, np.ndarray], np.ndarray]
 NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")

@@ -9,8 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from systems import System, systems
 
-from taciturn import Cost, InformationError, Network, Plant, ProblemError, close, design
+from taciturn import Cost, Network, Plant, ProblemError, close, design
 from taciturn._modes import accumulate, radius
+from taciturn.errors import InformationError
 from taciturn.model.policy import Policy
 from taciturn.simulation.average import average
 

@@ -15,8 +15,6 @@ from taciturn import Cost, Plant, UnstableError, average, close, design
 from taciturn.design.periodic_schedule import necklaces
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
-from taciturn.renewal.chain import Chain
-from taciturn.renewal.gaussian import solve_gaussian
 
 SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
@@ -151,31 +149,6 @@ def test_necklaces_are_all_patterns_up_to_rotation() -> None:
 def _sums(length: int, sends: int) -> list[tuple[int, ...]]:
     marks = combinations(range(1, length), sends - 1)
     return [tuple(np.diff((0, *inner, length)).tolist()) for inner in marks]
-
-
-def test_impulse_control_by_events_has_a_third_of_the_variance_of_periodic_control() -> None:
-    """An integrator under Wiener noise that impulses reset: 3 at equal rate, as the threshold passes many looks.
-
-    With looks every tick the ratio is 3 + O(σ²/Y²): exactly, by quadrature; and as the policy simulates it.
-    """
-    plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-9]])  # free inputs: L = −1
-    ratios = {}
-    for threshold in (10.0, 20.0, 40.0):
-        found = solve_gaussian(Chain(np.eye(1), np.eye(1), np.eye(1), threshold**2, np.eye(1)))
-        ratios[threshold] = (1 / found.rate - 1) / 2 / found.excess  # of periodic control, W(N − 1)/2 every N ticks
-        policy = design.absolute(plant, cost, threshold=threshold, error="state", actuation="model")
-        loop = close(plant, policy)
-        simulated = average(loop, steps=8_000_000)
-        assert abs(simulated.rates["actuator"].value - found.rate) <= 4 * simulated.rates["actuator"].standard_error
-        excess = simulated.cost.value - policy.cost_all_time
-        assert abs(excess - found.excess) <= 4 * simulated.cost.standard_error + 1e-6 * found.excess
-        every = round(1 / found.rate)
-        clock = design.periodic(plant, cost, every=every, actuation="model").closed_form
-        assert clock is not None
-        assert clock.cost - policy.cost_all_time == pytest.approx((every - 1) / 2, rel=1e-6)
-    limit = (4 * ratios[40.0] - ratios[20.0]) / 3  # the error falls with the square
-    assert limit == pytest.approx(3, abs=2e-4)
-    assert ratios[10.0] > ratios[20.0] > ratios[40.0] > 3
 
 
 def test_variance_triggering_of_a_random_walk_is_counting() -> None:

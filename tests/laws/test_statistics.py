@@ -7,14 +7,16 @@ import pytest
 from laws.test_estimates import COST, PLANT, coverage
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Plant, batch_means, close, course, design, regenerative, solve_renewal
+from taciturn import ContinuousPlant, Cost, Plant, close, design
+from taciturn.analyse.renewal import solve_renewal
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.program.controls import CONTROL, MOST
 from taciturn.program.engine import prepare
 from taciturn.simulation import sampling
 from taciturn.simulation.average import average, completed_squares
-from taciturn.simulation.statistics import controlled_mean, mean
+from taciturn.simulation.course import course
+from taciturn.simulation.statistics import batch_means, controlled_mean, mean, regenerative
 
 SEEDS = 400
 

@@ -11,7 +11,7 @@ import scipy.linalg
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from taciturn import Cost, Network, Plant, Policy, Reference, Scheduled, UnstableError, design
+from taciturn import Cost, Network, Plant, Policy, Reference, UnstableError, design
 from taciturn._modes import radius
 from taciturn.lqg.lossy import (
     Channel,
@@ -24,6 +24,7 @@ from taciturn.lqg.lossy import (
 )
 from taciturn.lqg.riccati import regulate
 from taciturn.model.policy import Assign
+from taciturn.model.trigger import Scheduled
 
 SEEDS = st.integers(0, 2**32 - 1)
 LINKS = [Channel(0.0, 0.0, told, late) for told, late in product((False, True), repeat=2)]
@@ -252,7 +253,7 @@ TCP, UDP, LATE = Channel(0.0, 0.0, True, False), Channel(0.0, 0.0, False, False)
     ids=["slow", "fast", "two", "two and a stable one", "complex pair", "Jordan block", "Jordan block of three"],
 )
 def test_one_input_survives_losses_below_the_product_of_its_unstable_modes(A):
-    """Actuator 1/Π|λ|², sensor 1/ρ²: one packet moves one direction, one measurement shows all."""
+    """Actuator 1/Π|λ|², sensor 1/ρ² (schenato2007): one packet moves one direction, one measurement shows all."""
     grown = [abs(value) for value in np.linalg.eigvals(A) if abs(value) > 1]
     B = np.ones((len(A), 1)) if np.count_nonzero(A - np.diag(np.diag(A))) == 0 else np.eye(len(A))[:, -1:]
     for link in (TCP, LATE):
@@ -264,7 +265,7 @@ def test_one_input_survives_losses_below_the_product_of_its_unstable_modes(A):
 @settings(max_examples=4, deadline=None)
 @given(seed=SEEDS)
 def test_as_many_inputs_as_states_survive_losses_below_one_over_the_squared_radius(seed):
-    """With an invertible B every packet moves everything."""
+    """1/ρ² (schenato2007): with an invertible B every packet moves everything."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 4))
     A, B = rng.normal(size=(n, n)), rng.normal(size=(n, n)) + 2 * np.eye(n)

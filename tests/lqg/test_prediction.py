@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad, quad_vec
 from scipy.linalg import expm, solve_continuous_are
 
+from taciturn._modes import accumulate, radius
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
+from taciturn.lqg.sampling import sample_prediction
 
 SEEDS = st.integers(0, 2**32 - 1)
 DOUBLE = ([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.eye(2), [[10.0]], np.zeros((2, 1)), np.diag([0.0, 2.5]))
@@ -56,6 +58,37 @@ def test_spread_weight_and_growth_are_their_integrals(seed: int, length: float) 
     assert found.weight(length) == pytest.approx(weight, rel=1e-8, abs=1e-11 * np.abs(S).max())
     mean = quad(lambda s: np.trace(S @ spread(s)), 0, length, epsrel=1e-8, limit=20)[0] / length
     assert found.growth(length) == pytest.approx(mean, rel=1e-6)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=SEEDS, length=st.floats(0.01, 0.5), size=st.sampled_from([0.03, 0.3, 1.0]))
+def test_no_other_gain_costs_less_between_sends(seed: int, length: float, size: float) -> None:
+    """Sampled with the model of its own gain: J_per(h) with L, and more with any other."""
+    found, (A, B, Q, R, N, W) = random_cost(seed)
+    D = size * np.random.default_rng(seed + 1).normal(size=found.L.shape)
+
+    def sent_every_period(L: np.ndarray) -> float:
+        one = sample_prediction(A, B, Q, R, N, W, L, length)
+        F = one.A + one.B  # what is sent is the state
+        assume(radius(F) < 0.999)
+        stage = one.Q + one.R + one.N + one.N.T
+        return (float(np.trace(stage @ accumulate(F, one.W))) + one.noise_cost) / length
+
+    best = sent_every_period(found.L)
+    assert best == pytest.approx(found.periodic(length), rel=1e-7)
+    assert sent_every_period(found.L + D) > best
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS)
+def test_the_growth_rises_from_zero_with_half_of_tr_sw(seed: int) -> None:
+    """g is a mean of what only rises, and g(h)/h comes to ½ tr(SW) as h → 0."""
+    found, (A, *_) = random_cost(seed)
+    unit = 1 / (1 + np.abs(np.linalg.eigvals(A)).max())
+    values = np.array([found.growth(h) for h in np.geomspace(1e-3, 2, 20) * unit])
+    assert (np.diff(values) >= -1e-9 * values[1:]).all()
+    near = [found.growth(h * unit) / (h * unit) for h in (2e-4, 1e-4)]
+    assert 2 * near[1] - near[0] == pytest.approx(found.initial_slope, rel=1e-5)
 
 
 @settings(max_examples=60, deadline=None)

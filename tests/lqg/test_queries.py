@@ -9,9 +9,10 @@ import pytest
 from hypothesis import assume, given, settings
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
-from taciturn import Cost, Plant, Schedule, UnstableError, design
+from taciturn import Cost, Plant, UnstableError, design
 from taciturn.lqg import queries
 from taciturn.lqg.queries import Predictor, QueryValue, Weights, follow_every_query, schedule_queries
+from taciturn.model.schedule import Schedule
 
 
 def with_cross_term(plant: Plant, seed: int, **time) -> Cost:
@@ -99,6 +100,44 @@ def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, s
     whole = steps if cost.horizon is not None else len(asked)
     found = propagated(plant, cost, whole, asked, schedule.period or 1)
     assert policy.identity.constant == pytest.approx(found, rel=1e-10)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=SEEDS)
+def test_the_four_choices_of_a_step_are_two_comparisons(seed):
+    """Query or not, send or not, then always both, what was sent counting 1 + θ: h − ζ decides one, Γ the other."""
+    plant = random_plant(seed)
+    cost = with_cross_term(plant, seed, discount=0.8)
+    rng, alpha, theta, zeta = np.random.default_rng(seed + 4), 0.8, 0.6, 0.3
+    A, B, (gains, prices) = plant.A, plant.B, optimal(plant, cost, 400)
+    L, P, Q, R, N = gains[0], prices[0], cost.Q, cost.R, cost.N
+    turned, weight = (A + B @ L).T, Q + L.T @ R @ L + N @ L + L.T @ N.T
+    K = np.linalg.solve(np.eye(A.size) - alpha * np.kron(turned, turned), weight.ravel()).reshape(A.shape)
+    Sigma = semidefinite(rng, plant.states) + 0.1 * np.eye(plant.states)
+    x, held = 3 * rng.normal(size=plant.states), 3 * rng.normal(size=plant.inputs)
+
+    def always(Sigma: np.ndarray) -> float:
+        total, factor = np.trace(K @ Sigma) + alpha / (1 - alpha) * np.trace(K @ plant.W), 1.0
+        for _ in range(150):
+            total, factor, Sigma = total + factor * np.trace(P @ Sigma), alpha * factor, follow(plant, Sigma, True)
+        return total
+
+    def total(query: bool, send: bool) -> float:
+        u = L @ x if send else held
+        ahead, after = A @ x + B @ u, follow(plant, Sigma, query)
+        moment = np.outer(ahead, ahead) + A @ Sigma @ A.T + plant.W - after  # of the next estimate
+        now = x @ Q @ x + np.trace(Q @ Sigma) + u @ R @ u + 2 * x @ N @ u
+        later = (1 + theta) * (np.trace(K @ moment) + always(after))
+        return (1 + theta * send) * now + (1 + theta) * zeta * query + alpha * later
+
+    worth = QueryValue(Predictor(plant), Weights(P, alpha))(Sigma)
+    cross = N + alpha * (1 + theta) * A.T @ K @ B
+    Gamma = np.block([[(1 + theta) * P - theta * Q, cross], [cross.T, R + alpha * (1 + theta) * B.T @ K @ B]])
+    eta, size = np.concatenate([x, held]), 1e-9 * total(True, False)
+    for other in (False, True):
+        assert total(False, other) - total(True, other) == pytest.approx((1 + theta) * (worth - zeta), abs=size)
+        saved = eta @ Gamma @ eta - theta * np.trace(Q @ Sigma)
+        assert total(other, False) - total(other, True) == pytest.approx(saved, abs=size)
 
 
 def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:

@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import Cost, Form, Guarantee, InformationError, Network, Plant, Policy, ProblemError, Trigger, close
+from taciturn import Cost, Guarantee, Network, Plant, Policy, ProblemError, Trigger, close
+from taciturn.analyse.limits import bound_below
+from taciturn.analyse.renewal import bound_rate, solve_renewal
 from taciturn.analyse.switched import switched
+from taciturn.errors import InformationError
 from taciturn.model.packets import fingerprint
 from taciturn.model.policy import Apply, Assign, Decide, NodeName, Received, Send, Step
+from taciturn.model.trigger import Form
 
 PLANT = Plant([[0.9, 0.1], [0.0, 0.8]], [[0.0], [1.0]], np.eye(2))
 COST = Cost(np.eye(2), [[1.0]])
@@ -97,10 +101,10 @@ def test_theory_of_linear_steps_is_not_claimed_of_a_function() -> None:
     loop = close(PLANT, make(BEND, DECIDE, SEND, INPUT), None, COST)
     with pytest.raises(ProblemError, match="hand-made computes command by a function, and no certificate serves that"):
         switched(loop)
-    for ask in (taciturn.solve_renewal, lambda given: taciturn.bound_below(given, 0.2)):
+    for ask in (solve_renewal, lambda given: bound_below(given, 0.2)):
         with pytest.raises(ProblemError, match="expected"):
             ask(loop)
-    assert taciturn.bound_rate(loop) is None
+    assert bound_rate(loop) is None
 
 
 def test_a_fingerprint_knows_a_function_by_what_it_returns() -> None:

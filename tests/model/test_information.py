@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from taciturn import Cost, Form, InformationError, Network, Plant, Policy, Scheduled, Trigger, close
+from taciturn import Cost, Network, Plant, Policy, Trigger, close
+from taciturn.errors import InformationError
 from taciturn.model.information import check_information
 from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, NodeName, Received, Send, Step
+from taciturn.model.trigger import Form, Scheduled
 
 PLANT = Plant([[0.9]], [[1.0]], [[1.0]])
 COST = Cost([[1.0]], [[1.0]])

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taciturn import Estimate, Form, Guarantee, Plant, Policy, ProblemError, Scheduled, Trigger
+from taciturn import Estimate, Guarantee, Plant, Policy, ProblemError, Trigger
 from taciturn.model.policy import (
     Acknowledged,
     Assign,
@@ -21,6 +21,7 @@ from taciturn.model.policy import (
     Send,
     Step,
 )
+from taciturn.model.trigger import Form, Scheduled
 
 PLANT = Plant([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], 0.01 * np.eye(2))
 L = np.array([[-1.0, -1.5]])

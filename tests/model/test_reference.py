@@ -10,9 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn import Cost, Form, Network, Plant, Policy, ProblemError, Reference, average, close, design
+from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, average, close, design
 from taciturn.loop import Loop
 from taciturn.model.policy import ONE, Assign, Draw, Evaluate, Received, Send
+from taciturn.model.trigger import Form
 from taciturn.program import numpy as interpreter
 from taciturn.program.numpy import Run
 from taciturn.simulation.average import plain_average

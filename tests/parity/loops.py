@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 from systems import System
 
-from taciturn import Bell, Form, Network, Policy, Scheduled, Trigger, close
+from taciturn import Network, Policy, Trigger, close
 from taciturn.loop import Loop
 from taciturn.model.policy import Acknowledged, Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send
+from taciturn.model.trigger import Bell, Form, Scheduled
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel

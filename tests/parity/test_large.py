@@ -12,7 +12,7 @@ from parity.loops import assert_parity, differences, programs, with_precision
 from systems import make_system
 
 import taciturn
-from taciturn import Bank, Cost, Plant, close, design
+from taciturn import Cost, Plant, close, design
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.program import engine, ir, machine
@@ -21,6 +21,7 @@ from taciturn.program._llvm_body import SMALL
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 from taciturn.program.ops import Precision, tiles
+from taciturn.simulation.bank import Bank
 
 PRECISIONS = st.sampled_from(["float64", "float32"])
 

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
 from systems import System, systems
 
-from taciturn import Form, Scheduled, Trigger
+from taciturn import Trigger
 from taciturn._modes import factor
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.policy import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
+from taciturn.model.trigger import Form, Scheduled
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
 from taciturn.program.numpy import run

@@ -21,7 +21,6 @@ from taciturn import (
     Burst,
     ContinuousPlant,
     Cost,
-    InformationError,
     Loop,
     Network,
     Nodes,
@@ -32,6 +31,7 @@ from taciturn import (
     to_control,
 )
 from taciturn._modes import factor
+from taciturn.errors import InformationError
 from taciturn.model.places import roles
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL

@@ -271,8 +271,9 @@ def test_nodes_that_cannot_be_separated_are_refused() -> None:
 
 def test_a_packet_that_is_read_before_it_is_sent_is_that_of_the_tick_before() -> None:
     """A delay as an order of steps: the loop and its nodes agree on it."""
-    from taciturn import Form, Policy, Trigger
+    from taciturn import Policy, Trigger
     from taciturn.model.policy import Assign, Decide, Received, Send
+    from taciturn.model.trigger import Form
 
     one = np.eye(1)
     steps = (

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import taciturn
 from taciturn import Cost, Estimate, Plant, Problem, ProblemError, UnstableError
+from taciturn.analyse.limits import solve_optimum
 from taciturn.model.network import Network
 from taciturn.model.trigger import Form
 from taciturn.renewal.chain import Chain
@@ -111,7 +114,7 @@ def test_the_price_loads_the_channel_as_asked() -> None:
     """By quadrature, which the search does not use: the rate at the price, where the best trigger is known."""
     kinds = gather({"walk": WALK}, [100])
     price = find_price([Curve(kinds[0])], 20.0, 1.0)
-    exact = taciturn.solve_optimum(
+    exact = solve_optimum(
         taciturn.close(WALK.plant, taciturn.design.excess(WALK.plant, WALK.cost, delta=1.0, actuation="model")), price
     )
     assert exact.rate == pytest.approx(0.2, rel=0.015)
@@ -181,6 +184,60 @@ def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: 
     assert price.load.value == pytest.approx(slots)
     assert price.load_expected is not None
     assert price.load_expected.value == pytest.approx(slots, rel=0.05)
+
+
+def test_the_rate_falls_with_the_price_however_fast_an_error_grows() -> None:
+    """Where no fit converges, thresholds that send more often than at half the price are not the best there are."""
+    (kind,) = gather({"wild": Problem(Plant([[3.0]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})}, [1])
+    curve = Curve(kind)
+    rates = [curve.rate(4.0**octaves) for octaves in range(5, 14, 2)]
+    assert (np.diff(rates) < 0).all()
+    assert rates[-1] > 0.05
+
+
+CLASH = {  # looks 0.1 s and 0.03 s apart meet now and then, and in most hundredths of a second there is none
+    name: Problem(
+        taciturn.ContinuousPlant([[A]], [[1.0]], [[1.0]]), WALK.cost, Network(), "consistent", {"period": period}
+    )
+    for name, A, period in (("slow", 0.1, 0.1), ("fast", 0.5, 0.03))
+}
+
+
+def test_where_looks_meet_the_largest_loss_goes_first() -> None:
+    """At no price, as there are slots enough in the mean; and none is called worse than a clock that cannot be."""
+    price, largest, turns = (
+        share_channel(CLASH, copies=2, capacity=1, scheduler=name, ticks=3000, confidence=0)  # pyright: ignore[reportArgumentType]
+        for name in ("price", "largest", "round-robin")
+    )
+    assert price.price == 0
+    assert price.cost == largest.cost
+    assert price.cost.value < turns.cost.value
+    for found in (price, largest, turns):
+        assert found.cost.value > found.cost_periodic
+        assert found.consistent is None
+        assert any("ticks fewer loops look than there are slots" in note for note in found.notes)
+
+
+def test_loops_without_noise_send_at_no_price() -> None:
+    """And cost what the best clock does, exactly: that is consistent."""
+    still = Problem(Plant([[0.9]], [[1.0]], [[0.0]]), WALK.cost, Network(), "all-time", {})
+    found = share_channel({"still": still}, copies=3, capacity=1, ticks=200)
+    assert (found.price, found.cost.value, found.consistent) == (0.0, 0.0, True)
+    assert found.load_expected == Estimate(0.0, 0.0, "exact")
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"network": Network(payload="int16", actuator_range=(1.0,))}, r"the channel is the network; expected none"),
+        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], function=lambda x, u, w: np.sin(x) + u + w)}, "linear plants"),
+        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], input_limit=[1.0])}, "on a channel"),
+    ],
+)
+def test_what_loops_on_a_channel_cannot_have_is_refused(changed: dict[str, object], told: str) -> None:
+    """Rounded packets, plants that are not linear, and inputs that are clipped."""
+    with pytest.raises(ProblemError, match=told):
+        share_channel({"a": replace(WALK, **changed)}, copies=3, capacity=1)  # pyright: ignore[reportArgumentType]
 
 
 def test_the_same_seed_gives_the_same_numbers() -> None:

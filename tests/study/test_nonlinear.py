@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -50,6 +49,22 @@ def test_a_digest_is_that_of_what_the_function_computes(tmp_path: Path) -> None:
     assert fingerprint(problem(tmp_path / "four", close_by)) != first
     linear = replace(problem(tmp_path / "one"), plant=Plant([[1.2]], [[1.0]], [[0.05]], dt=1.0))
     assert fingerprint(linear) != first
+
+
+def test_what_a_function_prints_is_not_the_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A document on standard output stays one."""
+    problem(tmp_path, TEXT.replace("    return", "    print('here')\n    return"))
+    printed = capsys.readouterr()
+    assert printed.out == ""
+    assert "here" in printed.err
+
+
+def test_the_linearisation_is_that_of_the_design(tmp_path: Path) -> None:
+    """Where another plant is simulated, which is a function, nothing is promised of it."""
+    bent = problem(tmp_path)
+    linear = replace(bent, plant=Plant([[1.2]], [[1.0]], [[0.05]], dt=1.0), actual=bent.plant)
+    assert evaluate(bent, steps=20_000).linearisation is not None
+    assert evaluate(linear, steps=20_000).linearisation is None
 
 
 def test_the_values_that_a_function_of_python_closes_over_are_in_its_digest(tmp_path: Path) -> None:
@@ -119,14 +134,3 @@ def test_a_lambda_is_refused_by_other_processes_in_a_sentence(tmp_path: Path) ->
     assert (sweep(stated, grid, standard_error=0.05).refusal == "").all()
     with processes(2) as pool, pytest.raises(ProblemError, match=r"^function is <function .*no other process can be"):
         sweep(stated, grid, executor=pool, standard_error=0.05)
-
-
-def test_a_wheel_has_the_files_of_the_built_in_functions(tmp_path: Path) -> None:
-    """Beside the problems that name them."""
-    build = pytest.importorskip("hatchling.builders.wheel", reason="NOT SHOWN: what a wheel holds; no hatchling")
-    root = Path(__file__).parent.parent.parent
-    (wheel,) = build.WheelBuilder(str(root)).build(directory=str(tmp_path), versions=["standard"])
-    names = set(zipfile.ZipFile(wheel).namelist())
-    folder = root / "src" / "taciturn" / "problems"
-    assert {f"taciturn/problems/{path.name}" for path in folder.glob("*.*")} <= names
-    assert "taciturn/problems/pendulum_on_a_cart.py" in names

@@ -7,12 +7,13 @@ import pytest
 import taciturn
 from taciturn import ProblemError
 from taciturn.lqg.prediction import prediction_cost
+from taciturn.study.evaluate import Evaluation
 from taciturn.study.periods import TunedPeriod, tune_period
 
 INTEGRATOR = taciturn.load("wiener-double-integrator").changed({"kind": "consistent", "theta": None, "period": 1.0})
 
 
-def removed(found: taciturn.Evaluation) -> float:
+def removed(found: Evaluation) -> float:
     """Return the share of what periodic control costs above a state that is always known, at the same rate."""
     plant, cost = INTEGRATOR.plant, INTEGRATOR.cost
     least = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W).periodic(1e-9)
@@ -20,7 +21,7 @@ def removed(found: taciturn.Evaluation) -> float:
     return (found.cost_periodic_same_rate - found.cost.value) / (found.cost_periodic_same_rate - least)
 
 
-def sought(least: float) -> tuple[taciturn.Evaluation, TunedPeriod]:
+def sought(least: float) -> tuple[Evaluation, TunedPeriod]:
     """Return the policy at its largest proved threshold, and what is found at its rate."""
     proved = taciturn.evaluate(INTEGRATOR)
     return proved, tune_period(INTEGRATOR, rate=proved.rates["sensor"].value, least=least)

@@ -7,6 +7,7 @@ import pytest
 
 import taciturn
 from taciturn import ContinuousPlant, Cost
+from taciturn.analyse.renewal import solve_renewal
 
 A, B, W = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.diag([0.0, 2.5])
 COST = Cost(np.eye(2), [[10.0]])
@@ -47,7 +48,7 @@ def test_the_wiener_rows_without_simulation(checks: float, delta: float, rate: f
     loop = wiener(1 / checks)
     (decision,) = loop.policy.decisions.values()
     assert decision.options["send"].constant == pytest.approx(delta, rel=6e-6)
-    found = taciturn.solve_renewal(loop)
+    found = solve_renewal(loop)
     assert found.rate * checks == pytest.approx(rate, abs=0.51e-8)
     assert loop.policy.identity.constant + found.excess == pytest.approx(cost, abs=0.51e-7)
 
@@ -56,7 +57,7 @@ def test_the_wiener_rows_without_simulation(checks: float, delta: float, rate: f
 def test_eleven_digits(period: float, rate: float, cost: float) -> None:
     """Far below the error that is claimed."""
     loop = wiener(period)
-    found = taciturn.solve_renewal(loop)
+    found = solve_renewal(loop)
     assert found.rate == pytest.approx(rate, abs=1e-11)
     assert loop.policy.identity.constant + found.excess == pytest.approx(cost, abs=3e-11)
     assert found.rate_error < 1e-8

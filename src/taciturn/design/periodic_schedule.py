@@ -14,8 +14,9 @@ from taciturn.design.certainty import CLOCK, SEND, Certainty, control_steps, des
 from taciturn.design.periodic import by_the_clock
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.periodic import Sampled, lift
+from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate
+from taciturn.lqg.sampling import Sampled
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy

@@ -13,7 +13,7 @@ from taciturn.lqg._interval import Interval, Sampled, repeat, split
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.riccati import Regulator, regulate
 
-__all__ = ["Periodic", "Sampled", "lift", "periodic_cost"]
+__all__ = ["Periodic", "lift", "periodic_cost"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pickle
+import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from types import ModuleType
@@ -311,7 +313,7 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
 def _called(name: str, function: Callable[..., Any], given: Sequence[Array]) -> Any:
     """Call a function of the user's, and tell in one sentence if it fails."""
     try:
-        with np.errstate(all="ignore"):  # what is not finite is told where it matters
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):  # what is not finite is told where it matters
             return cast("Any", function)(*given)
     except ProblemError:
         raise

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import redirect_stdout
 
 import numpy as np
 
@@ -43,7 +45,7 @@ def trace(
     recorder = Recorder(builder, name)
     vectors = [recorder.symbols(values) for values in arguments.values()]
     try:
-        with np.errstate(all="ignore"):
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):
             returned = rebind(function, STAND_INS)(*vectors)
     except ProblemError:
         raise

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from taciturn._arrays import Array, count, number
+from taciturn._arrays import Array, ArrayLike, count, number
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpNoise
 
@@ -65,7 +64,7 @@ class Intervals:
         ticks = np.arange(checks + 1)
         return -np.diff(self.beyond(ticks.astype(np.float64)))
 
-    def beyond(self, checks: npt.ArrayLike) -> Array:
+    def beyond(self, checks: ArrayLike) -> Array:
         """Return P(interval > k) for whole numbers k ≥ 0, in the shape that they come in.
 
         Raises:

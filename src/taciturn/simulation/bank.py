@@ -43,7 +43,8 @@ class Bank:
         ProblemError: no loops, or one whose cost has a horizon or a discount.
 
     Example:
-        >>> from taciturn import Bank, Cost, Plant, close, design
+        >>> from taciturn import Cost, Plant, close, design
+        >>> from taciturn.simulation.bank import Bank
         >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
         >>> bank = Bank([close(plant, design.lqg(plant, cost, theta=theta)) for theta in (0.1, 0.2, 0.4)])
         >>> bank.structures, bank.run(1).cost.shape

@@ -68,6 +68,8 @@ class Sharing:
         price: of a send, that is common to all loops; of schedulers with one.
         cost_periodic: of the best periodic allocation with as many sends per tick as there may be.
         cost_periodic_same_load: of the best with no more sends than there were.
+        clock_attained: whether looks come so evenly that periodic allocations are only bound by the mean load; else the
+            best of them may cost more.
         ticks: that were measured, of all channels that were simulated together.
         reached: whether the asked standard error was met.
         seed: of the draws.
@@ -89,6 +91,7 @@ class Sharing:
     price: float | None
     cost_periodic: float
     cost_periodic_same_load: float
+    clock_attained: bool
     ticks: int
     reached: bool
     seed: int
@@ -105,10 +108,12 @@ class Sharing:
     def consistent(self) -> bool | None:
         """Whether the loops cost no more than the best periodic allocation of the channel; None: not to be told.
 
-        True and False by 4 standard errors.
+        By 4 standard errors; where looks clash no clock may attain the best allocation's cost, and False is not told.
         """
         above, spread = self.cost.value - self.cost_periodic, SURE * self.cost.standard_error
-        return above <= 0 if abs(above) > spread else None
+        if above < -spread or above <= spread == 0:
+            return True
+        return False if above > spread and self.clock_attained else None
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn channel --json``."""
@@ -249,6 +254,11 @@ def share_channel(
     base = game.cost_all_time
     load = mean(measured.sends.sum(axis=1))
     periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
+    few, cycle = game.clashes
+    clashing = (
+        f"in {few} of {cycle} ticks fewer loops look than there are slots, and in others more: the best clock keeps to "
+        "the mean load alone, and what can be allocated may cost more"
+    )
     return Sharing(
         scheduler,
         capacity,
@@ -264,12 +274,13 @@ def share_channel(
         plan.price,
         base + float(game.counts @ game.clocked.costs),
         base + float(game.counts @ periodic.costs),
+        not few,
         measured.ticks,
         measured.reached,
         seed,
         time.perf_counter() - began,
         prepared,
-        plan.notes,
+        plan.notes + ((clashing,) if few else ()),
     )
 
 

@@ -72,7 +72,7 @@ class Evaluation:
         consistency: whether the policy costs no more than the above: ``"guaranteed"`` by its theorem, ``"verified"`` by
             these numbers and their errors (4 standard errors), or ``"not verified"``; None where it is not asked for.
         notes: what the reader must know.
-        linearisation: where the plant is not linear, what its linearisation would cost; else None.
+        linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
     """
 
     policy: str
@@ -237,7 +237,7 @@ def evaluate(
         rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
         consistency=_consistency(found.cost, periodic, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
-        linearisation=_linearisation(policy) if problem.nonlinear else None,
+        linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
     )
 
 

@@ -93,13 +93,19 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
-        if problem.network.without_rounding() != Network():
+        if problem.network != Network():
             raise ProblemError("[network] is given, and the channel is the network; expected none: remove it")
+        if problem.nonlinear:
+            raise ProblemError("the plant is not linear; loops that share a channel are linear plants, as their errors")
         period = problem.parameters.get("period")
         policy = modelled(
             "channel", problem.plant, problem.cost, period, lambda _, reset: Form((reset.error,), reset.square)
         )
         loop = close(problem.actual or problem.plant, policy)
+        if loop.departures:
+            raise ProblemError(f"{loop.departures[0]}; expected the plant and the cost of the design, on a channel")
+        if loop.problem.jumps is not None:
+            raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")
         reset = resets(loop)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None

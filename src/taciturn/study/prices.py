@@ -104,18 +104,21 @@ class Curve:
             return self._rare(price)
         urgency = Form((ERROR,), kind.Gamma, -found.gain, bell=Bell(-found.height, found.Pi))
         rate, excess = measure_alone(kind, urgency, 1 / found.interval, self._seed)
-        if abs(excess + price * rate.value - found.gain) > OFF * found.gain:  # it has not converged
-            return self._rare(price)
-        return Schedule(price, urgency, rate)
+        gain = excess + price * rate.value
+        fitted = Schedule(price, urgency, rate)
+        if abs(gain - found.gain) <= OFF * found.gain:
+            return fitted
+        return self._rare(price, fitted, gain)  # it has not converged
 
-    def _rare(self, price: float) -> Schedule:
-        """Return the best threshold on what a send saves until the next one, which a clock makes."""
-        interval, best, least = self.kind.clocked.interval(CLOCK * price), None, np.inf
-        for factor in FACTORS:
-            urgency = self._saving(interval, factor * price)
-            rate, excess = measure_alone(self.kind, urgency, 1 / interval, self._seed)
-            if excess + price * rate.value < least:
-                best, least = Schedule(price, urgency, rate), excess + price * rate.value
+    def _rare(self, price: float, best: Schedule | None = None, least: float = np.inf) -> Schedule:
+        """Return the best threshold on what silence costs at once, or until a clock sends, if no other is better."""
+        interval = self.kind.clocked.interval(CLOCK * price)
+        for looks in {1.0, interval}:
+            for factor in FACTORS:
+                urgency = self._saving(looks, factor * price)
+                rate, excess = measure_alone(self.kind, urgency, 1 / interval, self._seed)
+                if excess + price * rate.value < least:
+                    best, least = Schedule(price, urgency, rate), excess + price * rate.value
         assert best is not None
         return best
 
@@ -149,7 +152,7 @@ def find_price(curves: Sequence[Curve], capacity: float, guess: float) -> float:
         capacity: sends per tick.
         guess: price from where the search begins.
     """
-    if sum(curve.kind.looks for curve in curves) <= capacity:
+    if sum(curve.kind.looks for curve in curves if curve.kind.clocked.forever) <= capacity:
         return 0.0
 
     def excess(place: float) -> float:

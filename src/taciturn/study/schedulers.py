@@ -78,13 +78,22 @@ class Game:
 
     def priced(self, price: float) -> tuple[list[Form], Estimate]:
         """Return the urgency of each kind at a common price, and the load if none has to wait."""
-        if not price:
-            return [ALWAYS] * len(self.kinds), Estimate(sum(kind.looks for kind in self.kinds), 0.0, "exact")
+        if not price:  # whoever gains anything by a send wants it
+            load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
+            return [Form((ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
         found = [curve.schedule(price) for curve in self.curves]
         loads = [one.rate.scaled(kind.looks) for one, kind in zip(found, self.kinds, strict=True)]
         spread = float(np.sqrt(sum(load.standard_error**2 for load in loads)))
         load = Estimate(sum(load.value for load in loads), spread, "simulation")
         return [one.urgency for one in found], load
+
+    @cached_property
+    def clashes(self) -> tuple[int, int]:
+        """How many ticks of a cycle have fewer looks than slots while others have more, and how many there are."""
+        ticks = np.arange(self.cycle)
+        looks = sum(-(-(kind.count - ticks % kind.every) // kind.every) for kind in self.kinds)
+        few = int(np.sum(looks < self.capacity))
+        return few if np.any(looks > self.capacity) else 0, self.cycle
 
     def play(self, plan: Plan, channels: int) -> Channel:
         """Return channels that a plan is played on, the errors still 0."""

@@ -1,0 +1,83 @@
+"""The names that the reference lists, and what their docstrings are in the markup of the site; needs no Sphinx."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from importlib import import_module
+
+import taciturn
+
+FRONT = {id(getattr(taciturn, name)) for name in taciturn.__all__}  # what the package itself offers
+FRONT |= {id(getattr(taciturn.design, name)) for name in taciturn.design.__all__}
+LITERAL = re.compile(r"(``.+?``|:\w+:`[^`]+`)")
+SOURCE = re.compile("^Source:")
+MARKUP = (":", "..", "* ", ">>>")  # what follows it may be indented and no formula
+SHORTER = {r"TypeAliasForwardRef\('(\w+)'\)": r"\1", r"<factory>|<function .*?>+": "..."}
+
+
+def public(module: str) -> dict[str, object]:
+    """Return the functions and classes that a module offers, by name: those it lists, or else those it defines.
+
+    What ``taciturn`` or ``taciturn.design`` offers, or another module defines for its users, is listed there.
+    """
+    home = import_module(module)
+    front = module in ("taciturn", "taciturn.design")
+    found: dict[str, object] = {}
+    for name in getattr(home, "__all__", vars(home)):
+        value = getattr(home, name)
+        if name.startswith("_") or not (inspect.isclass(value) or inspect.isfunction(value)):
+            continue
+        elsewhere = value.__module__ != module and (not hasattr(home, "__all__") or "._" not in value.__module__)
+        if front or not (elsewhere or id(value) in FRONT):
+            found[name] = value
+    return found
+
+
+def listing(module: str) -> str:
+    """Return what a page says of a module, in Markdown: its names with their first sentences, then each in full."""
+    names = public(module)
+    rows = [f"| {{py:obj}}`{name} <{module}.{name}>` | {told(value)} |" for name, value in names.items()]
+    blocks = [
+        f".. auto{'class' if inspect.isclass(value) else 'function'}:: {module}.{name}\n"
+        + ("   :members:\n" if inspect.isclass(value) else "")
+        for name, value in names.items()
+    ]
+    return "\n".join(["| name | what it is |", "|---|---|", *rows, "", "```{eval-rst}", *blocks, "```"])
+
+
+def told(value: object) -> str:
+    """Return the first paragraph of the docstring of a value as Markdown."""
+    text = " ".join((inspect.getdoc(value) or "").split("\n\n")[0].split())
+    parts = LITERAL.split(text)
+    parts[::2] = [re.sub(r"[|*_<]", r"\\\g<0>", part) for part in parts[::2]]
+    return "".join(parts)
+
+
+def mend(lines: list[str]) -> None:
+    """Make reStructuredText of a docstring: an indented paragraph is a formula; what is no markup is escaped."""
+    found: list[str] = []
+    before, verbatim = "", False  # the last line that is not indented; whether this one is of a formula or an example
+    for line in lines:
+        if line and not line.startswith(" "):
+            example = before.startswith(">>>") and found[-1:] != [""]  # its answer goes on to the next empty line
+            verbatim = line.startswith(">>>") or example
+            before = before if example else line
+        elif line and found[-1:] == [""] and not verbatim and not before.startswith(MARKUP):
+            found += ["::", ""]
+            verbatim = True
+        found.append(line if verbatim else SOURCE.sub(":doc:`Source <sources>`:", _escaped(line)))
+    lines[:] = found
+
+
+def shorten(signature: str) -> str:
+    """Return a signature that is Python: without what stands for a default or an alias that was not looked up."""
+    for pattern, short in SHORTER.items():
+        signature = re.sub(pattern, short, signature)
+    return signature
+
+
+def _escaped(line: str) -> str:
+    parts = LITERAL.split(line)
+    parts[::2] = [re.sub(r"\*(?! )|\||(?<=\w)_(?!\w)", r"\\\g<0>", part) for part in parts[::2]]
+    return "".join(parts)

@@ -1,0 +1,38 @@
+"""Schenato and others: the critical losses of control over lossy networks (schenato2007).
+
+With acknowledgements: 1/max|λ|² where B is invertible, 1/Π|λ|² over the unstable modes for one input. Both are laws
+over many plants in ``tests/lqg/test_lossy.py``; here is what holds without acknowledgements.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from taciturn import Cost, Network, Plant, UnstableError, design
+from taciturn.lqg.lossy import Channel, critical_losses
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
+@pytest.mark.parametrize("largest", [1.25, 3.0])
+def test_without_acknowledgements_the_critical_losses_trade_as_published(largest: float, share: float) -> None:
+    """|λ|²(γ + ν − 2γν) < γ + ν − γν of the arrivals ν and γ, for scalar plants and wherever B is invertible."""
+    sensor = share / largest**2  # part of what the sensor link alone may lose
+    actuator = (1 - largest**2 * sensor) / (largest**2 * (1 - 2 * sensor) + sensor)
+    nu, gamma = 1 - actuator, 1 - sensor
+    assert largest**2 * (gamma + nu - 2 * gamma * nu) == pytest.approx(gamma + nu - gamma * nu)
+    link = Channel(0.0, sensor, acknowledged=False, delayed=False)
+    turned = largest * np.array([[0.6, 0.8], [-0.8, 0.6]])
+    for A, B in (([[largest]], [[1.0]]), (np.diag([largest, 0.9]), np.eye(2)), (turned, [[1.0, 0.5], [0.0, 2.0]])):
+        assert critical_losses(np.array(A), np.array(B), link)[0] == pytest.approx(actuator, abs=1e-6)
+
+
+def test_a_design_is_refused_on_the_far_side_of_the_published_losses() -> None:
+    """λ = 2 and a tenth of the measurements lost: actuator losses below 2/11 are survived."""
+    plant, cost = Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+    limit = (1 - 4 * 0.1) / (4 * (1 - 2 * 0.1) + 0.1)
+    assert limit == pytest.approx(2 / 11)
+    below, above = (Network("udp", actuator_loss=factor * limit, sensor_loss=0.1) for factor in (0.99, 1.01))
+    assert design.lossy_lqg(plant, cost, price=0.0, network=below).cost_all_time is not None
+    with pytest.raises(UnstableError, match=r"actuator losses below 0\.181818 at this sensor loss"):
+        design.lossy_lqg(plant, cost, price=0.0, network=above)

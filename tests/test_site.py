@@ -1,0 +1,103 @@
+"""What the documentation makes of the package itself: its reference, its diagrams, its gallery."""
+
+from __future__ import annotations
+
+import importlib
+import pickle
+import re
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from test_house import FLOORS
+
+import taciturn
+from taciturn._figure import Panel, Series, draw
+from taciturn.study.reproduce import CHAPTERS
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+IMPORT = re.compile(r"^from (taciturn\S*) import (\([^)]*\)|[\w, ]+)", re.MULTILINE)
+
+
+@pytest.fixture(scope="module")
+def names() -> ModuleType:
+    """Return the module of the documentation that lists names."""
+    sys.path.insert(0, str(DOCS))
+    try:
+        return importlib.import_module("names")
+    finally:
+        sys.path.pop(0)
+
+
+@pytest.fixture(scope="module")
+def listed(names: ModuleType) -> dict[str, object]:
+    """Return what the pages of the reference list, by name."""
+    text = "".join(path.read_text(encoding="utf-8") for path in sorted(DOCS.glob("reference*.md")))
+    modules = [name for block in re.findall(r"```\{names\}(.*?)```", text, re.DOTALL) for name in block.split()]
+    assert len(modules) == len(set(modules))
+    return {f"{module}.{name}": value for module in modules for name, value in names.public(module).items()}
+
+
+def test_the_reference_lists_every_public_name(listed: dict[str, object]) -> None:
+    """Those of the package, and of its policies."""
+    for home in (taciturn, taciturn.design):
+        offered = {f"{home.__name__}.{name}" for name in home.__all__} - {"taciturn.__version__", "taciturn.design"}
+        assert offered <= set(listed)
+
+
+def test_the_reference_lists_what_pages_and_examples_import(listed: dict[str, object]) -> None:
+    """Every function and class, wherever it lives; constants and types speak for themselves."""
+    known = {id(value) for value in listed.values()}
+    found = 0
+    for path in (ROOT / "README.md", *DOCS.glob("*.md"), *(ROOT / "examples").glob("*.py")):
+        for module, text in IMPORT.findall(path.read_text(encoding="utf-8")):
+            home = vars(importlib.import_module(module))
+            for value in (home.get(name) for name in re.findall(r"\w+", text)):
+                if hasattr(value, "__qualname__"):
+                    assert id(value) in known, f"{path.name}: {value} of {module}"
+                    found += 1
+    assert found > 40
+
+
+def test_nothing_is_listed_twice(listed: dict[str, object]) -> None:
+    """A name has one place in the reference, where all others point to."""
+    assert len({id(value) for value in listed.values()}) == len(listed)
+
+
+def test_a_docstring_becomes_markup_that_shows_what_it_says(names: ModuleType) -> None:
+    """Formulas keep their lines, stars and bars are no markup, lists and examples are left alone."""
+    lines = ["Of |e|:", "", "    u = L*x|", "    y_ = x", "", "By x_, ``a*b``.", "", ">>> 2*3", "6", "", "* a *list*"]
+    names.mend(lines)
+    assert lines[:7] == [r"Of \|e\|:", "", "::", "", "    u = L*x|", "    y_ = x", ""]
+    assert lines[7:] == [r"By x\_, ``a*b``.", "", ">>> 2*3", "6", "", r"* a \*list\*"]
+
+
+def test_the_page_of_benchmarks_names_every_file() -> None:
+    """And the tables that they write are there."""
+    text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
+    for path in (ROOT / "benchmarks").iterdir():
+        assert path.is_dir() or f"{path.name}" in text
+    written = re.findall(r"--json docs/(\w+\.json)", text)
+    assert sorted(written) == sorted(path.name for path in DOCS.glob("*.json"))
+
+
+def test_the_floors_of_the_diagram_are_those_that_imports_are_held_to() -> None:
+    """The table of docs/architecture.md, which the diagram reads, and the walk of ``test_house``."""
+    text = (DOCS / "architecture.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d) \| (.*?) \|", text, re.MULTILINE)
+    shown = {part: int(number) for number, parts in rows for part in re.findall(r"`(\w+)/?`", parts)}
+    assert shown == {part: number for part, number in FLOORS.items() if part}
+
+
+def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
+    """By the chapters that ``reproduce`` knows."""
+    shown = re.findall(r'reproduce\("(\w+)"\)', (DOCS / "gallery.md").read_text(encoding="utf-8"))
+    assert sorted(shown) == sorted(CHAPTERS)
+
+
+def test_a_figure_shows_itself_in_a_notebook() -> None:
+    """Also where pyplot was never imported; and it can still be copied to another process."""
+    figure = pickle.loads(pickle.dumps(draw([Panel([Series([0.0, 1.0], [1.0, 0.0])], "x", "y")])))
+    assert figure._repr_png_().startswith(b"\x89PNG")
