@@ -18,7 +18,7 @@ from taciturn.study.reproduce import CHAPTERS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
-IMPORT = re.compile(r"^from (taciturn\S*) import (\([^)]*\)|[\w, ]+)", re.MULTILINE)
+IMPORT = re.compile(r"^(?: *\")?from (taciturn\S*) import (\([^)]*\)|[\w, ]+)", re.MULTILINE)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_the_reference_lists_what_pages_and_examples_import(listed: dict[str, ob
     """Every function and class, wherever it lives; constants and types speak for themselves."""
     known = {id(value) for value in listed.values()}
     found = 0
-    for path in (ROOT / "README.md", *DOCS.glob("*.md"), *(ROOT / "examples").glob("*.py")):
+    for path in (ROOT / "README.md", *DOCS.glob("*.md"), *DOCS.glob("*/*.ipynb"), *(ROOT / "examples").glob("*.py")):
         for module, text in IMPORT.findall(path.read_text(encoding="utf-8")):
             home = vars(importlib.import_module(module))
             for value in (home.get(name) for name in re.findall(r"\w+", text)):

@@ -94,6 +94,7 @@ def draw_lanes(boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow]) -> Figur
         look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": "C0"}
         axis.annotate("", xy=(end, y), xytext=(start, y), arrowprops=look)
         axis.text((start + end) / 2, y + 0.06, arrow.label, ha="center", va="bottom", fontsize="small")
+    figure._repr_png_ = partial(_png, figure)
     return figure
 
 
