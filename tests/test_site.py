@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import pickle
 import re
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from test_house import FLOORS
 
 import taciturn
+from taciturn._figure import Panel, Series, draw
 from taciturn.study.reproduce import CHAPTERS
 
 ROOT = Path(__file__).parent.parent
@@ -93,3 +95,9 @@ def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
     """By the chapters that ``reproduce`` knows."""
     shown = re.findall(r'reproduce\("(\w+)"\)', (DOCS / "gallery.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(CHAPTERS)
+
+
+def test_a_figure_shows_itself_in_a_notebook() -> None:
+    """Also where pyplot was never imported; and it can still be copied to another process."""
+    figure = pickle.loads(pickle.dumps(draw([Panel([Series([0.0, 1.0], [1.0, 0.0])], "x", "y")])))
+    assert figure._repr_png_().startswith(b"\x89PNG")

@@ -16,7 +16,9 @@ ArrayLike: TypeAlias = npt.ArrayLike
 Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
-DEFINITENESS_TOLERANCE = 1e-10  # relative to the largest eigenvalue: what rounding leaves of an exact zero
+TINY = 1e-290  # a variance or weight below this is zero: its inverse could not be computed with
+DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue of a matrix of unit diagonal: what rounding leaves of an exact zero
+ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative, per row: what products leave of an exact zero
 
 
 def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
@@ -42,11 +44,15 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
     """Return ``value`` as a read-only symmetric matrix.
 
     Raises:
-        ProblemError: not symmetric to 1e-9 of its largest entry.
+        ProblemError: not symmetric to 1e-9 of its entries, or of what its diagonal lets them be.
     """
     result = array(name, value, (size, size), meaning)
-    if size and np.abs(result - result.T).max() > 1e-9 * max(np.abs(result).max(), 1e-300):
-        i, j = (int(k) for k in np.unravel_index(np.argmax(np.abs(result - result.T)), result.shape))
+    difference, spread = np.abs(result - result.T), np.sqrt(np.abs(np.diag(result)))
+    # Each entry in the units of its row and column; but what rounding leaves of the largest is no asymmetry.
+    allowed = np.maximum(np.maximum(np.abs(result), np.abs(result.T)), spread * spread[:, None])
+    allowed = np.maximum(1e-9 * allowed, ROUNDING * size * np.abs(result).max(initial=0.0))
+    if (difference > allowed).any():
+        i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
             f"{name} is not symmetric: entry ({i}, {j}) is {result[i, j]:g} and ({j}, {i}) is {result[j, i]:g}; "
             f"expected a symmetric matrix; use ({name} + {name}')/2 if that is what you mean"
@@ -61,10 +67,11 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
         ProblemError: an eigenvalue is negative.
     """
     result = symmetric(name, value, size, meaning)
-    smallest, largest = _extreme_eigenvalues(result)
-    if smallest < -DEFINITENESS_TOLERANCE * max(largest, 1e-300):
+    smallest = _least_eigenvalue(result)
+    if smallest < -DEFINITENESS_TOLERANCE and not _is_rounding(result):
         raise ProblemError(
-            f"{name} has the eigenvalue {smallest:g}; expected a positive semidefinite matrix (all eigenvalues ≥ 0)"
+            f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive semidefinite matrix "
+            "(all eigenvalues ≥ 0)"
         )
     return result
 
@@ -76,10 +83,11 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
         ProblemError: an eigenvalue is not positive.
     """
     result = symmetric(name, value, size, meaning)
-    smallest, largest = _extreme_eigenvalues(result)
-    if smallest <= DEFINITENESS_TOLERANCE * max(largest, 1e-300):
+    smallest = _least_eigenvalue(result)
+    if smallest <= DEFINITENESS_TOLERANCE:
         raise ProblemError(
-            f"{name} has the eigenvalue {smallest:g}; expected a positive definite matrix (all eigenvalues > 0)"
+            f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive definite matrix "
+            "(all eigenvalues > 0)"
         )
     return result
 
@@ -170,11 +178,32 @@ def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
         raise ProblemError(f"{name} is not an array of numbers ({error}); expected the shape {expected}") from None
 
 
-def _extreme_eigenvalues(matrix: Array) -> tuple[float, float]:
+def _least_eigenvalue(matrix: Array) -> float:
+    """Return the least eigenvalue where each variable has the unit that makes its diagonal 1, 0 or −1."""
     if matrix.size == 0:
-        return np.inf, 0.0
+        return np.inf
+    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), TINY))
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = matrix * scale * scale[:, None]
+    # An entry beyond 1 proves an eigenvalue below 0; how large it is decides nothing.
+    return float(np.linalg.eigvalsh(np.clip(scaled, -1e6, 1e6))[0])
+
+
+def _is_rounding(matrix: Array) -> bool:
+    """Say whether what makes a matrix indefinite is no more than the rounding of its products."""
+    others = np.abs(matrix).max(axis=1, initial=0.0)
+    if (np.diag(matrix) < -ROUNDING * len(matrix) * others).any():
+        return False
     values = np.linalg.eigvalsh(matrix)
-    return float(values[0]), float(np.abs(values).max())
+    return bool(values[0] >= -ROUNDING * len(matrix) * np.abs(values).max())
+
+
+def _named(matrix: Array, smallest: float) -> str:
+    """Return an eigenvalue as a reader can find it again, or in what units it is one."""
+    found = float(np.linalg.eigvalsh(matrix)[0])
+    if found <= 0 or smallest > 0:
+        return f"{found:g}"
+    return f"{smallest:g} in units that make its diagonal 1"
 
 
 def _shape_text(shape: Sequence[int | None], meaning: str) -> str:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import partial
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, cast
+from typing import TYPE_CHECKING, Any, Literal
 
 from taciturn.errors import ProblemError
 
@@ -44,7 +44,9 @@ class Panel:
 
 def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
     """Return a figure of panels under one another, over one axis unless more than the last name their own."""
-    figure: Any = _displayed()(figsize=(width, height), layout="constrained")
+    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
+
+    figure: Any = Figure(figsize=(width, height), layout="constrained")
     shared = not any(panel.xlabel for panel in panels[:-1])
     axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=shared)
     for axis, panel in zip(axes[:, 0], panels, strict=True):
@@ -58,21 +60,42 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
             axis.set_yticks(range(len(panel.names)), panel.names)
         if any(series.label for series in panel.series):
             axis.legend(fontsize="small", framealpha=0.8)
+    figure._repr_png_ = partial(_png, figure)  # what a notebook shows; it knows figures of pyplot only
     return figure
 
 
-@cache
-def _displayed() -> type[Figure]:
-    """Return the figure that a notebook displays; of others it learns how when pyplot has drawn one, not before."""
-    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
+@dataclass(frozen=True)
+class Arrow:
+    """From one lane to another, by index, with a label in its middle."""
 
-    class Displayed(Figure):
-        def _repr_png_(self) -> bytes:
-            written, drawn = BytesIO(), cast("Any", self)
-            drawn.savefig(written, format="png")
-            return written.getvalue()
+    start: int
+    end: int
+    label: str
+    dashed: bool = False
 
-    return Displayed
+
+def draw_lanes(boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow]) -> Figure:
+    """Return a figure of boxes side by side, a line under each, and arrows from line to line, one under the other."""
+    from matplotlib.figure import Figure
+
+    apart = max(2.2, 0.6 + 0.085 * max((len(arrow.label) for arrow in arrows), default=0))  # inches
+    height = 0.2 * max(map(len, boxes)) + 0.5 * len(arrows) + 0.6
+    figure: Any = Figure(figsize=(apart * (len(boxes) - 1) + 2.4, height), layout="constrained")
+    axis: Any = figure.subplots()
+    axis.set_axis_off()
+    axis.set_xlim(-1.2, apart * (len(boxes) - 1) + 1.2)
+    axis.set_ylim(-0.5 * len(arrows) - 0.4, height - 0.5 * len(arrows) - 0.4)
+    for i, lines in enumerate(boxes):
+        axis.plot([apart * i] * 2, [-0.5 * len(arrows) - 0.3, 0.1], color="0.6", linewidth=1.0, zorder=0)
+        framed = {"boxstyle": "round,pad=0.4", "facecolor": "white", "edgecolor": "0.3"}
+        axis.text(apart * i, 0.1, "\n".join(lines), ha="center", va="bottom", fontsize="small", bbox=framed)
+    for k, arrow in enumerate(arrows):
+        y, start, end = -0.5 * (k + 1), apart * arrow.start, apart * arrow.end
+        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": "C0"}
+        axis.annotate("", xy=(end, y), xytext=(start, y), arrowprops=look)
+        axis.text((start + end) / 2, y + 0.06, arrow.label, ha="center", va="bottom", fontsize="small")
+    figure._repr_png_ = partial(_png, figure)
+    return figure
 
 
 def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
@@ -108,6 +131,12 @@ def save(figure: Figure, path: str | Path) -> None:
             drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
     except OSError as error:
         raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
+
+
+def _png(figure: Any) -> bytes:
+    written = BytesIO()
+    figure.savefig(written, format="png", dpi=110)
+    return written.getvalue()
 
 
 def _plot(axis: Any, series: Series) -> None:

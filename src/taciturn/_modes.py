@@ -8,12 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn import _arrays, _scipy
-from taciturn._arrays import Array, ArrayLike
+from taciturn._arrays import TINY, Array, ArrayLike
 from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
-TINY = 1e-290  # a variance or weight below this is zero: its inverse could not be computed with
+ROUNDOFF = float(np.finfo(np.float64).eps) / 2
+TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
+EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -28,11 +30,48 @@ def radius(A: Array) -> float:
     return float(np.abs(eigenvalues(A)).max(initial=0.0))
 
 
+def pace(A: Array) -> float:
+    """Return the largest entry of ``A`` where its states are balanced; rounding of its modes is relative to it."""
+    scale = _scipy.balancing(A)
+    return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
+
+
+def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
+    """Return those of the modes of ``A`` that do not decay, or that rounding does not tell from such.
+
+    Args:
+        modes: some eigenvalues of A.
+        A: (n, n) dynamics.
+        continuous: whether time is.
+    """
+    if continuous:
+        return modes[modes.real >= -EDGE * pace(A)]
+    return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
+
+
 def mode_text(mode: complex) -> str:
     """Return an eigenvalue as a reader expects it in a sentence."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
         return f"{mode.real:.6g}"
     return f"{mode.real:.6g}{mode.imag:+.6g}i"
+
+
+def least_eigenvalue(matrix: Array) -> float:
+    """Return the least eigenvalue of a definite matrix, with its digits in any units; at most 0 of another matrix.
+
+    A matrix counts as definite by its eigenvalues with a unit diagonal. Then its least eigenvalue is the inverse of the
+    largest one of its inverse, which, unlike the least, rounding of large entries does not cover.
+    """
+    diagonal = np.diag(matrix)
+    if not (diagonal > TINY).all():
+        return min(float(np.linalg.eigvalsh(matrix)[0]), 0.0)
+    unit = np.sqrt(diagonal)
+    scaled = matrix / unit / unit[:, None]
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
+    if smallest <= 1e-12:
+        return min(float(np.linalg.eigvalsh(matrix)[0]), smallest, 0.0)
+    inverse = np.linalg.inv(scaled) / unit / unit[:, None]
+    return 1 / float(np.linalg.eigvalsh(_arrays.symmetrised(np.asarray(inverse, dtype=np.float64)))[-1])
 
 
 def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
@@ -62,22 +101,54 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     """
     A = _arrays.array("A", A, (None, None), "states × states")
     A = _arrays.array("A", A, (A.shape[0], A.shape[0]), "states × states")
-    reach = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
-    scale = _scipy.balancing(A)  # the units of the states decide nothing
-    rest, reach = A / scale[:, None] * scale, reach / scale[:, None]
-    lengths = np.linalg.norm(reach, axis=0)
-    reach = reach[:, lengths > 0] / lengths[lengths > 0]  # the unit of an input decides nothing
-    size = float(np.linalg.norm(reach, 2)) if reach.size else 0.0
+    B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
+    state, inputs = reach(A, B)  # the units of states and inputs decide nothing
+    rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
+    lengths = np.linalg.norm(pushed, axis=0)
+    pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
+    size = float(np.linalg.norm(pushed, 2)) if pushed.size else 0.0
     norm = float(np.linalg.norm(rest, 2)) if rest.size else 0.0
     while rest.shape[0]:
-        left, values, _ = np.linalg.svd(reach)
+        left, values, _ = np.linalg.svd(pushed)
         rank = int((values > RANK_TOLERANCE * size).sum()) if size > 0 else 0
         if rank == 0:
             break
         turned = left.T @ rest @ left
-        reach, rest = turned[rank:, :rank], turned[rank:, rank:]
+        pushed, rest = turned[rank:, :rank], turned[rank:, rank:]
         size = norm
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
+
+
+def reach(A: Array, B: Array) -> tuple[Array, Array]:
+    """Return units of the states and of the inputs in which each state that is reached at all is moved by about 1.
+
+    A state moved by an input directly has the size of that for its unit, another one the largest of what states that
+    have theirs bring it, by the pace of A. So a change of units is undone, also where the states are not coupled.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+
+    Returns:
+        Powers of two, (n,) and (m,): A/s·s' has no entry much above those of A where A is balanced.
+    """
+    balanced = _scipy.balancing(A)
+    off = np.abs(A - np.diag(np.diag(A)))
+    largest = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), TINY)  # no cycle gains by it
+    state, inputs = balanced, np.ones(B.shape[1])
+    for _ in range(3):  # either unit rests on the other
+        moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
+        inputs = 1 / np.where(moved > 0, moved, 1.0)
+        found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
+        for _ in range(len(A)):
+            found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found
+            if (found <= before).all():
+                break
+        state = np.where(found > TINY, found, 0.0)
+        if not state.all():  # states beyond reach: as large as balancing makes them beside the rest
+            beside = np.max(state / balanced, initial=0.0)
+            state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
+    return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
 
 
 def root(matrix: Array) -> Array:
@@ -111,7 +182,7 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
 
     Raises:
         ProblemError: a matrix of the wrong shape, not finite, or not symmetric.
-        UnstableError: F has an eigenvalue on or outside the unit circle.
+        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum has few digits.
 
     Source: anderson1990optimal
 
@@ -127,12 +198,49 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
             f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}; the sum Σ F^k W F'^k needs all "
             "of them inside the unit circle; stabilise the loop first"
         )
+    return _arrays.frozen(stationary(F, W))
+
+
+def stationary(F: Array, W: Array) -> Array:
+    """Return Σ_k F^k W F'^k for a semidefinite W and an F already known to be stable, its digits checked.
+
+    Raises:
+        UnstableError: it overflows, or its residual and rounding make it uncertain.
+    """
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
             "the sum Σ F^k W F'^k overflows: F is stable but its powers grow too far first; scale the states"
         )
-    return _arrays.frozen(X)
+    spread = np.sqrt(np.maximum(np.diag(X), 0.0))
+    unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
+    F, W, X_here = F / unit[:, None] * unit, W / unit / unit[:, None], X / unit / unit[:, None]
+    moved = np.abs(F) @ (spread / unit)
+    missed = _arrays.symmetrised(F @ X_here @ F.T + W - X_here)
+    error = summed(F, bound_residual(missed, np.outer(moved, moved) + np.abs(W), len(F)))
+    seen = spread > 0
+    doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
+    if not doubt <= TOLERANCE:
+        raise UnstableError(
+            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has an "
+            f"eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers fade too slowly, or grow too far "
+            "first; expected a loop that is more clearly stable"
+        )
+    return X
+
+
+def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
+    """Return a matrix above ± what an equation misses, and above ± the rounding of its terms, in units that fit.
+
+    Rounding errors of sums are as good as independent: they add as roots of sums of squares.
+
+    Args:
+        missed: residual that was computed, (n, n), symmetric.
+        terms: sizes of what was summed for it, (n, n).
+        summands: how many of them.
+    """
+    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
+    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
 
 
 def summed(F: Array, W: Array) -> Array:

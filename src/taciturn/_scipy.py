@@ -36,13 +36,10 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Arra
 
 def continuous_lyapunov(F: Array, M: Array) -> Array:
     """Return X with F X + X F' + M = 0."""
-    X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
     return (X + X.T) / 2
-
-
-def discrete_lyapunov(F: Array, M: Array) -> Array:
-    """Return X with X = F X F' + M."""
-    return np.asarray(scipy.linalg.solve_discrete_lyapunov(F, M), dtype=np.float64)
 
 
 def block_diagonal(*blocks: Array) -> Array:

@@ -114,7 +114,7 @@ def test_a_terminal_without_mathematics_still_gets_its_table(write: Write, monke
 
 def test_without_a_command_the_help_is_shown(run: Run) -> None:
     """And ``--version`` shows the version."""
-    assert "Commands:" in run().out
+    assert "\nMeasure and prove:\n" in run().out
     assert run("--version").out.strip().count(".") == 2
 
 

@@ -12,10 +12,12 @@ from taciturn.cli.frame import (
     File,
     Json,
     Link,
+    Plot,
     Seed,
     StandardError,
     Steps,
     app,
+    can_print,
     check_effort,
     print_json,
     progress_bar,
@@ -23,7 +25,7 @@ from taciturn.cli.frame import (
 )
 
 
-@app.command()
+@app.command(epilog="Example: taciturn evaluate two-mass --standard-error 1e-3")
 def evaluate(
     file: File,
     as_json: Json = False,
@@ -70,7 +72,35 @@ def evaluate(
         )
 
 
-@app.command()
+@app.command(epilog="Example: taciturn show two-mass")
+def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
+    """Plant, gains, guarantee, triggers and node diagram of a problem, before anything runs."""
+    import taciturn
+    from taciturn._figure import check_format, save
+    from taciturn.study.describe import describe
+
+    if plot is not None:
+        check_format(plot)
+    found = describe(taciturn.load(file))
+    drawn = found.diagram
+    if plot is not None and drawn is None:
+        raise taciturn.ProblemError(
+            f"{found.problem.kind} without a period has no loop of nodes to be drawn; expected policy.period, or no "
+            "--plot"
+        )
+    if as_json:
+        print_json(found.document())
+    else:
+        _print.pairs(found.lines())
+        if drawn is not None:
+            typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
+    if plot is not None and drawn is not None:
+        save(drawn.plot(), plot)
+        if not as_json:
+            typer.echo(f"picture: {plot}")
+
+
+@app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
     rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
@@ -117,7 +147,7 @@ def tune(
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
 
 
-@app.command()
+@app.command(epilog="Example: taciturn certify two-mass")
 def certify(file: File, as_json: Json = False) -> None:
     """Decay, gain and cost that are proved by matrix inequalities, beside sending always."""
     import taciturn
@@ -130,7 +160,7 @@ def certify(file: File, as_json: Json = False) -> None:
         _print.certificates(found)
 
 
-@app.command()
+@app.command(epilog="Example: taciturn bench --rounds 3")
 def bench(
     as_json: Json = False,
     rounds: Annotated[int, typer.Option(help="Of which medians are taken.")] = 5,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from taciturn.export.cortex import Sizes
 
 
-@app.command()
+@app.command(epilog="Example: taciturn export two-mass --c out")
 def export(
     file: File,
     c: Annotated[str | None, typer.Option("--c", metavar="DIR", help="Write C99 sources here.")] = None,

@@ -9,27 +9,79 @@ import warnings
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+import typer.core
+
+from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
     from taciturn.simulation.sampling import Progress
 
+GROUPS = {
+    "Design and look": ("new", "show", "tune"),
+    "Measure and prove": ("evaluate", "certify", "bench"),
+    "Compare": ("tradeoff", "compare", "sweep", "channel"),
+    "Run": ("network", "node", "plant", "relay", "twin", "camera"),
+    "Export": ("export",),
+    "Reproduce the thesis": ("reproduce",),
+}
+"""The commands by what one wants, as --help lists them."""
+HELP = """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.
+
+\b
+First a built-in problem, then one of your own:
+  taciturn evaluate two-mass    what a policy costs, how often it sends, what is proved
+  taciturn new mine.toml        a problem file for your plant, by answering questions
+  taciturn tradeoff mine.toml --over theta=0.1,1,10 --plot mine.svg
+"""
+READ_ON = """\b
+Every command has an example in its own --help. FILE is a problem file, or a
+built-in problem: a shell completes them after taciturn --install-completion.
+Read on: docs/first-hour, docs/command-line, docs/problem-file (all keys).
+Exit code 0, or 2 with one sentence on standard error.
+"""
+
+
+class Groups(typer.core.TyperGroup):
+    """Lists commands by what one wants, each with its whole sentence."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write a section for each group."""
+        for title, names in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name, (self.commands[name].help or "").partition("\n")[0]) for name in names])
+
+
 app = typer.Typer(
     name="taciturn",
-    help="Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.",
-    add_completion=False,
+    cls=Groups,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
 
 File = Annotated[
-    str, typer.Argument(metavar="FILE", help="A problem file, or the name of a built-in problem, as two-mass.")
+    str,
+    typer.Argument(
+        metavar="FILE",
+        help="A problem file, or the name of a built-in problem, as two-mass.",
+        autocompletion=complete_file,
+    ),
+]
+Kind = Annotated[
+    str | None,
+    typer.Option(metavar="KIND", help="Of policy, as lqg. Default: asked for.", autocompletion=complete_kind),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
-Link = Annotated[str | None, typer.Option(help="sensor or actuator: whose rate, where a policy decides on both.")]
+Link = Annotated[
+    str | None,
+    typer.Option(
+        help="sensor or actuator: whose rate, where a policy decides on both.",
+        autocompletion=complete_from("sensor", "actuator"),
+    ),
+]
 Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")]
 Confidence = Annotated[
     float | None, typer.Option(help="Of the lower bound. Default: 0.999 where there is one; 0: seek none.")
@@ -38,7 +90,7 @@ Steps = Annotated[int | None, typer.Option(help="Run this many steps of all path
 StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
 
 
-@app.callback(invoke_without_command=True)
+@app.callback(invoke_without_command=True, help=HELP, epilog=READ_ON)
 def _root(
     context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
 ) -> None:
@@ -62,7 +114,7 @@ def main() -> None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
             warnings.formatwarning = _as_sentence
-            code: object = app(standalone_mode=False)
+            code: object = app(prog_name="taciturn", standalone_mode=False)
         print(end="", flush=True)
     except TaciturnError as error:
         refuse(str(error))
@@ -109,6 +161,15 @@ def drop_output() -> None:
 def print_json(document: object) -> None:
     """Print one JSON document."""
     typer.echo(json.dumps(document, indent=1, allow_nan=False))
+
+
+def can_print(letters: str) -> bool:
+    """Tell whether standard output can show these letters."""
+    try:
+        letters.encode(sys.stdout.encoding or "ascii")
+    except UnicodeError:
+        return False
+    return True
 
 
 def check_effort(standard_error: float | None, steps: int | None = None) -> None:

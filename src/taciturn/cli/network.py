@@ -43,7 +43,7 @@ Loops = Annotated[int, typer.Option(help="How many such loops this process serve
 WAIT = {"controller": 0.3, "actuator": 0.55}  # the actuator waits for what the controller sends at its own deadline
 
 
-@app.command()
+@app.command(epilog="Example: taciturn network two-mass --ticks 1000")
 def network(
     file: File,
     ticks: Annotated[int | None, typer.Option(help="Default: the mission, or 5000.")] = None,
@@ -73,7 +73,7 @@ def network(
         _print.network(found)
 
 
-@app.command()
+@app.command(epilog="Example: taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")
 def node(
     role: Annotated[str, typer.Argument(metavar="sensor|controller|actuator")],
     file: File,
@@ -151,7 +151,7 @@ def node(
         typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
 
 
-@app.command()
+@app.command(epilog="Example: taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
 def plant(
     file: File,
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="The node that measures.")],
@@ -184,7 +184,7 @@ def plant(
         typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
 
 
-@app.command()
+@app.command(epilog="Example: taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where the link ends.")],
     bind: Bind = "127.0.0.1:0",

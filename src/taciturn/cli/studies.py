@@ -26,6 +26,7 @@ from taciturn.cli.frame import (
     progress_bar,
     refuse,
 )
+from taciturn.cli.words import complete_file, complete_from
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +38,7 @@ Over = Annotated[
 Workers = Annotated[int, typer.Option(min=1, help="Processes; 1: the threads of this one.")]
 
 
-@app.command()
+@app.command(epilog="Example: taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
 def tradeoff(
     file: File,
     over: Over,
@@ -101,7 +102,7 @@ def told_of(store: Path) -> Generator[None]:
         raise
 
 
-@app.command()
+@app.command(epilog="Example: taciturn sweep two-mass --over theta=0.1,1,10 --over actuation=hold,model --store cells")
 def sweep(
     file: File,
     over: Over,
@@ -162,9 +163,14 @@ def sweep(
         raise typer.Exit(2)  # which cells and why has been told
 
 
-@app.command()
+@app.command(epilog="Example: taciturn compare two-mass mine.toml --rate 0.3")
 def compare(
-    files: Annotated[list[str], typer.Argument(metavar="FILE FILE…", help="Problems that differ in their policies.")],
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE FILE…", help="Problems that differ in their policies.", autocompletion=complete_file
+        ),
+    ],
     rate: Annotated[float, typer.Option(help="Sends per step or per second, the same for all.")],
     link: Link = None,
     as_json: Json = False,
@@ -197,13 +203,22 @@ def compare(
         refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
 
 
-@app.command()
+@app.command(epilog="Example: taciturn channel two-mass --copies 100 --capacity 10")
 def channel(
-    files: Annotated[list[str], typer.Argument(metavar="FILE…", help="Problems: the loops that share the channel.")],
+    files: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE…", help="Problems: the loops that share the channel.", autocompletion=complete_file
+        ),
+    ],
     copies: Annotated[str, typer.Option(metavar="M[,M…]", help="Loops of each problem: one number, or one for each.")],
     capacity: Annotated[int, typer.Option(help="Sends per tick at most, from 1 to the number of loops.")],
     scheduler: Annotated[
-        str, typer.Option(help="price, largest, round-robin, tdma, once-discard or random-access.")
+        str,
+        typer.Option(
+            help="price, largest, round-robin, tdma, once-discard or random-access.",
+            autocompletion=complete_from("price", "largest", "round-robin", "tdma", "once-discard", "random-access"),
+        ),
     ] = "price",
     as_json: Json = False,
     plot: Plot = None,
@@ -261,11 +276,15 @@ def _numbers(option: str, text: str) -> list[int]:
         raise ProblemError(f"{option} is {text!r}; expected whole numbers, as 1000 or 500,20") from None
 
 
-@app.command()
+@app.command(epilog="Example: taciturn reproduce chapter2 --out pictures")
 def reproduce(
     names: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[NAME…]", help="chapter2 to chapter7, or all (the default)."),
+        typer.Argument(
+            metavar="[NAME…]",
+            help="chapter2 to chapter7, or all (the default).",
+            autocompletion=complete_from("all", *(f"chapter{i}" for i in range(2, 8))),
+        ),
     ] = None,
     as_json: Json = False,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,

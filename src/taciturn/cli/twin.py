@@ -28,7 +28,7 @@ Faults = Annotated[
 ]
 
 
-@app.command()
+@app.command(epilog="Example: taciturn twin rover --seed 1")
 def twin(
     robot: Robot,
     file: Annotated[
@@ -154,7 +154,7 @@ def _live(
     return found
 
 
-@app.command()
+@app.command(epilog="Example: taciturn camera rover rover --peer :9001")
 def camera(
     robot: Robot,
     file: File,

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, symmetrised
+from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import Certainty
 from taciturn.model.policy import Guarantee
 
@@ -13,6 +14,10 @@ LARGEST = 1e100  # threshold, factor or share that a rule may have: its square i
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
     """Return the least μ with M ⪯ μ·weight, both semidefinite; None where the weight does not see all that M does."""
+    size = np.maximum(np.diag(weight), 0.0)
+    size = np.sqrt(np.where(size > 0, size, np.maximum(np.diag(M), 0.0)))
+    unit = np.where(size > 0, size, 1.0)  # those of the variables decide nothing
+    M, weight = M / unit / unit[:, None], weight / unit / unit[:, None]
     values, vectors = np.linalg.eigh(weight)
     seen = values > 1e-12 * max(float(values[-1]), 1e-300)
     blind = vectors[:, ~seen]
@@ -54,8 +59,8 @@ def bound_by_state(
     problem = certainty.problem
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
     least = problem.Q - problem.N @ np.linalg.pinv(problem.R, hermitian=True) @ problem.N.T
-    q = float(np.linalg.eigvalsh(least)[0])
-    if q <= 1e-12 * np.abs(problem.Q).max():
+    q = least_eigenvalue(symmetrised(least))
+    if q <= 0:
         return None, ("no bound is known: Q − NR^{-1}N' is not positive definite",) if sigma else ()
     share = sigma**2 * mu / q
     if share >= 1:

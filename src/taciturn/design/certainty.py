@@ -20,7 +20,7 @@ from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_stat
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, steady_filter
-from taciturn.lqg.riccati import Regulator, regulate
+from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
 from taciturn.model.policy import (
@@ -113,6 +113,10 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
+    left = np.eye(plant.states) - steady.gain @ plant.C  # of an error of the prior, in the posterior
+    square = regulator.L.T @ regulator.H @ regulator.L
+    doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
+    refuse_uncertain(float(cost), float(doubt))
     slowest = radius(plant.A + plant.B @ regulator.L)
     if not plant.full_state:
         slowest = max(slowest, radius(plant.A - plant.A @ steady.gain @ plant.C))

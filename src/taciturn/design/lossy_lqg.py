@@ -20,6 +20,7 @@ from taciturn.lqg.lossy import (
     regulate_lossy_finite,
     slowest_growth,
 )
+from taciturn.lqg.riccati import refuse_uncertain
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -105,6 +106,7 @@ def lossy_lqg(
             notes = (f"{loss_sentence(plant.A, plant.B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
+    refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
     silent = Form((ESTIMATE if reference is None else DEVIATION,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     return Policy(

@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import choice, number
+from taciturn._modes import least_eigenvalue
 from taciturn._scipy import block_diagonal
 from taciturn.design.certainty import (
     Actuation,
@@ -104,8 +105,8 @@ def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form
     K, L = certainty.regulator.K, certainty.regulator.L
     U = p.N @ L + L.T @ p.N.T
     M = p.Q + L.T @ p.R @ L + U
-    limit = float(np.linalg.eigvalsh((M + M.T) / 2)[0])
-    if limit <= 1e-12 * np.abs(M).max():
+    limit = least_eigenvalue((M + M.T) / 2)
+    if limit <= 0:
         raise ProblemError(
             f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; "
             "use trigger = 'joint', or give Q a small positive part"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, choice, count
-from taciturn._modes import radius
-from taciturn._scipy import discrete_lyapunov
+from taciturn._modes import radius, stationary
 from taciturn.design.certainty import (
     CLOCK,
     SEND,
@@ -163,7 +162,7 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
     problem: Discrete = discretise(plant, cost, period, prediction)
     unit = np.eye(plant.states)
     closed = problem.plant.A + problem.plant.B
-    spread = discrete_lyapunov(closed, problem.plant.W)
+    spread = stationary(closed, problem.plant.W)
     average = float(np.trace((problem.Q + problem.N + problem.N.T + problem.R) @ spread))
     per_unit = (average + problem.noise_cost) / problem.tick
     return Policy(

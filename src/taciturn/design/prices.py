@@ -9,7 +9,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.design.certainty import CLOCK
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.riccati import regulate_discounted, regulate_finite
+from taciturn.lqg.riccati import refuse_uncertain, regulate_discounted, regulate_finite
 from taciturn.model.trigger import Matrix, Scheduled
 
 
@@ -22,12 +22,14 @@ class Prices:
         K: cost-to-go, (n, n), or (N + 1, n, n).
         L: gain, (m, n), or (N, m, n).
         H: price of another input than Lx̂, (m, m), or (N, m, m).
+        error: bound on the error of K, (n, n); 0 of a finite horizon, whose recursion is exact to rounding.
     """
 
     problem: Discrete
     K: Array
     L: Array
     H: Array
+    error: Array
 
     @property
     def P(self) -> Array:
@@ -65,19 +67,33 @@ class Prices:
             covariance: Σ_k of the estimate, (ticks, n, n).
             start: tick from which it repeats, or None with a horizon.
 
+        Raises:
+            UnstableError: rounding makes the cost uncertain.
+
         Source: khashooei2017
         """
+        cost = self._summed(self.K, self.P, covariance, start)
+        A, alpha = self.problem.plant.A, self.problem.cost.discount
+        refuse_uncertain(
+            cost,
+            0.0
+            if self.problem.cost.horizon is not None
+            else self._summed(self.error, self.error + alpha * A.T @ self.error @ A, covariance, start),
+        )
+        return cost
+
+    def _summed(self, K: Array, P: Array, covariance: Array, start: int | None) -> float:
         plant, alpha = self.problem.plant, self.problem.cost.discount
-        errors = (self.P * covariance).sum(axis=(1, 2))
+        errors = (P * covariance).sum(axis=(1, 2))
         if self.average:
-            return float(np.sum(self.K * plant.W) + errors[start:].mean())
-        first = self.K if start is not None else self.K[0]
+            return float(np.sum(K * plant.W) + errors[start:].mean())
+        first = K if start is not None else K[0]
         begin = plant.mean @ first @ plant.mean + np.sum(first * plant.covariance)
         if start is None:
-            return float(begin + np.sum(self.K[1:] * plant.W) + errors.sum())
+            return float(begin + np.sum(K[1:] * plant.W) + errors.sum())
         weights = alpha ** np.arange(len(errors))
         weights[start:] /= 1 - alpha ** (len(errors) - start)  # every later turn of the cycle counts so much less
-        return float(begin + alpha / (1 - alpha) * np.sum(self.K * plant.W) + weights @ errors)
+        return float(begin + alpha / (1 - alpha) * np.sum(K * plant.W) + weights @ errors)
 
 
 def price_control(problem: Discrete) -> Prices:
@@ -92,10 +108,10 @@ def price_control(problem: Discrete) -> Prices:
     data = (plant.A, plant.B, problem.Q, problem.R, problem.N)
     if cost.horizon is None:
         best = regulate_discounted(*data, cost.discount)
-        return Prices(problem, best.K, best.L, best.H)
+        return Prices(problem, best.K, best.L, best.H, best.error)
     assert cost.terminal is not None
     finite = regulate_finite(*data, cost.terminal, cost.horizon)
-    return Prices(problem, finite.K, finite.L, finite.H)
+    return Prices(problem, finite.K, finite.L, finite.H, np.zeros_like(plant.A))
 
 
 def by_clock(values: Array) -> Matrix:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, number, semidefinite, symmetrised
+from taciturn._arrays import TINY, Array, ArrayLike, number, semidefinite, symmetrised
 from taciturn.design.bounds import LARGEST, largest_ratio
 from taciturn.design.certainty import (
     DEVIATION,
@@ -24,7 +24,7 @@ from taciturn.model.trigger import Form, Trigger
 
 DRAWN = "luck"
 LONGEST = 100_000  # ticks of silence that are followed one by one
-CONVERGED = 1e-14  # relative change of a covariance
+CONVERGED = 1e-13  # relative change of a covariance
 
 
 def stochastic(
@@ -118,7 +118,8 @@ def _renewed(certainty: Certainty, W: Array) -> ClosedForm | None:
         following = symmetrised(A @ kept @ A.T + noise)
         silent *= stays
         paid = silent * float(np.sum(certainty.square * kept))
-        settled = np.abs(following - Sigma).max() <= CONVERGED * np.abs(Sigma).max()
+        unit = np.sqrt(np.maximum(np.diag(following), TINY))
+        settled = np.abs((following - Sigma) / unit / unit[:, None]).max() <= CONVERGED
         tail = stays / (1 - stays) if settled and stays < 1 else 0.0  # what is left is geometric
         length, excess = length + silent * (1 + tail), excess + paid * (1 + tail)
         ended = silent <= CONVERGED * length

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import DEFINITENESS_TOLERANCE, Array
-from taciturn._modes import TINY, radius, summed
-
-Solution = tuple[Array, Array, Array]
+from taciturn._arrays import DEFINITENESS_TOLERANCE, TINY, Array, symmetrised
+from taciturn._modes import radius, summed
+from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._newton import Solution, Time
 
 CIRCLE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not called stable
@@ -51,40 +51,35 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
-    """Return (K, L, H) with A + BL stable, or None where no such solution was found."""
-    n, m = B.shape
-    K = _scipy.discrete_riccati(A, B, Q, R, N)
-    if K is not None:
-        found = _newton(A, B, Q, R, N, -price(B, K, R)[1] @ (B.T @ K @ A + N.T))
-        if found is not None:
-            return found
-    # The problem with unit weights has a solution whenever (A, B) is stabilisable; its gain is a safe start.
-    K = _scipy.discrete_riccati(A, B, np.eye(n), np.eye(m), np.zeros((n, m)))
-    if K is None:
-        return None
-    return _newton(A, B, Q, R, N, -price(B, K, np.eye(m))[1] @ B.T @ K @ A)
+    """Return the solution with A + BL stable, or None where none was found."""
+    return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
-def _newton(A: Array, B: Array, Q: Array, R: Array, N: Array, L: Array) -> Solution | None:
-    """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles."""
-    margin = MARGIN if is_definite(R) else SINGULAR_MARGIN
-    previous, change = None, np.inf
-    for _ in range(100):
-        if radius(A + B @ L) >= 1 - margin:
-            return None
-        K = summed((A + B @ L).T, Q + N @ L + L.T @ N.T + L.T @ R @ L)
-        terms = np.abs(Q) + 2 * np.abs(N) @ np.abs(L) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
-        K = (K + K.T) / 2
-        if not np.isfinite(K).all():
-            return None
-        H, inverse = price(B, K, R)
-        L = -inverse @ (B.T @ K @ A + N.T) + (np.eye(len(H)) - inverse @ H) @ L
-        # Where the terms cancel, K holds their rounding and cannot settle below it.
-        size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
-        last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
-        # Down at the rounding error; where a closed-loop mode tends to the circle the changes halve instead.
-        stalled = change <= 1e-5 * size and change >= 0.9 * last
-        if change <= 1e-14 * size or stalled:
-            return (K, L, H) if radius(A + B @ L) < 1 - margin else None
-        previous = K
-    return None
+class _Steps(Time):
+    def rough(self, given: Quadratic) -> Array | None:
+        return _scipy.discrete_riccati(*given)
+
+    def stable(self, F: Array, given: Quadratic) -> bool:
+        return radius(F) < 1 - (MARGIN if is_definite(given.R) else SINGULAR_MARGIN)
+
+    def summed(self, F: Array, stage: Array) -> Array:
+        return summed(F.T, stage)
+
+    def answer(self, given: Quadratic, K: Array, L: Array) -> tuple[Array, Array]:
+        H, inverse = price(given.B, K, given.R)
+        best = -inverse @ (given.B.T @ K @ given.A + given.N.T)
+        return best + (np.eye(len(H)) - inverse @ H) @ L, H
+
+    def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
+        root = np.sqrt(np.maximum(np.diag(K), 0.0))
+        return symmetrised(F.T @ K @ F + stage - K), np.abs(F).T @ root
+
+    def saved(self, given: Quadratic, K: Array, L: Array) -> Array:
+        off = given.R @ L + given.N.T + given.B.T @ K @ (given.A + given.B @ L)
+        return off.T @ price(given.B, K, given.R)[1] @ off
+
+    def step(self, F: Array) -> Array:
+        return F
+
+
+STEPS = _Steps()

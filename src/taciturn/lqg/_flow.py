@@ -15,7 +15,7 @@ from taciturn.model.plant import Plant
 
 ROUNDING = 1e-17  # share of a sum below which a term is lost in it
 FORGOTTEN = 1e-12  # of an error, after which what is left of it counts no more: its square is below rounding
-MOST = 100_000  # ticks
+MOST, NUMBERS = 100_000, 20_000_000  # ticks, and what their matrices hold together
 CONDITION = 1e6  # of the matrix that is inverted: then the result has nine digits
 
 
@@ -64,10 +64,10 @@ class Flow:
         rest = summed(np.sqrt(discount) * self.step.T, symmetrised(last.T @ P @ last))
         return np.concatenate([each, factors[-1:] * rest])
 
-    def faded(self, covariance: Array, parts: Array, ticks: int) -> Array:
-        """Return (I + (X − Σ̄)O_s)^{-1} parts for so many s, (ticks, n, columns)."""
-        off = np.eye(len(self.unit)) + (covariance - self.steady) @ self.observed[:ticks]
-        return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (ticks, *parts.shape))), dtype=np.float64)
+    def faded(self, covariance: Array, parts: Array, ticks: slice) -> Array:
+        """Return (I + (X − Σ̄)O_s)^{-1} parts for some s, (ticks, n, columns)."""
+        off = np.eye(len(self.unit)) + (covariance - self.steady) @ self.observed[ticks]
+        return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (len(off), *parts.shape))), dtype=np.float64)
 
 
 def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
@@ -94,7 +94,7 @@ def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
     unit = np.sqrt(np.where(np.diag(steady.prior) > 0, np.diag(steady.prior), 1.0))
     relative, power = unit[:, None] * unit, np.eye(len(F))
     powers, observed = list[Array](), [np.zeros_like(F)]
-    for s in range(horizon or MOST):
+    for s in range(horizon or min(MOST, NUMBERS // len(F) ** 2)):
         powers.append(power)
         added = symmetrised(power.T @ seen @ power)
         observed.append(observed[-1] + added)

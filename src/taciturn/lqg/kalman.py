@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, symmetrised
-from taciturn._modes import TINY, mode_text, radius, root, uncontrollable_modes
+from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
+from taciturn._modes import mode_text, persistent, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
+from taciturn.lqg._newton import refuse_doubtful
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,13 +22,14 @@ class Filter:
 
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, ``innovation`` the
     covariance S of y − C x̂⁻. The estimate is driven by corrections of covariance gain S gain' = prior −
-    posterior.
+    posterior. ``error`` bounds what rounding may leave in the prior: −error ⪯ prior − exact ⪯ error, to first order.
     """
 
     prior: Array
     posterior: Array
     gain: Array
     innovation: Array
+    error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +169,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
 @kept
 def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady filter of data that were checked."""
-    unseen = uncontrollable_modes(A.T, C.T)
-    unseen = unseen[np.abs(unseen) >= 1 - 1e-12]
+    unseen = persistent(uncontrollable_modes(A.T, C.T), A, continuous=False)
     if unseen.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
@@ -177,11 +179,12 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
-        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T)
+        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T, np.zeros((n, n)))
     if not V.any() and not W.any():
         observer = _filter(A, C, np.eye(n), np.eye(p))
         if observer is not None:
-            return _frozen(np.zeros((n, n)), np.zeros((n, n)), observer.gain, np.zeros((p, p)))
+            none = np.zeros((n, n))
+            return _frozen(none, none, observer.gain, np.zeros((p, p)), none)
     elif _dare.is_definite(V):
         _refuse_unreached(A, W)
     found = _filter(A, C, W, V)
@@ -189,8 +192,7 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
         _refuse_unreached(A, W)
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs is free of noise and "
-            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small "
-            "positive part, or scale the states"
+            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small positive part"
         )
     return found
 
@@ -200,8 +202,9 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
     if found is None:
         return None
-    L = found[1]
-    Sigma = _without_crumbs(found[0], L, C, W, V)
+    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them")
+    L = found.L
+    Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
     gain = Sigma @ C.T @ inverse
     if not _dare.is_definite(S):
@@ -209,7 +212,7 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
         gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
     if radius(A - A @ gain @ C) >= 1 - _dare.MARGIN:
         return None
-    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S)
+    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error)
 
 
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
@@ -230,13 +233,9 @@ def _cleaned(posterior: Array, prior: Array) -> Array:
     return half @ half.T
 
 
-def _without_crumbs(Sigma: Array, L: Array, C: Array, W: Array, V: Array) -> Array:
+def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
     """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
-    rows = np.sum(C * C, axis=1)
-    seen = np.diag(V)[rows > 0] / rows[rows > 0]
-    natural = max(float(np.diag(W).max(initial=0.0)), float(seen.max(initial=0.0)))
-    terms = np.diag(W) + np.diag(np.abs(L.T) @ np.abs(V) @ np.abs(L))
-    kept = np.diag(Sigma) > np.maximum(1e-13 * terms, 1e-28 * natural)
+    kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
     half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
@@ -252,8 +251,8 @@ def _refuse_unreached(A: Array, W: Array) -> None:
         )
 
 
-def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array) -> Filter:
-    return Filter(*(_arrays.frozen(part) for part in (prior, posterior, gain, innovation)))
+def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array, error: Array) -> Filter:
+    return Filter(*(_arrays.frozen(part) for part in (prior, posterior, gain, innovation, error)))
 
 
 def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:

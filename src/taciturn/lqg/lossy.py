@@ -12,12 +12,15 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, frozen, symmetrised
-from taciturn._modes import mode_text, radius, uncontrollable_modes
-from taciturn.errors import ProblemError, UnstableError
+from taciturn._modes import bound_residual, eigenvalues, mode_text, persistent, radius, uncontrollable_modes
+from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
+from taciturn.lqg._axes import Quadratic, nothing, units_of
+from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg.riccati import regulate
 
-LARGEST = 60  # states for which the fixed point is solved: its linear equations have 2n² unknowns
+TURNS = 100
+MOST_MODES = 12  # on or outside the unit circle, for which critical losses are sought: it takes seconds
 STRICT = 1e-9  # a growth nearer to 1 than this is not called stable
 NILPOTENT = 1e-6  # a growth below this is as good as none
 
@@ -54,13 +57,14 @@ class LossyRegulator:
     """Gains over lossy links: u = L x̂; silence costs x̂'Γx̂; an error e of the estimate costs e'Pe.
 
     K, P are (n, n), L (m, n), Gamma (n, n); of a finite horizon they have one more axis in front: K, P of length N + 1,
-    L, Gamma of length N.
+    L, Gamma of length N. The price of a noise, tr((K + φP)W), is right to tr(error·W); 0 of a finite horizon.
     """
 
     K: Array
     P: Array
     L: Array
     Gamma: Array
+    error: Array
 
 
 def lossy_step(
@@ -120,7 +124,7 @@ def regulate_lossy_finite(
                 f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: too much is "
                 "lost for this plant; expected a shorter horizon or smaller losses"
             )
-    return LossyRegulator(frozen(K), frozen(P), frozen(L), frozen(Gamma))
+    return LossyRegulator(*(frozen(part) for part in (K, P, L, Gamma, np.zeros((n, n)))))
 
 
 def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
@@ -141,31 +145,64 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
 
     Raises:
         UnstableError: more is lost than mean-square stability allows; the message names the critical values.
-        ProblemError: too many states.
 
     Source: khashooei2017, schenato2007
     """
-    n = len(A)
-    if n > LARGEST:
-        raise ProblemError(f"the plant has {n} states; expected at most {LARGEST} for an average over lossy links")
-    regulate(A, B, Q, R, np.zeros_like(B))  # refuses modes that no input moves or no weight sees
+    plain = regulate(A, B, Q, R, np.zeros_like(B))  # refuses modes that no input moves or no weight sees
+    given = Quadratic(A, B, Q, R, np.zeros_like(B))
+    axes = units_of(A + B @ plain.L, plain.K, plain.H, nothing(given, plain.L))
+    here = axes.problem(given)
+    L = axes.gain(plain.L)
+    if not _loop(here.A, here.B, L, channel).bounded:
+        L = axes.gain(_stabilising(A, B, channel))
+    previous = gap = np.inf
+    for _ in range(TURNS):
+        try:
+            K, P = _cost_of(here, L, channel)
+        except np.linalg.LinAlgError:  # so near to the critical losses that the cost of the gain has no digits
+            break
+        gap = float(np.abs(K).max())
+        following = lossy_step(here.A, here.B, here.Q, here.R, K, P, channel)
+        change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
+        if change <= 1e-13 * gap or (change <= 1e-9 * gap and change >= 0.5 * previous):
+            error = axes.form_from(_doubt(here, K, P, following, channel))
+            K, P, Gamma = (axes.form_from(following[i]) for i in (0, 1, 3))
+            return LossyRegulator(*(frozen(part) for part in (K, P, axes.gain_from(following[2]), Gamma, error)))
+        previous, L = change, following[2]
+    raise UnstableError(
+        "the fixed point of the lossy Riccati recursions was not reached to rounding: the last turn changed it by "
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} of its size (at most 1e-13); expected losses further from "
+        "the critical ones"
+    )
+
+
+def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
+    """Return a gain under which the mean square is bounded.
+
+    Raises:
+        UnstableError: more is lost than mean-square stability allows.
+    """
     rate, L = slowest_growth(A, B, channel)
     if rate >= 1 - STRICT:
         raise UnstableError(f"{loss_sentence(A, B, channel)}; expected smaller losses, or cost.horizon")
-    previous = np.inf
-    for _ in range(60):
-        K, P = _cost_of(A, B, Q, R, L, channel)
-        gap = float(np.abs(K).max())
-        following = lossy_step(A, B, Q, R, K, P, channel)
-        change = max(float(np.abs(following[0] - K).max()), float(np.abs(following[1] - P).max()))
-        L = following[2]
-        if change <= 1e-13 * gap or (change <= 1e-9 * gap and change >= 0.5 * previous):
-            return LossyRegulator(*(frozen(part) for part in following))
-        previous = change
-    raise UnstableError(
-        "the fixed point of the lossy Riccati recursions was not reached to rounding accuracy; expected losses further "
-        "from the critical ones, or states of comparable size"
+    return L
+
+
+def _doubt(
+    here: Quadratic, K: Array, P: Array, following: tuple[Array, Array, Array, Array], channel: Channel
+) -> Array:
+    """Return the bound on the error of K + φP: what one step changes of it, and its rounding, summed by the loop."""
+    A, B, Q, R, _ = here
+    L, alpha, beta = following[2], channel.actuator_loss, channel.sensor_loss
+    pushed, price = np.abs(A) + np.abs(B) @ np.abs(L), np.abs(K) + channel.exposure * np.abs(P)
+    first = np.abs(Q) + (1 - alpha) * np.abs(L.T) @ np.abs(R) @ np.abs(L) + pushed.T @ price @ pushed
+    second = np.abs(Q) + np.abs(A.T) @ (np.abs(K) + beta * np.abs(P)) @ np.abs(A)
+    missed = following[0] - K, following[0] + following[1] - K - P
+    added = (
+        bound_residual(off, terms, len(A) + B.shape[1]) for off, terms in zip(missed, (first, second), strict=True)
     )
+    one, two = _loop(A, B, L, channel).solve(*added)
+    return (1 - channel.exposure) * one + channel.exposure * two
 
 
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
@@ -189,7 +226,8 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
     """Say by how much the losses pass what mean-square stability allows."""
-    actuator, sensor = critical_losses(A, B, channel)
+    many = int((np.abs(eigenvalues(A)) >= 1 - _dare.CIRCLE).sum()) > MOST_MODES
+    actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
     if channel.actuator_loss > 0 and actuator > 0:
         limits.append(f"actuator losses below {actuator:.6g} at this sensor loss")
@@ -225,8 +263,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     n, m = B.shape
     scale = _scipy.balancing(A)  # the units of the states decide nothing
     A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = uncontrollable_modes(A, B)
-    lost = lost[np.abs(lost) >= 1 - 1e-12]
+    lost = persistent(uncontrollable_modes(A, B), A, continuous=False)
     if lost.size:
         raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
     A_u, V = _scipy.unstable_part(A, 1 - _dare.CIRCLE)
@@ -234,10 +271,11 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     if count == 0:
         return 0.0, np.zeros((m, n))
     L = _free_gain(A_u, B_u, np.eye(count), np.eye(count), channel)
+    free = Quadratic(A_u, B_u, np.eye(count), np.zeros((m, m)), np.zeros((count, m)))
     rate, slack = mean_square_rate(A_u, B_u, L, channel), 1.0
     while rate > NILPOTENT and slack > STRICT:
         try:
-            K, P = _cost_of(A_u, B_u, np.eye(count), np.zeros((m, m)), L, channel, rate * (1 + slack))
+            K, P = _cost_of(free, L, channel, rate * (1 + slack))
         except np.linalg.LinAlgError:  # so near to the growth that its rounding hits it
             break
         trial = _free_gain(A_u, B_u, K, P, channel)
@@ -254,45 +292,22 @@ def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
 
     Source: schenato2007
     """
-    if (
-        channel.acknowledged
-    ):  # the two weights do not meet; A alone may be defective, and has its modes to full accuracy
-        n = len(A)
-        return max(radius(_growth_map(A, B, L, channel)[: n * n, : n * n]), channel.sensor_loss * radius(A) ** 2)
-    return radius(_growth_map(A, B, L, channel))
+    return _loop(A, B, L, channel).growth()
 
 
 def _free_gain(A: Array, B: Array, K: Array, P: Array, channel: Channel) -> Array:
     return -_dare.price(B, K + channel.coupling * P, np.zeros((B.shape[1],) * 2))[1] @ B.T @ K @ A
 
 
-def _growth_map(A: Array, B: Array, L: Array, channel: Channel) -> Array:
-    """Return the map (K, K + P) ← (…) of a gain without weights, on stacked rows: x̂'Kx̂ + tr((K + P)Σ) is the cost.
-
-    K ← (A + ᾱBL)'K(A + ᾱBL) + αᾱ L'B'(K + φP)BL  (UDP-like; with an acknowledgement φ = 0),
-    K + P ← A'(K + βP)A.
-    """
-    alpha, beta = channel.actuator_loss, channel.sensor_loss
+def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) -> MeanSquare:
     reach = 0.0 if channel.acknowledged else channel.exposure
-    pushed = B @ L
-    moved = A + (1 - alpha) * pushed
-    spread = alpha * (1 - alpha) * np.kron(pushed.T, pushed.T)
-    open_loop = np.kron(A.T, A.T)
-    upper = np.hstack([np.kron(moved.T, moved.T) + (1 - reach) * spread, reach * spread])
-    return np.vstack([upper, np.hstack([(1 - beta) * open_loop, beta * open_loop])]).astype(np.float64)
+    return MeanSquare(A, B, L, (channel.actuator_loss, channel.sensor_loss), reach, level)
 
 
-def _cost_of(
-    A: Array, B: Array, Q: Array, R: Array, L: Array, channel: Channel, level: float = 1.0
-) -> tuple[Array, Array]:
+def _cost_of(given: Quadratic, L: Array, channel: Channel, level: float = 1.0) -> tuple[Array, Array]:
     """Return K and P of a gain that grows less than ``level`` per step: the sum of stage costs divided by level^k."""
-    n = len(A)
-    stage = Q + (1 - channel.actuator_loss) * L.T @ R @ L
-    right = np.concatenate([stage.ravel(), Q.ravel()])
-    found = np.asarray(
-        np.linalg.solve(level * np.eye(2 * n * n) - _growth_map(A, B, L, channel), right), dtype=np.float64
-    )
-    K, total = (symmetrised(part.reshape(n, n)) for part in np.split(found, 2))
+    stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
+    K, total = _loop(given.A, given.B, L, channel, level).solve(stage, given.Q)
     return K, total - K
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, ArrayLike, number, symmetrised
 from taciturn.lqg._interval import Interval, integrate
-from taciturn.lqg.riccati import regulate_continuous
+from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
 GRID = 400  # lengths at which the shape of the growing cost is looked at
 
@@ -141,4 +141,6 @@ def prediction_cost(
     regulator = regulate_continuous(A, B, Q, R, N)
     A, R, W = (np.asarray(matrix, dtype=np.float64) for matrix in (A, R, W))
     S = symmetrised(regulator.L.T @ R @ regulator.L)
-    return PredictionCost(A, W, regulator.L, S, float(np.sum(regulator.K * W)))
+    base = float(np.sum(regulator.K * W))
+    refuse_uncertain(base, float(np.sum(regulator.error * W)))
+    return PredictionCost(A, W, regulator.L, S, base)

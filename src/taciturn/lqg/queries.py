@@ -21,6 +21,8 @@ NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
 LONGEST = 100_000  # ticks within which a schedule must repeat
+WORK = 4e10  # products of numbers for one schedule: about a minute
+CHUNK = 64  # ticks whose matrices are at hand together
 APART = 1e-6  # distance from the unit circle that computed eigenvalues of a double one can have
 
 
@@ -129,7 +131,7 @@ class QueryValue:
 
     def __init__(self, predictor: Predictor, weights: Weights) -> None:
         """Compute what is the same for all covariances."""
-        self._predictor, self._weights = predictor, weights
+        self._predictor, self._weights, self._done = predictor, weights, 0.0
         self._flow = flow(predictor.plant, weights.discount, weights.horizon)
         if self._flow is not None and weights.horizon is None:
             self._weighed = self._flow.weighed(weights.P, weights.discount)
@@ -151,8 +153,23 @@ class QueryValue:
             return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
         ahead = self._weights.horizon is not None
         weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
-        left, right = (flow.faded(part, gain, len(weighed)) for part in (X, Y))
-        return float((weighed @ left @ (plant.C @ Sigma @ plant.C.T + plant.V) * right).sum())
+        self._count(len(weighed))
+        S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
+        for begin in range(0, len(weighed), CHUNK):
+            ticks = slice(begin, min(begin + CHUNK, len(weighed)))
+            left, right = (flow.faded(part, gain, ticks) for part in (X, Y))
+            total += float((weighed[ticks] @ left @ S * right).sum())
+        return total
+
+    def _count(self, ticks: int) -> None:
+        """Add up what was done, and stop where a schedule takes too long."""
+        self._done += ticks * (1e3 + self._predictor.plant.states**3)
+        if self._done > WORK and self._weights.horizon is None:
+            raise UnstableError(
+                f"the schedule of queries has not repeated within about a minute of work for "
+                f"{self._predictor.plant.states} states: errors fade too slowly; expected a horizon, fewer states, or "
+                "noise W and V that let the filter forget sooner"
+            )
 
     def _follow(self, both: Array, D: Array, tick: int) -> float:
         """Return h from X, Y and X − Y on, tick by tick."""
@@ -162,6 +179,8 @@ class QueryValue:
         largest = float(np.trace(prices, axis1=-2, axis2=-1).max(initial=0.0))
         total, factor = 0.0, alpha
         for s in range(LONGEST if horizon is None else len(prices)):
+            if s % 64 == 0:
+                self._count(64)
             P = prices[0 if horizon is None else s]
             total += factor * float((P * D).sum())
             gains = predictor.gain(both)

@@ -7,16 +7,18 @@ from typing import TypeAlias
 
 import numpy as np
 
-from taciturn import _arrays, _scipy
+from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, symmetrised
-from taciturn._modes import Modes, eigenvalues, mode_text, root, uncontrollable_modes
+from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, pace, persistent, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.lqg import _dare
+from taciturn.lqg import _care, _dare
 from taciturn.lqg._kept import kept
+from taciturn.lqg._newton import Solution, refuse_doubtful
 
 __all__ = [
     "FiniteRegulator",
     "Regulator",
+    "refuse_uncertain",
     "regulate",
     "regulate_continuous",
     "regulate_discounted",
@@ -29,11 +31,15 @@ _Data: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class Regulator:
-    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input."""
+    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input.
+
+    The cost tr(KW) of a noise is right to tr(error·W), to first order.
+    """
 
     K: Array
     L: Array
     H: Array
+    error: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,54 +204,53 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     """
     A, B, Q, R, N = _checked(A, B, Q, R, N)
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
-    size = max(float(np.abs(A).max(initial=0.0)), 1e-300)
-    fixed = uncontrollable_modes(A, B)
-    _refuse_unmoved(fixed[fixed.real >= -1e-12 * size], "the open left half-plane")
+    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * size], "the imaginary axis")
-    K = _scipy.continuous_riccati(A, B, Q, R, N)
-    for _ in range(3):  # Newton's method: from a stabilising gain each turn doubles the correct digits
-        if K is None:
-            break
-        L = -np.linalg.solve(R, B.T @ K + N.T)
-        if eigenvalues(A + B @ L).real.max() >= 0:
-            K = None
-            break
-        K = _scipy.continuous_lyapunov((A + B @ L).T, symmetrised(Q + N @ L + L.T @ N.T + L.T @ R @ L))
-    if K is not None:
-        L = -np.linalg.solve(R, B.T @ K + N.T)
-        residual = A.T @ K + K.T @ A + Q - L.T @ R @ L
-        terms = np.abs(A.T) @ np.abs(K) + np.abs(K) @ np.abs(A) + np.abs(Q) + np.abs(L.T) @ np.abs(R) @ np.abs(L)
-        if eigenvalues(A + B @ L).real.max() < 0 and np.abs(residual).max() <= 1e-8 * terms.max():
-            return Regulator(_arrays.frozen(K), _arrays.frozen(np.asarray(L, dtype=np.float64)), R)
-    raise UnstableError(_NOT_FOUND)
+    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
+    found = _checked_solution(_care.solve(A, B, Q, R, N))
+    return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error))
 
 
-_NOT_FOUND = (
-    "no stabilising gain was found to rounding accuracy: the Riccati equation is too badly conditioned; "
-    "scale the states and inputs to comparable sizes, or weigh every state a little in Q and every input in R"
-)
+def refuse_uncertain(cost: float, doubt: float) -> None:
+    """Refuse a cost of sending always that rounding makes uncertain.
+
+    Args:
+        cost: J_all.
+        doubt: bound on its error.
+
+    Raises:
+        UnstableError: the error may be larger than 1e-6 of the cost.
+    """
+    if not doubt <= TOLERANCE * abs(cost):
+        raise UnstableError(
+            f"the cost of sending always is {cost:.6g} and uncertain by {doubt:.1e} (at most {TOLERANCE:.0e} of it): "
+            "modes that hardly any noise excites cost so much more than those it does that their rounding covers the "
+            "cost; expected noise W on them, or a plant without them"
+        )
 
 
 @kept
 def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
-    fixed = uncontrollable_modes(A, B)
-    _refuse_unmoved(fixed[np.abs(fixed) >= 1 - 1e-12] / unit, _disc(unit))
+    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
     if _dare.is_definite(R):
         unseen = _unseen_modes(A, B, Q, R, N)
         _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
-    found = _dare.solve(A, B, Q, R, N)
+    found = _checked_solution(_dare.solve(A, B, Q, R, N))
+    if not _dare.is_definite(found.H):
+        raise _singular(found.H, "")
+    return Regulator(*(_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error)))
+
+
+def _checked_solution(found: Solution | None) -> Solution:
     if found is None:
-        raise UnstableError(_NOT_FOUND)
-    K, L, H = found
-    if not _dare.is_definite(H):
-        raise _singular(H, "")
-    residual = Q + A.T @ K @ A - L.T @ H @ L - K
-    terms = np.abs(Q) + np.abs(A.T) @ np.abs(K) @ np.abs(A) + np.abs(L.T) @ np.abs(H) @ np.abs(L)
-    if np.abs(residual).max() > 1e-6 * terms.max():  # badly conditioned problems reach 1e-8, usual ones 1e-15
-        raise UnstableError(_NOT_FOUND)
-    return Regulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))
+        raise UnstableError(
+            "the Riccati equation of the regulator has no solution that stabilises clear of rounding: from no gain "
+            "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and "
+            "R on every state and input"
+        )
+    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them")
+    return found
 
 
 def _checked(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> _Data:

@@ -6,9 +6,13 @@ import numpy as np
 
 from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike
-from taciturn.lqg._interval import Sampled, integrate, split
+from taciturn._modes import TOLERANCE, pace
+from taciturn.errors import ProblemError
+from taciturn.lqg._interval import Interval, Sampled, integrate, repeat, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
+
+LONG = 1e4  # periods of so many time constants of the fastest mode are looked at twice
 
 
 def sample(
@@ -53,7 +57,7 @@ def sample(
     pace = max(float(np.abs(A / scale[:, None] * scale).max(initial=0.0)), 1 / period)
     reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(pace / reach)))])
-    return split(integrate(F, M, _padded(W, m), period, units), n)
+    return split(_integrated(F, M, _padded(W, m), period, units), n)
 
 
 def sample_prediction(
@@ -104,7 +108,29 @@ def sample_prediction(
     F = np.block([[A, B @ L], [np.zeros((n, n)), dynamics]])
     M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
     units = np.tile(_scipy.balancing(A), 2)
-    return split(integrate(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
+    return split(_integrated(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
+
+
+def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
+    """Return the stretch of a period, compared with three thirds of it where many doublings may have cost digits."""
+    whole = integrate(F, M, G, period, units)
+    if pace(F) * period < LONG:
+        return whole
+    with np.errstate(over="ignore", invalid="ignore"):
+        thirds = repeat(integrate(F, M, G, period / 3, units), 3)
+    scaled = [each.Phi / units[:, None] * units for each in (whole, thirds)]
+    off = [float(np.abs(scaled[0] - scaled[1]).max(initial=0.0) / np.abs(scaled[0]).max(initial=1e-300))]
+    for one, other in ((whole.M, thirds.M), (whole.G, thirds.G)):
+        spread = np.sqrt(np.maximum(np.diag(one), 0.0))
+        spread = np.where(spread > 0, spread, np.inf)
+        off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
+    if not max(off) <= TOLERANCE:
+        raise ProblemError(
+            f"period is {period:g}, in which the fastest mode turns or decays {pace(F) * period:.1e} times, and the "
+            f"sampled plant is uncertain by {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
+            "plant without that mode"
+        )
+    return whole
 
 
 def _checked(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, cast, runtime_checkable
 
@@ -10,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
-from taciturn._modes import mode_text, uncontrollable_modes
+from taciturn._modes import mode_text, persistent, uncontrollable_modes
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
@@ -74,7 +73,7 @@ class Plant:
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
         object.__setattr__(self, "function", None if function is None else _checked(function, self))
-        _refuse_lost_modes(self, lambda values: np.abs(values) >= 1 - 1e-12)
+        _refuse_lost_modes(self, continuous=False)
 
     @property
     def states(self) -> int:
@@ -221,7 +220,7 @@ class ContinuousPlant:
             W = jumps.rate * covariance
         object.__setattr__(self, "W", semidefinite("W", cast("ArrayLike", W), self.states, "(states, states)"))
         object.__setattr__(self, "jumps", jumps)
-        _refuse_lost_modes(self, lambda values: values.real >= -1e-12)
+        _refuse_lost_modes(self, continuous=True)
 
     @property
     def states(self) -> int:
@@ -357,16 +356,13 @@ def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
     return found
 
 
-def _refuse_lost_modes(
-    plant: Plant | ContinuousPlant, persists: Callable[[npt.NDArray[np.complex128]], npt.NDArray[np.bool_]]
-) -> None:
+def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
     """Refuse a plant with a persisting mode that no input moves or no measurement shows."""
     for A, B, verb, what, remedy in (
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = uncontrollable_modes(A, B)
-        lost = lost[persists(lost)]
+        lost = persistent(uncontrollable_modes(A, B), A, continuous)
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -42,6 +43,11 @@ from taciturn.model.steps import Received as Received
 from taciturn.model.steps import Terms as Terms
 from taciturn.model.theory import ClosedForm, Guarantee, Identity, Innovations, Reset
 from taciturn.model.trigger import Form, Scheduled, Trigger, shape_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from taciturn.model.diagram import Diagram
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +214,22 @@ class Policy:
     def site(self, node: NodeName) -> frozenset[NodeName]:
         """Return the nodes that share a place with this one."""
         return next((site for site in self.sites if node in site), frozenset({node}))
+
+    def diagram(self) -> Diagram:
+        """Return its nodes and who sends what to whom, as data that prints itself as text and as a figure.
+
+        Example:
+            >>> from taciturn import load
+            >>> [link.packet for link in load("rover").design().diagram().links]
+            ['command (1)', 'y (1)']
+        """
+        from taciturn.model.diagram import draw_diagram  # which reads policies
+
+        return draw_diagram(self)
+
+    def plot(self) -> Figure:
+        """Return a figure of its nodes, and of the packets of a tick."""
+        return self.diagram().plot()
 
     def _size(self, name: str) -> int:
         if name not in self.sizes:

@@ -253,14 +253,21 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     for key, (_, needed) in known.items():
         if needed and key not in parameters:
             raise ProblemError(f"policy.{key} is missing; {kind} expects it")
-    checked: dict[str, Any] = {}
-    for key, value in parameters.items():
-        try:
-            adapter, _ = known[key]
-            checked[key] = value if isinstance(value, np.ndarray) else adapter.validate_python(value, strict=True)
-        except ValidationError as error:
-            raise ProblemError(f"policy.{key} is {quoted(parameters[key])}; {ours(error.errors()[0]['msg'])}") from None
-    return checked
+    return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
+
+
+def check_parameter(kind: str, key: str, value: object) -> Any:
+    """Return a parameter that a policy kind has, checked against its design function.
+
+    Raises:
+        ProblemError: it is of the wrong type.
+    """
+    if isinstance(value, np.ndarray):
+        return cast("Array", value)
+    try:
+        return _accepted(kind)[key][0].validate_python(value, strict=True)
+    except ValidationError as error:
+        raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
 
 
 @cache

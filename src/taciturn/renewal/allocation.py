@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn._modes import radius
-from taciturn._scipy import discrete_lyapunov
+from taciturn._modes import radius, stationary
 
 LONGEST = 1 << 17  # checks between two sends; what would wait longer is never sent
 FIRST = 64  # intervals that are computed at once; then twice as many
@@ -33,7 +32,7 @@ class Clocked:
         """Compute the first intervals."""
         self.F, self.noise, self.Gamma = F, noise, Gamma
         self.growth = radius(F)
-        self.forever = float(np.sum(Gamma * discrete_lyapunov(F, noise))) if self.growth < 1 else np.inf
+        self.forever = float(np.sum(Gamma * stationary(F, noise))) if self.growth < 1 else np.inf
         self._spread = noise
         self._weights = np.zeros(0)
         self._extend(FIRST)

@@ -8,8 +8,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from taciturn._arrays import Array
-from taciturn._modes import root
-from taciturn._scipy import discrete_lyapunov
+from taciturn._modes import root, stationary
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal.fitted import Bits, Fitted, squares
@@ -213,7 +212,7 @@ def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
     """Return the highest bound to seek about a fitted gain; β grows without limit as it nears what silence costs."""
     if np.abs(np.linalg.eigvals(F)).max() >= 1:
         return HIGHEST * gain
-    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * discrete_lyapunov(F, noise)))) / 2)
+    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * stationary(F, noise)))) / 2)
 
 
 def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Generator) -> float:

@@ -22,6 +22,7 @@ POINTS = 1200  # at which the value is fitted, from near 0 to beyond the farthes
 NEAREST, FARTHEST = 0.3, 1.5
 NOISES = 128  # over which the value after a check is averaged, and as many mirrored
 RANK = 1e-9  # relative standard deviation of a direction that no noise reaches
+DIRECTIONS = 24  # of errors to which a value is fitted: its terms, some 300, take a gigabyte and half a minute
 ITERATIONS, SETTLED = 400, 1e-7
 DAMPING = 0.5
 FLOOR = 1e-9  # of the price, below which a value is no longer told from 0
@@ -164,6 +165,11 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     _, deviations, right = np.linalg.svd(kept / units / np.sqrt(len(kept)), full_matrices=False)
     seen = deviations > RANK * deviations[0]
     into = (right[seen] / deviations[seen, None]) / units
+    if len(into) > DIRECTIONS:
+        raise ProblemError(
+            f"the error moves in {len(into)} directions, and the value of keeping one is fitted in at most "
+            f"{DIRECTIONS}; expected a plant with fewer states, or policy 'excess'"
+        )
     draws = np.random.default_rng(seed)
     x = kept[draws.choice(len(kept), points)] * draws.uniform(NEAREST, FARTHEST, (points, 1))
     x = np.vstack([np.zeros((1, len(F))), x])

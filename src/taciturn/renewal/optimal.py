@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, array, number, semidefinite
-from taciturn._modes import TINY
+from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite
 from taciturn.renewal._check import INTERPOLATED
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn._modes import radius, root
-from taciturn._scipy import discrete_lyapunov
+from taciturn._modes import radius, root, stationary
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
     """
     if radius(F) >= 1:
         return Rarity(1.0, 0.0)
-    covariance, value = discrete_lyapunov(F, noise), discrete_lyapunov(F.T, Gamma)
+    covariance, value = stationary(F, noise), stationary(F.T, Gamma)
     half = root(covariance)
     largest = float(np.linalg.eigvalsh(half.T @ value @ half).max(initial=0.0))
     if largest <= 0:  # no noise, or none that silence costs

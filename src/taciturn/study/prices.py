@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn import _scipy
+from taciturn._modes import stationary
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -125,7 +126,7 @@ class Curve:
         """Return e'Se − price, S = Σ F'ʲΓFʲ over the looks of an interval."""
         F, S = self.kind.F, self.kind.Gamma
         if np.isinf(interval):
-            S = _scipy.discrete_lyapunov(F.T, S)
+            S = stationary(F.T, S)
         for _ in range(0 if np.isinf(interval) else int(interval) - 1):
             S = F.T @ S @ F + self.kind.Gamma
         return Form((ERROR,), (S + S.T) / 2, -price)

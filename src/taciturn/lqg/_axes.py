@@ -1,0 +1,146 @@
+"""Coordinates in which a quadratic problem has numbers of like size: units that are powers of two, or principal axes.
+
+Every quantity that decides something is formed there, so that the units a problem is stated in decide nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from taciturn._arrays import Array, symmetrised
+from taciturn._modes import reach
+
+CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
+VANISHING = 1e-40  # of what a cost could be
+FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which an axis is no longer told from others
+
+
+class Quadratic(NamedTuple):
+    """The problem of a regulator: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+
+    A: Array
+    B: Array
+    Q: Array
+    R: Array
+    N: Array
+
+    def under(self, L: Array) -> tuple[Array, Array]:
+        """Return the closed loop A + BL and its stage cost."""
+        stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
+        return self.A + self.B @ L, symmetrised(stage)
+
+    def terms(self, L: Array) -> Array:
+        """Return the size of what is summed for the stage cost of each state, (n,)."""
+        size = np.abs(L)
+        terms = np.abs(self.Q) + 2 * np.abs(self.N) @ size + size.T @ np.abs(self.R) @ size
+        return np.asarray(np.diag(terms), dtype=np.float64)
+
+
+@dataclass(frozen=True, eq=False)
+class Axes:
+    """Coordinates x = T z of the state and u = units·v of the input.
+
+    Args:
+        T: (n, n).
+        inverse: T^{-1}, (n, n).
+        units: (m,), powers of two.
+    """
+
+    T: Array
+    inverse: Array
+    units: Array
+
+    def problem(self, given: Quadratic) -> Quadratic:
+        """Return a problem in these coordinates; exact where T is of powers of two."""
+        A, B, Q, R, N = given
+        return Quadratic(
+            self.inverse @ A @ self.T,
+            self.inverse @ B * self.units,
+            symmetrised(self.T.T @ Q @ self.T),
+            R * self.units * self.units[:, None],
+            self.T.T @ N * self.units,
+        )
+
+    def then(self, inner: Axes) -> Axes:
+        """Return the coordinates that lie within these ones as ``inner``."""
+        return Axes(self.T @ inner.T, inner.inverse @ self.inverse, self.units * inner.units)
+
+    def sizes(self, given: Quadratic) -> tuple[Array, Array]:
+        """Return the sizes of what is summed for A and Q here: their rounding is relative to these."""
+        T, inverse = np.abs(self.T), np.abs(self.inverse)
+        return inverse @ np.abs(given.A) @ T, T.T @ np.abs(given.Q) @ T
+
+    def gain(self, L: Array) -> Array:
+        """Return a gain in these coordinates."""
+        return L @ self.T / self.units[:, None]
+
+    def gain_from(self, L: Array) -> Array:
+        """Return a gain of these coordinates in the given ones."""
+        return self.units[:, None] * (L @ self.inverse)
+
+    def form_from(self, K: Array) -> Array:
+        """Return a quadratic form of these coordinates in the given ones."""
+        return symmetrised(self.inverse.T @ K @ self.inverse)
+
+    def price_from(self, H: Array) -> Array:
+        """Return a quadratic form of the input in the given coordinates."""
+        return H / self.units / self.units[:, None]
+
+
+def units_of_reach(given: Quadratic) -> Axes:
+    """Return the units in which inputs of unit size move each state by about 1."""
+    state, inputs = reach(given.A, given.B)
+    return Axes(np.diag(state), np.diag(1 / state), inputs)
+
+
+def nothing(given: Quadratic, L: Array) -> Array:
+    """Return for each state the cost below which it has none: rounding, or one that tends to zero by iteration, (n,).
+
+    A state with a weight of its own has that at least. Another one is measured by the price of the inputs that move
+    it, or by the states that it moves.
+
+    Args:
+        given: the problem.
+        L: the gain; what its stage cost is summed of has a rounding.
+    """
+    weight = np.maximum(np.diag(given.Q), 0.0)
+    moved = np.where(given.B != 0, np.abs(given.B), np.inf)
+    natural = np.maximum(weight, np.max(np.diag(given.R) / moved / moved, axis=1, initial=0.0))
+    for _ in range(len(natural)):
+        natural = np.where(natural > 0, natural, np.max(given.A.T**2 * natural, axis=1, initial=0.0))
+    return np.maximum(np.where(weight > 0, 0.0, VANISHING * natural), CRUMB * given.terms(L))
+
+
+def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
+    """Return the units in which the costs K of a closed loop F, and the prices H of inputs, have a diagonal of 1.
+
+    A loop without cost to see a state by gives it the unit of what reaches it.
+
+    Args:
+        F: (n, n) of a step; of continuous time, divided by its pace.
+        K: (n, n), semidefinite but for rounding.
+        H: (m, m), semidefinite but for rounding.
+        least: for each state the cost that is as good as none, (n,).
+    """
+    spread = np.sqrt(np.where(np.diag(K) > least, np.diag(K), 0.0))
+    spread = np.maximum(spread, np.sqrt(CRUMB) * (np.abs(F).T @ spread))
+    units = np.where(spread > 0, _power_of_two(spread), 0.0)
+    reached = np.max(np.abs(F) * units, axis=1, initial=0.0)
+    units = np.where(units > 0, units, np.where(reached > 0, _power_of_two(1 / np.where(reached > 0, reached, 1)), 1.0))
+    price = np.sqrt(np.maximum(np.diag(H), 0.0))
+    return Axes(np.diag(units), np.diag(1 / units), np.where(price > 0, _power_of_two(price), 1.0))
+
+
+def principal_axes(of: Axes, K: Array) -> Axes:
+    """Return the axes of a cost K that is given in the coordinates ``of``, each in its own unit."""
+    values, vectors = np.linalg.eigh(K)
+    units = _power_of_two(np.sqrt(np.maximum(values, FLAT * max(float(values[-1]), 1e-300))))
+    return Axes(of.T @ vectors * units, (vectors / units).T @ of.inverse, of.units)
+
+
+def _power_of_two(sizes: Array) -> Array:
+    """Return 1/size as powers of two; 1 for none."""
+    return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0))))

@@ -1,0 +1,145 @@
+"""The mean square of a loop over lossy links under one gain: what it costs, and how fast it grows.
+
+The loop acts on pairs of weights (K, T), T = K + P, and is linear:
+
+    K ← M'KM + αᾱ L'YL,   T ← A'((1−β)K + βT)A,   M = A + ᾱBL,   Y = B'((1−φ)K + φT)B.
+
+It is two Lyapunov equations, joined by the symmetric matrix Y of the size of the inputs: so sixty states are no more
+than a few Lyapunov equations of sixty, where stacked rows would be 7200 unknowns.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from taciturn import _scipy
+from taciturn._arrays import Array, symmetrised
+from taciturn._modes import radius, summed
+
+FEW = 6  # states for which the stacked rows, 72 unknowns, are faster
+NEAREST = 1e-12  # relative distance to where the equations are singular, from which they are not solved
+
+
+class MeanSquare:
+    """The map of pairs of weights under a gain, divided by a level in every step.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        L: (m, n) gain.
+        losses: α of the actuator's link and β of the sensor's.
+        reach: φ, the probability that an error made now still stands at the next control; 0 with acknowledgements.
+        level: growth per step that is divided out.
+    """
+
+    def __init__(
+        self, A: Array, B: Array, L: Array, losses: tuple[float, float], reach: float, level: float = 1.0
+    ) -> None:
+        """Keep what is given."""
+        self.A, self.B, self.L, self.level = A, B, L, level
+        self.alpha, self.beta = losses
+        self.reach = reach
+        self.moved = A + (1 - self.alpha) * (B @ L)
+        self.spread = self.alpha * (1 - self.alpha)
+
+    def at(self, level: float) -> MeanSquare:
+        """Return the same loop at another level."""
+        return MeanSquare(self.A, self.B, self.L, (self.alpha, self.beta), self.reach, level)
+
+    @property
+    def apart(self) -> float:
+        """The growth without what joins the two equations: no growth is below it."""
+        return max(radius(self.moved) ** 2, self.beta * radius(self.A) ** 2)
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the mean square grows less than the level."""
+        return self.apart < self.level and self.joined() < 1
+
+    def growth(self) -> float:
+        """Return the factor per step by which the mean square grows, without noise."""
+        if len(self.A) <= FEW:
+            if self.reach:
+                return radius(self._stacked)
+            squared = (
+                len(self.A) ** 2
+            )  # the weights do not meet; A alone may be defective, and has all digits of its modes
+            return max(radius(self._stacked[:squared, :squared]), self.beta * radius(self.A) ** 2)
+        low = max(self.apart, 1e-12)
+        if self.spread == 0 or self.at(low * (1 + NEAREST)).joined() <= 1:
+            return self.apart
+        high = 2 * low
+        while self.at(high).joined() > 1:
+            high *= 2
+        return _scipy.crossing(lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high)
+
+    def joined(self) -> float:
+        """Return the growth of Y from one passage through both equations to the next: below 1 where they have a sum."""
+        if self.spread == 0:
+            return 0.0
+        return radius(self._turn) if np.isfinite(self._turn).all() else np.inf
+
+    def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
+        """Return K and T for what is added to either in each step: the sum over all steps.
+
+        Args:
+            first: (n, n), added to K.
+            second: (n, n), added to T.
+
+        Raises:
+            LinAlgError: the level is that of the growth itself, or so near that the sums overflow.
+        """
+        if len(self.A) <= FEW:
+            rows = np.concatenate([first.ravel(), second.ravel()])
+            found = np.linalg.solve(self.level * np.eye(len(rows)) - self._stacked, rows)
+            one, two = np.split(np.asarray(found, dtype=np.float64), 2)
+            return symmetrised(one.reshape(first.shape)), symmetrised(two.reshape(first.shape))
+        K, T = self._apart(first, second)
+        if not all(np.isfinite(part).all() for part in (K, T, self._turn)):
+            raise np.linalg.LinAlgError
+        if self.spread == 0:
+            return K, T
+        upper = np.triu_indices(len(self.L))
+        y = np.linalg.solve(np.eye(len(upper[0])) - self._turn, self._seen(K, T)[upper])
+        for share, (one, two) in zip(y.tolist(), self._answers, strict=True):
+            K, T = K + share * one, T + share * two
+        return symmetrised(K), symmetrised(T)
+
+    @cached_property
+    def _stacked(self) -> Array:
+        """The map on stacked rows, (2n², 2n²)."""
+        pushed = self.B @ self.L
+        spread, free = self.spread * np.kron(pushed.T, pushed.T), np.kron(self.A.T, self.A.T)
+        upper = [np.kron(self.moved.T, self.moved.T) + (1 - self.reach) * spread, self.reach * spread]
+        return np.block([upper, [(1 - self.beta) * free, self.beta * free]]).astype(np.float64)
+
+    @cached_property
+    def _answers(self) -> list[tuple[Array, Array]]:
+        """K and T for each entry of Y, by rows of its upper half."""
+        found: list[tuple[Array, Array]] = []
+        for i, j in zip(*np.triu_indices(len(self.L)), strict=True):
+            one = np.outer(self.L[i], self.L[j])
+            one = one if i == j else one + one.T
+            found.append(self._apart(self.spread * one, np.zeros_like(self.A)))
+        return found
+
+    @cached_property
+    def _turn(self) -> Array:
+        """The map from Y to the Y that its K and T make."""
+        if self.spread == 0:
+            return np.zeros((0, 0))
+        upper = np.triu_indices(len(self.L))
+        return np.stack([self._seen(*pair)[upper] for pair in self._answers], axis=1)
+
+    def _seen(self, K: Array, T: Array) -> Array:
+        return symmetrised(self.B.T @ ((1 - self.reach) * K + self.reach * T) @ self.B)
+
+    def _apart(self, first: Array, second: Array) -> tuple[Array, Array]:
+        root = np.sqrt(self.level)
+        with np.errstate(over="ignore", invalid="ignore"):  # the callers look for overflow
+            K = summed((self.moved / root).T, symmetrised(first)) / self.level
+            second = second + (1 - self.beta) * self.A.T @ K @ self.A
+            T = summed((np.sqrt(self.beta) / root * self.A).T, symmetrised(second)) / self.level
+        return K, T

@@ -1,0 +1,219 @@
+"""Newton's method for Riccati equations of either time, in coordinates that fit, and what its answer may be off by."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taciturn._arrays import TINY, Array, symmetrised
+from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual
+from taciturn.errors import UnstableError
+from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach
+
+ENOUGH = 1e-11  # relative error from which on other coordinates are tried
+TURNS = 100
+RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The stabilising solution of a Riccati equation, and what is known of its error.
+
+    Args:
+        K: cost-to-go, (n, n).
+        L: gain, u = L x, (m, n).
+        H: price of another input, (m, m).
+        error: (n, n) with −error ⪯ K − exact ⪯ error: the equation's measured residual, and the rounding that may be
+            in it, summed along the closed loop. To first order.
+        residual: of the equation, relative to its terms, where K has a diagonal of 1.
+        unit: cost of each state; where it is rounding, that of its terms, (n,).
+    """
+
+    K: Array
+    L: Array
+    H: Array
+    error: Array
+    residual: float
+    unit: Array
+
+    @property
+    def relative(self) -> Array:
+        """Bound on the relative error of the cost of each state, (n,)."""
+        return np.diag(self.error) / np.maximum(self.unit, TINY)
+
+    @property
+    def doubt(self) -> float:
+        """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
+        return float(self.relative.mean()) if len(self.K) else 0.0
+
+
+def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
+    """Refuse a solution whose residual or error is too large.
+
+    Args:
+        found: the solution.
+        what: of whom the equation is.
+        remedy: modes that would do better.
+
+    Raises:
+        UnstableError: with the residual and the error, and the state whose cost is least certain.
+    """
+    if found.residual <= RESIDUAL and found.doubt <= TOLERANCE:
+        return
+    worst = int(np.argmax(found.relative))
+    raise UnstableError(
+        f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its "
+        f"terms (at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
+        f"{TOLERANCE:.0e}), most in state {worst}; units do not matter here: expected modes {remedy}"
+    )
+
+
+class Time(ABC):
+    """What differs between a Riccati equation of steps and one of continuous time."""
+
+    @abstractmethod
+    def rough(self, given: Quadratic) -> Array | None:
+        """Return scipy's solution, or None where it finds none."""
+
+    @abstractmethod
+    def stable(self, F: Array, given: Quadratic) -> bool:
+        """Say whether a closed loop is stable, and clear of the edge."""
+
+    @abstractmethod
+    def summed(self, F: Array, stage: Array) -> Array:
+        """Return the cost-to-go of a stable closed loop with a stage cost."""
+
+    @abstractmethod
+    def answer(self, given: Quadratic, K: Array, L: Array) -> tuple[Array, Array]:
+        """Return the best gain for a cost-to-go, which keeps L where all gains are as good, and the price H."""
+
+    @abstractmethod
+    def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
+        """Return by how much K misses the cost of its loop, and for each state the size of F in units of cost."""
+
+    @abstractmethod
+    def saved(self, given: Quadratic, K: Array, L: Array) -> Array:
+        """Return what the best gain would save beside L: the rest of the residual."""
+
+    @abstractmethod
+    def step(self, F: Array) -> Array:
+        """Return a closed loop as that of a step, up to a factor."""
+
+    def solve(self, given: Quadratic) -> Solution | None:
+        """Return the best of the solutions found; None where no start stabilises or nothing settles."""
+        best: Solution | None = None
+        for axes, L in self._starts(given):
+            for found in self._refined(given, axes, L):
+                if best is None or found.doubt < best.doubt:
+                    best = found
+                if best.doubt <= ENOUGH:
+                    return best
+        return best
+
+    def _starts(self, given: Quadratic) -> Iterator[tuple[Axes, Array]]:
+        """Return gains that may stabilise, the likeliest first, in coordinates that suit them.
+
+        The problem with unit weights has a solution whenever (A, B) is stabilisable; its gain is a safe start. Where an
+        input hardly moves a mode, a gain has its digits only along the axes of the cost.
+        """
+        n, m = given.B.shape
+        reached, plain = units_of_reach(given), Axes(np.eye(n), np.eye(n), np.ones(len(given.R)))
+        for axes, weighed in ((reached, True), (reached, False), (plain, True)):
+            for _ in range(3):
+                here = axes.problem(given)
+                asked = here if weighed else Quadratic(here.A, here.B, np.eye(n), np.eye(m), np.zeros((n, m)))
+                K = self.rough(asked)
+                if K is None:
+                    break
+                yield axes, self.answer(asked, K, np.zeros((m, n)))[0]
+                axes = principal_axes(axes, K)
+
+    def _refined(self, given: Quadratic, axes: Axes, L: Array) -> Iterator[Solution]:
+        """Solve from a gain: in the units of its cost, in those of the best cost, then along the axes of that.
+
+        Args:
+            given: the problem.
+            axes: the coordinates of the gain.
+            L: the gain.
+        """
+        here = axes.problem(given)
+        F, stage = here.under(L)
+        if not self.stable(F, here):
+            return
+        K = self.summed(F, stage)
+        if not np.isfinite(K).all():
+            return
+        H = self.answer(here, K, L)[1]
+        for _ in range(2):
+            inner = units_of(self.step(F), K, H, np.maximum(nothing(here, L), TINY))
+            axes, L = axes.then(inner), inner.gain(L)
+            here = axes.problem(given)
+            found = self._settled(here, L)
+            if found is None:
+                return
+            K, L, H = found
+            F = here.under(L)[0]
+            if np.diag(K).max(initial=0.0) <= 4 and np.diag(K).min(initial=1.0) >= 1 / 4:
+                break
+        yield self.judged(given, axes, K, L, H)
+        turned = principal_axes(axes, K)
+        found = self._settled(turned.problem(given), turned.gain(axes.gain_from(L)))
+        if found is not None:
+            yield self.judged(given, turned, *found)
+
+    def _settled(self, given: Quadratic, L: Array) -> tuple[Array, Array, Array] | None:
+        """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles."""
+        previous, change = None, np.inf
+        for _ in range(TURNS):
+            F, stage = given.under(L)
+            if not self.stable(F, given):
+                return None
+            K = symmetrised(self.summed(F, stage))
+            if not np.isfinite(K).all():
+                return None
+            terms = np.abs(given.Q) + 2 * np.abs(given.N) @ np.abs(L) + np.abs(L.T) @ np.abs(given.R) @ np.abs(L)
+            L, H = self.answer(given, K, L)
+            # Where the terms cancel, K holds their rounding and cannot settle below it.
+            size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
+            last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
+            # Down at the rounding error; where a closed-loop mode tends to the edge the changes halve instead.
+            stalled = change <= 1e-5 * size and change >= 0.9 * last
+            if change <= 1e-14 * size or stalled:
+                sound = self.stable(given.A + given.B @ L, given) and np.linalg.eigvalsh(K)[0] >= -TOLERANCE
+                return (K, L, H) if sound else None
+            previous = K
+        return None
+
+    def judged(self, given: Quadratic, axes: Axes, K: Array, L: Array, H: Array) -> Solution:
+        """Return a solution with its error, measured in the coordinates in which it was found.
+
+        Args:
+            given: the problem as it was given.
+            axes: the coordinates of K, L and H.
+            K, L, H: of a stable closed loop.
+        """
+        here, (size, weight) = axes.problem(given), axes.sizes(given)
+        F, stage = here.under(L)
+        missed, spread = self.residual(here, F, stage, K)
+        missed = missed - self.saved(here, K, L)
+        root = np.sqrt(np.maximum(np.diag(K), 0.0))
+        moved = (size + np.abs(here.B) @ np.abs(L)).T @ root
+        pushed = np.abs(here.N) @ np.abs(L)
+        terms = np.outer(spread, moved) + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
+        terms = terms + terms.T
+        bound = bound_residual(missed, terms, len(K) + len(H))
+        largest = float(terms.max(initial=0.0))
+        K, L = axes.form_from(K), axes.gain_from(L)
+        diagonal, least = np.diag(K), nothing(given, L)
+        written = 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K as it stands here
+        return Solution(
+            K,
+            L,
+            axes.price_from(H),
+            axes.form_from(self.summed(F, bound)) + np.diag(written),
+            float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
+            np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
+        )

@@ -1,0 +1,326 @@
+"""Who sends what to whom, and when: the nodes of a policy and their links, read from its steps, as data and as text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from taciturn._figure import Arrow, draw_lanes
+from taciturn.model.policy import Acknowledged, Assign, Decide, Evaluate, Location, Policy, Send
+from taciturn.model.steps import ENDS, NODES, LinkName, NodeName
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+When = Literal["always", "decision", "schedule"]
+PLAIN = str.maketrans("┌┐└┘├┤┼┬│─▶◀┄≠", "+++++++++-><.#")
+PLAIN |= {ord("│"): "|", ord("≠"): "!="}
+
+
+@dataclass(frozen=True)
+class Place:
+    """Nodes that share a site, and what happens there.
+
+    Args:
+        nodes: of the site, in the order sensor, controller, actuator.
+        measures: entries of ``y``, 0 where there is no sensor.
+        decides: names of its decisions.
+        applies: entries of ``input``, 0 where there is no actuator.
+    """
+
+    nodes: tuple[NodeName, ...]
+    measures: int
+    decides: tuple[str, ...]
+    applies: int
+
+    @property
+    def lines(self) -> list[str]:
+        """What stands in its box."""
+        found = [" + ".join(self.nodes)]
+        if self.measures:
+            found.append(f"measures y ({self.measures})")
+        if self.decides:
+            found.append(f"decides {', '.join(self.decides)}")
+        if self.applies:
+            found.append(f"applies input ({self.applies})")
+        return found
+
+
+@dataclass(frozen=True)
+class Link:
+    """Packets that one node sends another.
+
+    Args:
+        name: of the link.
+        sender: the node that sends.
+        receiver: the node that it sends to.
+        payload: signals in a packet, with their entries.
+        when: ``"always"``, by a ``"decision"`` that looks at signals, or by a ``"schedule"``: a decision that looks at
+            a clock alone.
+        decision: its name, and that of the schedule; None where packets are always sent.
+        labels: of the decision with which a packet is sent.
+        silent: its other labels.
+        reads: signals and places that the decision looks at.
+        pattern: of a schedule, whether tick k sends; after the last tick it goes on at ``repeats_from``.
+        repeats_from: first tick of what repeats.
+        acknowledged: whether the sender uses what arrived.
+    """
+
+    name: LinkName
+    sender: NodeName
+    receiver: NodeName
+    payload: Mapping[str, int]
+    when: When
+    decision: str | None = None
+    labels: tuple[str, ...] = ()
+    silent: tuple[str, ...] = ()
+    reads: tuple[str, ...] = ()
+    pattern: tuple[bool, ...] = ()
+    repeats_from: int = 0
+    acknowledged: bool = False
+
+    @property
+    def packet(self) -> str:
+        """What is in a packet: signals, and their entries."""
+        return ", ".join(f"{name} ({size})" for name, size in self.payload.items())
+
+    @property
+    def briefly(self) -> str:
+        """What stands at its arrow."""
+        how = {"always": "always", "schedule": "by the clock", "decision": self._condition}
+        return f"{self.packet}, {how[self.when]}"
+
+    @property
+    def condition(self) -> str:
+        """When it is sent, as a clause."""
+        if self.when == "always":
+            return "at every tick"
+        if self.when == "decision":
+            return f"{self._condition}, by {', '.join(self.reads)}"
+        return f"{self._condition}, by the clock: {_pattern_text(self.pattern, self.repeats_from)}"
+
+    @property
+    def _condition(self) -> str:
+        if self.labels == (self.decision,):
+            return f"if {self.decision}"
+        if len(self.silent) == 1:
+            return f"if {self.decision} ≠ {self.silent[0]}"
+        return f"if {self.decision} = {' or '.join(self.labels)}"
+
+    def document(self) -> dict[str, Any]:
+        """Return what JSON holds of it."""
+        return {
+            "link": self.name,
+            "from": self.sender,
+            "to": self.receiver,
+            "payload": dict(self.payload),
+            "when": self.when,
+            "decision": self.decision,
+            "labels": list(self.labels),
+            "silent": list(self.silent),
+            "reads": list(self.reads),
+            "ticks": [k for k, sends in enumerate(self.pattern) if sends] if self.pattern else None,
+            "length": len(self.pattern) or None,
+            "repeats_from": self.repeats_from if self.pattern else None,
+            "acknowledged": self.acknowledged,
+        }
+
+
+@dataclass(frozen=True)
+class Diagram:
+    """The places of a policy, and its links in the order in which packets are sent within a tick.
+
+    Args:
+        places: from the sensor's to the actuator's.
+        links: in the order of a tick.
+    """
+
+    places: tuple[Place, ...]
+    links: tuple[Link, ...]
+
+    def place_of(self, node: NodeName) -> int:
+        """Return the index of the place of a node."""
+        return next(i for i, place in enumerate(self.places) if node in place.nodes)
+
+    def document(self) -> dict[str, Any]:
+        """Return what JSON holds of it."""
+        places = [
+            {
+                "nodes": list(place.nodes),
+                "measures": place.measures,
+                "decides": list(place.decides),
+                "applies": place.applies,
+            }
+            for place in self.places
+        ]
+        return {"places": places, "links": [link.document() for link in self.links]}
+
+    def text(self, *, plain: bool = False) -> str:
+        """Return it as lines of text: a box per place, an arrow per packet, downwards in the order of a tick.
+
+        Args:
+            plain: use letters of ASCII alone.
+        """
+        rows = _Rows(self)
+        lines = [*rows.boxes(), *(line for link in self.links for line in rows.arrows(link)), rows.lifelines()]
+        drawn = "\n".join(line.rstrip() for line in lines)
+        return drawn.translate(PLAIN) if plain else drawn
+
+    def plot(self) -> Figure:
+        """Return it as a figure: as the text."""
+        arrows: list[Arrow] = []
+        for link in self.links:
+            ends = self.place_of(link.sender), self.place_of(link.receiver)
+            arrows.append(Arrow(*ends, link.briefly, dashed=link.when != "always"))
+            if link.acknowledged:
+                arrows.append(Arrow(ends[1], ends[0], "acknowledged", dashed=True))
+        return draw_lanes([place.lines for place in self.places], arrows)
+
+
+def draw_diagram(policy: Policy) -> Diagram:
+    """Return the nodes of a policy and the links between them, as its steps say.
+
+    Args:
+        policy: any; nothing but its steps, sites and locations is looked at.
+
+    Returns:
+        Data, with its printers.
+
+    Example:
+        >>> from taciturn import Cost, Plant, design
+        >>> policy = design.lqg(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[2.0]]), theta=0.1)
+        >>> draw_diagram(policy).links[0].condition
+        'if send, by estimate, candidate, error'
+    """
+    sites: list[frozenset[NodeName]] = []
+    for node in NODES:
+        if policy.site(node) not in sites:
+            sites.append(policy.site(node))
+    places = tuple(
+        Place(
+            tuple(node for node in NODES if node in site),
+            policy.model.outputs if "sensor" in site else 0,
+            tuple(step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site),
+            policy.model.inputs if "actuator" in site else 0,
+        )
+        for site in sites
+    )
+    return Diagram(places, tuple(_link(policy, step) for step in policy.steps if isinstance(step, Send)))
+
+
+def _link(policy: Policy, step: Send) -> Link:
+    payload = {name: policy.sizes[name] for name in step.payload}
+    conditions = [other.on for other in policy.steps if isinstance(other, Assign | Evaluate)]
+    conditions += [location.on for location in policy.locations]
+    told = any(isinstance(on, Acknowledged) and on.link == step.link for on in conditions)
+    ends = (step.link, step.at, ENDS[step.link], payload)
+    if step.on is None:
+        return Link(*ends, "always", acknowledged=told)
+    trigger = policy.decisions[step.on]
+    labels = step.labels or trigger.labels[1:]
+    decided = (step.on, labels, tuple(label for label in trigger.labels if label not in labels))
+    read_by = {by for form in trigger.options.values() for by in _tables(form)}
+    tables = [location for location in policy.locations if location.name in read_by]
+    turning = tuple(location.name for location in tables if len(location.table) > 1)
+    if trigger.reads or any(location.on is not None for location in tables):
+        return Link(*ends, "decision", *decided, (*trigger.reads, *turning), acknowledged=told)
+    return Link(*ends, "schedule", *decided, turning, *_pattern(trigger, tables, labels), told)
+
+
+def _tables(form: Form) -> list[str]:
+    """Return the locations by which a form's weights are read."""
+    return [value.by for value in (form.Psi, form.constant) if isinstance(value, Scheduled)]
+
+
+def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]) -> tuple[tuple[bool, ...], int]:
+    """Return which ticks of the clocks send, and the tick from which that repeats."""
+    here = {clock.name: clock.initial for clock in clocks}
+    visited: dict[tuple[int, ...], int] = {}
+    pattern: list[bool] = []
+    while tuple(here.values()) not in visited:
+        visited[tuple(here.values())] = len(pattern)
+        constants = [form.constant for form in trigger.options.values()]
+        values = [float(c.values[here[c.by]]) if isinstance(c, Scheduled) else c for c in constants]
+        pattern.append(trigger.labels[int(np.argmin(values))] in labels)
+        here = {clock.name: int(clock.table[here[clock.name]]) for clock in clocks}
+    return tuple(pattern), visited[tuple(here.values())]
+
+
+def _pattern_text(pattern: Sequence[bool], start: int) -> str:
+    """Say which ticks of a schedule send."""
+    if all(pattern) or not any(pattern):
+        return "every tick" if any(pattern) else "never"
+    turn = pattern[start:]
+    later = {0: "never", len(turn): "every tick"}.get(sum(turn), f"{sum(turn)} of {len(turn)} ticks")
+    if start == 0:
+        return later
+    ticks = [k for k, sends in enumerate(pattern[:start]) if sends]
+    listed = ", ".join(map(str, ticks[:8])) + (", …" if len(ticks) > 8 else "")
+    first = f"{len(ticks)} of the first {start} ticks" + (f" ({listed})" if ticks else "")
+    return f"{first}, then {later}"
+
+
+class _Rows:
+    """Lines of text: boxes side by side, and under each a line on which arrows begin and end."""
+
+    def __init__(self, shown: Diagram) -> None:
+        """Find where the boxes stand, far enough from each other for what is written between them."""
+        self.shown = shown
+        ends = [self._ends(link) for link in shown.links]
+        self.widths = [max(map(len, place.lines)) + 4 for place in shown.places]
+        self.centres = [self.widths[0] // 2]
+        for i, (left, right) in enumerate(pairwise(self.widths)):
+            room = [left - left // 2 + right // 2 + 3]
+            for link, (start, end) in zip(shown.links, ends, strict=True):
+                if max(start, end) == i + 1 and start != end:
+                    wide = len(link.briefly) + 8
+                    room.append(wide - (self.centres[i] - self.centres[min(start, end)]))
+            self.centres.append(self.centres[i] + max(room))
+
+    def boxes(self) -> list[str]:
+        """Return the lines of the boxes."""
+        height = max(len(place.lines) for place in self.shown.places)
+        found = [[" "] * (self.centres[-1] + self.widths[-1]) for _ in range(height + 2)]
+        for place, width, centre in zip(self.shown.places, self.widths, self.centres, strict=True):
+            inside = [f"│ {line:{width - 4}s} │" for line in [*place.lines, *[""] * (height - len(place.lines))]]
+            left = centre - width // 2
+            bottom = "└" + "─" * (width // 2 - 1) + "┬" + "─" * (width - width // 2 - 2) + "┘"
+            for row, text in zip(found, ["┌" + "─" * (width - 2) + "┐", *inside, bottom], strict=True):
+                row[left : left + width] = text
+        return ["".join(row) for row in found]
+
+    def arrows(self, link: Link) -> list[str]:
+        """Return the lines of a packet, and of what is told of it."""
+        start, end = self._ends(link)
+        if start == end:
+            return [self.lifelines(), self._beside(start, f"◀ {link.briefly}")]
+        told = [self._arrow(end, start, "acknowledged", "┄")] if link.acknowledged else []
+        return [self.lifelines(), self._arrow(start, end, link.briefly, "─"), *told]
+
+    def lifelines(self) -> str:
+        """Return a line on which nothing happens."""
+        row = [" "] * (self.centres[-1] + 1)
+        for centre in self.centres:
+            row[centre] = "│"
+        return "".join(row)
+
+    def _ends(self, link: Link) -> tuple[int, int]:
+        return self.shown.place_of(link.sender), self.shown.place_of(link.receiver)
+
+    def _arrow(self, start: int, end: int, label: str, line: str) -> str:
+        row = list(self.lifelines())
+        low, high = sorted((self.centres[start], self.centres[end]))
+        row[low + 1 : high] = f" {label} ".center(high - low - 1, line)
+        row[self.centres[start]] = "├" if start < end else "┤"
+        row[high - 1 if start < end else low + 1] = "▶" if start < end else "◀"
+        return "".join(row)
+
+    def _beside(self, place: int, label: str) -> str:
+        row = list(self.lifelines())
+        row[self.centres[place] + 1 : self.centres[place] + 1 + len(label)] = label
+        return "".join(row)

@@ -1,0 +1,104 @@
+"""Matrices as people write them: in MATLAB's way, as Python's lists, as one number, or as a diagonal."""
+
+from __future__ import annotations
+
+import ast
+import math
+import re
+
+import numpy as np
+
+from taciturn._arrays import Array, ArrayLike, array, quoted
+from taciturn.errors import ProblemError
+
+FORMS = "[1 2; 3 4] or [[1, 2], [3, 4]]"
+LONGEST = 100  # letters of a matrix on one line
+
+
+def parse_matrix(name: str, text: str) -> Array:
+    """Return the matrix that a text states.
+
+    Args:
+        name: of the matrix, for messages.
+        text: ``[1 2; 3 4]`` with blanks or commas, ``[[1, 2], [3, 4]]``, or one number.
+
+    Returns:
+        The matrix, (rows, columns); of one number (1, 1).
+
+    Raises:
+        ProblemError: another form, rows of different lengths, or numbers that are not finite.
+
+    Example:
+        >>> parse_matrix("A", "[1 2; 3 4]").tolist() == parse_matrix("A", "[[1, 2], [3, 4]]").tolist()
+        True
+    """
+    given = text.strip()
+    try:
+        rows: object = ast.literal_eval(given) if re.match(r"\[\s*\[", given) else _matlab_rows(given)
+        return array(name, np.array(rows, dtype=np.float64), (None, None), "(rows, columns)")
+    except ProblemError:
+        raise
+    except (ValueError, TypeError, SyntaxError, RecursionError, MemoryError, OverflowError):
+        raise ProblemError(f"{name} is {quoted(given)}; expected a number, or a matrix as {FORMS}") from None
+
+
+def _matlab_rows(text: str) -> list[list[float]]:
+    """Return the rows of a matrix as MATLAB reads them; a new line ends a row but after three dots."""
+    inside = text.rstrip(";").strip()
+    if inside.startswith("[") != inside.endswith("]") or "_" in inside or set(inside[1:-1]) & {"[", "]"}:
+        raise ValueError
+    lines = re.sub(r"\.\.\.\s*\n", " ", inside.removeprefix("[").removesuffix("]"))
+    rows = [
+        [float(part) for part in re.split(r"[\s,]+", row.strip(" \t,"))]
+        for row in re.split(r"[;\n]+", lines)
+        if row.strip()
+    ]
+    if len({len(row) for row in rows}) != 1:
+        raise ValueError
+    return rows
+
+
+def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
+    """Return a weight or covariance: one number times the identity, a vector as a diagonal, or a matrix as it is.
+
+    Args:
+        name: of the matrix, for messages.
+        value: a number, a vector of ``size`` entries, or a matrix (size, size).
+        size: rows and columns.
+
+    Raises:
+        ProblemError: none of these.
+
+    Example:
+        >>> square_matrix("Q", [[1.0, 2.0]], 2).tolist()
+        [[1.0, 0.0], [0.0, 2.0]]
+    """
+    found = array(name, np.atleast_2d(np.asarray(value)), (None, None), "(rows, columns)")
+    if found.size == 1:
+        return found[0, 0] * np.eye(size)
+    if found.size == size and 1 in found.shape:
+        return np.diag(found.ravel())
+    if found.shape != (size, size):
+        rows, columns = found.shape
+        raise ProblemError(
+            f"{name} is {rows}×{columns}; expected one number, {size} for a diagonal, or a matrix {size}×{size}"
+        )
+    return found
+
+
+def matrix_text(value: ArrayLike) -> str:
+    """Return a matrix as TOML holds it: on one line, or row by row where that is too long.
+
+    Example:
+        >>> matrix_text([[0.0, 1.5], [1e-9, -2.0]])
+        '[[0, 1.5], [1e-09, -2]]'
+    """
+    rows = [f"[{', '.join(number_text(entry) for entry in row)}]" for row in np.atleast_2d(np.asarray(value))]
+    line = f"[{', '.join(rows)}]"
+    return line if len(line) <= LONGEST else "[\n" + "".join(f"  {row},\n" for row in rows) + "]"
+
+
+def number_text(value: float) -> str:
+    """Return a number as TOML holds it, to its last digit; a whole one without a point."""
+    exact = float(value)
+    return str(int(exact)) if math.isfinite(exact) and exact == int(exact) and abs(exact) < 1e15 else repr(exact)

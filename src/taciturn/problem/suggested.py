@@ -1,0 +1,81 @@
+"""What a policy kind must be told, and values to begin with."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+
+from taciturn._modes import radius
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.design.periodic import all_time
+from taciturn.errors import TaciturnError
+from taciturn.lqg.riccati import regulate_continuous
+from taciturn.model.cost import Cost
+from taciturn.model.plant import ContinuousPlant, Plant
+
+LOOKS = 5  # per time constant of the fastest mode of the controlled plant
+SHARE = 0.2  # of the all-time cost of a tick: what a send may cost
+USUAL: Mapping[str, float | int] = {
+    "theta": 0.1,
+    "sigma": 0.1,
+    "rho": 0.5,
+    "gain": 2.0,
+    "beta": 1.2,
+    "every": 2,
+    "length": 5,
+    "sends": 2,
+    "horizon": 4,
+    "max_interval": 5,
+    "fast": 1,
+    "slow": 2,
+}
+ALTERNATIVES = {"remote-lqg": ("theta", "zeta"), "excess": ("theta",), "periodic": ("every",)}
+"""Parameters that design functions may do without in one way or another: the usual way."""
+
+
+def needed_parameters(kind: str, continuous: bool) -> tuple[str, ...]:
+    """Return the parameters that a policy kind is to be told for a plant of either time base.
+
+    Example:
+        >>> needed_parameters("lqg", continuous=True)
+        ('period', 'theta')
+    """
+    known = {
+        name: parameter
+        for name, parameter in inspect.signature(CATALOGUE[kind]).parameters.items()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    }
+    needed = [name for name, parameter in known.items() if parameter.default is parameter.empty and name != "period"]
+    needed += [name for name in ALTERNATIVES.get(kind, ()) if name != "every" or not continuous]
+    asked = "period" in known and (continuous or known["period"].default is inspect.Parameter.empty)
+    period = ["period"] if asked else []
+    return (*period, *needed)
+
+
+def suggest_value(name: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> float | int | None:
+    """Return a value to begin with: a usual one, or one that fits plant and cost to a digit; None where there is none.
+
+    Args:
+        name: of the parameter.
+        plant: the plant.
+        cost: the cost.
+        period: seconds between ticks, of a continuous plant, where that is already known.
+    """
+    if name in USUAL:
+        return USUAL[name]
+    try:
+        if name == "period" and isinstance(plant, ContinuousPlant):
+            L = regulate_continuous(plant.A, plant.B, cost.Q, cost.R, cost.N).L
+            fastest = radius(plant.A + plant.B @ L)
+            return _digit(1 / (LOOKS * fastest)) if fastest > 0 else None
+        if name in ("price", "zeta"):
+            always = all_time(plant, cost, period=period)
+            return _digit(SHARE * always.cost_all_time * always.tick) if always.cost_all_time > 0 else None
+    except TaciturnError:  # whatever is wrong is told when the policy is designed
+        return None
+    return None
+
+
+def _digit(value: float) -> float:
+    """Return a number with one digit."""
+    return float(f"{value:.1g}")

@@ -1,0 +1,157 @@
+"""Problem files as they are written: every key below what it means, and the keys that could be added."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Mapping
+from functools import cache
+from textwrap import wrap
+from typing import Any
+
+import numpy as np
+
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.errors import ProblemError
+from taciturn.problem.matrices import matrix_text, number_text
+
+WIDTH = 98  # letters of a comment
+MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that know one
+PER = {True: "per second", False: "per step"}
+
+
+def parameter_notes(kind: str) -> Mapping[str, str]:
+    """Return what each parameter of a policy kind means, in the words of its design function.
+
+    Raises:
+        ProblemError: no such kind.
+
+    Example:
+        >>> parameter_notes("lqg")["theta"]
+        'the share θ ≥ 0; 0 sends at every tick'
+    """
+    return _arguments(_expect_kind(kind))
+
+
+def kind_note(kind: str) -> str:
+    """Return what a policy kind is, in the first sentence of its design function.
+
+    Raises:
+        ProblemError: no such kind.
+    """
+    text = inspect.getdoc(CATALOGUE[_expect_kind(kind)]) or ""
+    return text.partition("\n")[0].removeprefix("Design ").rstrip(".:")
+
+
+def problem_text(tables: Mapping[str, Any], name: str) -> str:
+    """Return a problem file with its comments.
+
+    Args:
+        tables: plant, cost, policy and, where wanted, network, as the file is to hold them.
+        name: of the file, for the commands in its first lines.
+
+    Returns:
+        TOML, whose tables are those that are given.
+    """
+    plant, policy = tables["plant"], tables["policy"]
+    continuous = "dt" not in plant
+    per = PER[continuous]
+    rule = "dx/dt = A x + B u + w" if continuous else "x⁺ = A x + B u + w"
+    measured = ",  y = C x + v" if "C" in plant else ",  y = x: the full state is measured"
+    noise = "intensity per second" if continuous else "covariance per step"
+    sizes = (len(plant["A"]), len(plant["B"][0]))
+    states, inputs = (
+        f"{count} {word}{'s' * (count > 1)}" for count, word in zip(sizes, ("state", "input"), strict=True)
+    )
+    lines = [
+        f"# A problem of event-triggered control: {states}, {inputs}. Units of time are seconds.",
+        f"#   taciturn show {name}",
+        f"#   taciturn evaluate {name}",
+        "",
+        f"# {rule}{measured}",
+        "[plant]",
+    ]
+    about = {
+        "dt": "seconds per step; without this key the plant is continuous in time",
+        "A": f"dynamics, {per}",
+        "B": f"what the inputs do, {per}",
+        "C": "what is measured",
+        "W": f"noise w: {noise}, in the units of the states squared",
+        "V": "measurement noise v: covariance of a sample, in the units of the outputs squared",
+    }
+    lines += _table(plant, about)
+    lines += _offered({"input_limit": ("[…]", "symmetric clip of each input; then no guarantee is shown")})
+    lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
+    about = {"Q": "weight of the state", "R": "weight of the input", "N": "cross weight"}
+    lines += _table(tables["cost"], about)
+    if policy["kind"] in MISSIONS:
+        lines += _offered({"horizon": ("60", "steps of a mission; without this key the cost is an average")})
+    if "network" in tables:
+        lines += ["", "# the links between sensor, controller and actuator", "[network]"]
+        about = {
+            "protocol": '"udp": nobody is told what is lost; "tcp": the sender is; "ideal": nothing is lost',
+            "actuator_loss": "probability that a packet to the actuator is lost",
+            "sensor_loss": "probability that a measurement is lost",
+            "delay": "steps from a measurement to the input that uses it: 0 or 1",
+        }
+        lines += _table(tables["network"], about)
+    lines += ["", *_comment(kind_note(policy["kind"])), "[policy]"]
+    lines += _table(policy, parameter_notes(policy["kind"]))
+    lines += _offered(_optional(policy["kind"], policy, continuous))
+    return "\n".join(lines) + "\n"
+
+
+def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:
+    """Return the keys of a table, each below what it means."""
+    lines: list[str] = []
+    for key, value in table.items():
+        lines += [*_comment(about.get(key, "")), f"{key} = {_value(value)}"]
+    return lines
+
+
+def _offered(keys: Mapping[str, tuple[str, str]]) -> list[str]:
+    """Return keys that are not there, as comments."""
+    return [line for key, (value, note) in keys.items() for line in [*_comment(note), f"# {key} = {value}"]]
+
+
+def _optional(kind: str, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
+    """Return the parameters that a policy kind would take as well, with what stands for them."""
+    notes, found = parameter_notes(kind), dict[str, tuple[str, str]]()
+    for name, parameter in inspect.signature(CATALOGUE[kind]).parameters.items():
+        known = name in given or name in ("network", "reference") or (name == "period" and not continuous)
+        if parameter.kind is parameter.KEYWORD_ONLY and not known:
+            default: Any = parameter.default
+            shown = "…" if default is None or default is parameter.empty else _value(default)
+            found[name] = (shown, notes.get(name, ""))
+    return found
+
+
+def _value(value: object) -> str:
+    if isinstance(value, bool | str):
+        return f'"{value}"' if isinstance(value, str) else str(value).lower()
+    if isinstance(value, int | float):
+        return number_text(value)
+    return matrix_text(np.asarray(value))
+
+
+def _comment(text: str) -> list[str]:
+    return [f"# {line}" for line in wrap(text, WIDTH)]
+
+
+def _expect_kind(kind: str) -> str:
+    if kind not in CATALOGUE:
+        raise ProblemError(f"the kind is {kind!r}; expected one of {', '.join(CATALOGUE)}")
+    return kind
+
+
+@cache
+def _arguments(kind: str) -> dict[str, str]:
+    """Return the section of arguments of a design function's docstring, by name."""
+    text = inspect.getdoc(CATALOGUE[kind]) or ""
+    section = re.search(r"\nArgs:\n(.*?)\n\n", text, re.DOTALL)
+    found: dict[str, str] = {}
+    for name, note in re.findall(
+        r"^    (\w+): (.*?)(?=^    \w+:|\Z)", section[1] + "\n" if section else "", re.M | re.S
+    ):
+        found[name] = " ".join(note.replace("`", "").split()).rstrip(".")
+    return found

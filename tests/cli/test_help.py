@@ -1,0 +1,106 @@
+"""``--help`` teaches, and a shell completes."""
+
+from __future__ import annotations
+
+import shlex
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import typer.main
+from cli.conftest import Run
+
+from taciturn.cli import words
+from taciturn.cli.frame import GROUPS, app
+from taciturn.design.catalogue import CATALOGUE
+
+COMMANDS = sorted(name for names in GROUPS.values() for name in names)
+
+
+@pytest.fixture
+def complete(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[str], list[str]]:
+    """Return what bash offers for the last word of a line, asked for by typer's protocol."""
+    monkeypatch.chdir(tmp_path)
+
+    def complete(typed: str) -> list[str]:
+        line = shlex.split(typed) + [""] * typed.endswith(" ")
+        asked = {"_TACITURN_COMPLETE": "complete_bash", "COMP_WORDS": typed, "COMP_CWORD": str(len(line) - 1)}
+        for name, value in asked.items():
+            monkeypatch.setenv(name, value)
+        told = run()
+        assert (told.code, told.err) == (0, "")
+        return told.out.split()
+
+    return complete
+
+
+def test_help_lists_every_command_once_under_what_it_is_for(run: Run) -> None:
+    """With its whole first sentence, a first example, and where to read on."""
+    assert sorted(typer.main.get_group(app).commands) == COMMANDS
+    told = run("--help").out
+    for title, names in GROUPS.items():
+        section = told.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
+        assert [line.split()[0] for line in section.splitlines() if line[:2] == "  " and line[2] != " "] == list(names)
+    assert "..." not in told.partition("COMMAND [ARGS]...")[2]
+    assert "\n    taciturn evaluate two-mass    what a policy costs" in told
+    assert "docs/first-hour" in told
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_example_of_a_command_is_one(name: str) -> None:
+    """Its words are those that the command takes."""
+    command = typer.main.get_group(app).commands[name]
+    assert command.epilog is not None
+    first, second, *arguments = shlex.split(command.epilog.removeprefix("Example: "))
+    assert (first, second) == ("taciturn", name)
+    command.make_context(name, arguments)
+
+
+def test_pages_that_help_names_are_there() -> None:
+    """In the folder of the documentation."""
+    docs = Path(__file__).parent.parent.parent / "docs"
+    epilog = typer.main.get_group(app).epilog
+    assert epilog is not None
+    named = [word.strip(",.") for word in epilog.split() if word.startswith("docs/")]
+    assert len(named) == 3
+    assert all((docs.parent / f"{page}.md").is_file() for page in named)
+
+
+def test_files_and_built_in_problems_are_completed(complete: Callable[[str], list[str]], tmp_path: Path) -> None:
+    """TOML files beside built-in problems, in folders too; where nothing fits the shell goes on by itself."""
+    (tmp_path / "two.toml").touch()
+    (tmp_path / "two.mat").touch()
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "mine.toml").touch()
+    assert complete("taciturn show two") == ["two.toml", "two-mass", "two-mass-continuous"]
+    assert complete("taciturn evaluate sub/") == ["sub/mine.toml"]
+    assert complete("taciturn compare two-mass rov") == ["rover"]
+    assert complete("taciturn show su") == []
+
+
+def test_commands_kinds_and_words_are_completed(complete: Callable[[str], list[str]]) -> None:
+    """Each where it is asked for."""
+    assert complete("taciturn sh") == ["show"]
+    assert complete("taciturn new --kind re") == ["remote-lqg", "relative"]
+    assert complete("taciturn tune two-mass --link ") == ["sensor", "actuator"]
+    assert set(words.KINDS) == set(CATALOGUE)
+
+
+def test_completion_imports_nothing_heavy(tmp_path: Path) -> None:
+    """So that it comes while one types."""
+    code = (
+        "import os, sys\nsys.argv = ['taciturn']\n"
+        "os.environ.update(_TACITURN_COMPLETE='complete_bash', COMP_WORDS='taciturn show two', COMP_CWORD='2')\n"
+        "from taciturn.cli import main\n"
+        "try:\n    main()\nexcept SystemExit:\n    pass\n"
+        "print('heavy:', sorted({'numpy', 'scipy', 'matplotlib', 'llvmlite', 'xarray', 'h5py'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.split("\n")[-2] == "heavy: []"
+
+
+def test_the_script_for_a_shell_names_the_command(run: Run) -> None:
+    """Whatever the process is called."""
+    assert "complete -o default -F _taciturn_completion taciturn" in run("--show-completion", "bash").out

@@ -1,0 +1,332 @@
+"""``taciturn new``: what is asked, what is written, and what is refused."""
+
+from __future__ import annotations
+
+import io
+import os
+import pty
+import subprocess
+import sys
+import time
+import tomllib
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.conftest import Answer, Run
+
+import taciturn
+from taciturn.design.catalogue import CATALOGUE
+
+Ask = Callable[..., Answer]
+WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
+STEP = ("discrete", "0.5", "1.1", "1", "yes", "0.1", "2", "1")  # a scalar, as far as its cost
+
+ORDINARY = ("periodic", "remote-lqg", "consistent", "mixed", "downsampled", "stochastic")  # one of each sort
+
+
+@pytest.fixture
+def ask(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ask:
+    """Return the function that runs ``taciturn new new.toml`` with options, and answers from a pipe."""
+    monkeypatch.chdir(tmp_path)
+
+    def ask(answers: tuple[str, ...], *options: str, patient: bool = False) -> Answer:
+        typed = io.StringIO("".join(f"{answer}\n" for answer in answers))
+        monkeypatch.setattr(typed, "isatty", lambda: patient)
+        monkeypatch.setattr(sys, "stdin", typed)
+        return run("new", "new.toml", *options)
+
+    return ask
+
+
+def test_answers_become_a_file_that_evaluate_runs(ask: Ask, run: Run) -> None:
+    """Usual values where nothing is answered; every key stands below what it means."""
+    told = ask((*WALK, "[0 0; 0 2.5]", "", "10", "", "1", "", ""))
+    assert told.code == 0
+    assert told.out.endswith("written: new.toml\nnext: taciturn show new.toml, taciturn evaluate new.toml\n")
+    text = Path("new.toml").read_text(encoding="utf-8")
+    assert tomllib.loads(text) == {
+        "plant": {"A": [[0, 1], [0, 0]], "B": [[0], [1]], "W": [[0, 0], [0, 2.5]]},
+        "cost": {"Q": [[1, 0], [0, 1]], "R": [[10]]},
+        "policy": {"kind": "lqg", "period": 0.4, "theta": 0.1},
+    }
+    lines = text.splitlines()
+    for above, line in pairwise(lines):
+        assert "=" not in line or line.startswith("#") or above.startswith("# ") or line.startswith("kind")
+    assert "# noise w: intensity per second, in the units of the states squared\nW = " in text
+    assert "# the share θ ≥ 0; 0 sends at every tick\ntheta = 0.1\n" in text
+    answer = run("evaluate", "new.toml", "--steps", "20000", "--confidence", "0", "--json")
+    assert answer.code == 0
+
+
+@pytest.mark.parametrize(
+    ("A", "W"),
+    [
+        ("[1 0.5; 0 1]", "[0.1 0; 0 0.1]"),
+        ("[1, 0.5; 0, 1];", "0.1"),
+        ("[[1, 0.5], [0, 1.]]", "[0.1 0.1]"),
+        ("1 0.5; 0 1", "[[0.1], [0.1]]"),
+        ("[1 0.5\n0 1]", "[0.1, 0.1]"),
+        ("[1 ...\n 0.5\n 0 1]", "[0.1; 0.1]"),
+        ("[[1, 0.5],\n [0, 1]]", "[[1e-1, 0], [0, 1e-1]]"),
+    ],
+)
+def test_matrices_are_taken_as_matlab_and_python_write_them(ask: Ask, A: str, W: str) -> None:
+    """A number is that times the identity, a vector a diagonal; brackets may close on a later line."""
+    assert ask(("d", "1", A, "[0.5; 1]", "y", W, "1", "1", "", "1", "")).code == 0
+    plant = tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["plant"]
+    assert plant == {"dt": 1, "A": [[1, 0.5], [0, 1]], "B": [[0.5], [1]], "W": [[0.1, 0], [0, 0.1]]}
+
+
+@pytest.mark.parametrize(
+    ("goal", "kind"),
+    [
+        ("1", "lqg"),
+        pytest.param("2", "near-optimal", marks=pytest.mark.evidence),
+        ("3", "remote-lqg"),
+        ("4", "send-on-delta"),
+        ("5", "lossy-lqg"),
+        ("excess", "excess"),
+    ],
+)
+def test_what_matters_picks_the_policy(ask: Ask, goal: str, kind: str) -> None:
+    """By its number in the list, or by its name; what fits the plant is listed."""
+    told = ask((*STEP, "", goal, "0.3", "0.3"))
+    assert told.code == 0
+    assert "consistent" not in told.out  # which wants a continuous plant
+    assert tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["policy"]["kind"] == kind
+
+
+def test_lossy_links_are_asked_for_and_have_their_policy(ask: Ask) -> None:
+    """With the price of a send that is suggested: a fifth of what a tick costs, to a digit."""
+    assert ask((*STEP, "udp", "0.2", "0.4", "")).code == 0
+    problem = taciturn.load("new.toml")
+    assert (problem.kind, problem.network) == ("lossy-lqg", taciturn.Network("udp", 0.2, 0.4))
+    always = taciturn.design.all_time(problem.plant, problem.cost).cost_all_time
+    assert problem.parameters["price"] == pytest.approx(0.2 * always, rel=0.3)
+    assert f"{problem.parameters['price']:.1g}" == f"{problem.parameters['price']:g}"
+
+
+def test_outputs_with_noise_are_asked_for(ask: Ask) -> None:
+    """C and V; a V of 0 is exact measurement and is not written."""
+    answers = ("c", "[0 1; 0 0]", "[0; 1]", "n", "[1 0]", "0.01", "1", "1", "1", "", "1", "0.1", "0.1")
+    assert ask(answers).code == 0
+    plant = tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["plant"]
+    assert (plant["C"], plant["V"]) == ([[1, 0]], [[0.01]])
+    Path("new.toml").unlink()
+    assert ask(tuple("0" if answer == "0.01" else answer for answer in answers)).code == 0
+    assert "V" not in tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["plant"]
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        kind if kind in ORDINARY else pytest.param(kind, marks=pytest.mark.evidence)
+        for kind in sorted(set(CATALOGUE) - {"integral"})  # whose fixed point takes seconds
+    ],
+)
+def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
+    """What it must be told is asked; what is written is designed before it is."""
+    continuous = kind == "consistent"
+    plant = ("c", "0", "1", "y", "1", "1", "1") if continuous else STEP
+    network = ("ideal",) if kind == "lossy-lqg" else ()
+    needed = {"absolute": 1, "mixed": 2, "send-on-delta": 1, "variance": 1, "downsampled": 3}  # have no usual value
+    more = {"mixed": ("", "0.3"), "downsampled": ("", "", "0.3")}.get(kind, ("0.3",) * needed.get(kind, 0) or ("",) * 4)
+    told = ask((*plant, *network, *more), "--kind", kind)
+    assert (told.code, told.err) == (0, "")
+    problem = taciturn.load("new.toml")
+    assert problem.kind == kind
+    assert "What matters" not in told.out
+    assert problem.designed().kind == kind
+
+
+@pytest.mark.parametrize(
+    ("answers", "sentence"),
+    [
+        (("sometimes",), "the time base is 'sometimes'; expected one of continuous, discrete"),
+        (("d", "-1"), "dt is -1; expected 0 < dt"),
+        (("d", "fast"), "dt is 'fast'; expected a finite number"),
+        (("c", "[1 2; 3]"), "A is '[1 2; 3]'; expected a number, or a matrix as [1 2; 3 4] or [[1, 2], [3, 4]]"),
+        (("c", "[1 x; 3 4]"), "A is '[1 x; 3 4]'; expected a number, or a matrix as"),
+        (("c", "import os"), "A is 'import os'; expected a number, or a matrix as"),
+        (("c", "[]"), "A is '[]'"),
+        (("c", "[1 nan; 3 4]"), "A holds nan at index (0, 1); expected finite numbers"),
+        (("c", "[1 2]"), "A has shape (1, 2); expected a square matrix with at least one state"),
+        (("c", ""), "A is missing; expected an answer, as there is no usual value"),
+        (("c", "[0 1; 0 0]", "[0 1]"), "B has shape (1, 2); expected (2, any) = (states, inputs). Did you pass its"),
+        (("c", "[1 0; 0 1]", "[0; 1]"), "(A, B) is not stabilisable: no input can move the mode at 1"),
+        (("c", "1", "1", "maybe"), "what is measured is 'maybe'; expected one of yes, no"),
+        (("c", "[1 0; 0 2]", "[1; 1]", "n", "[1 0]"), "(A, C) is not detectable"),
+        (("c", "1", "1", "n", "1", "-1"), "V has the eigenvalue -1; expected a positive semidefinite matrix"),
+        ((*WALK, "[1 2 3]"), "W is 1×3; expected one number, 2 for a diagonal, or a matrix 2×2"),
+        ((*WALK, "[1 2; 3 4]"), "W is not symmetric"),
+        ((*WALK, "1", "-1"), "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
+        ((*WALK, "1", "1", "0"), "R has the eigenvalue 0; expected a positive definite matrix"),
+        ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
+        ((*WALK, "1", "1", "1", "udp"), "the network is udp, and losses are reckoned with where the model is discrete"),
+        ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
+        ((*STEP, "", "9"), "what matters is 9; expected a number from 1 to 5, or a kind"),
+        ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
+        ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
+        ((*STEP, "", "1", "-1"), "theta is -1; expected 0 ≤ theta"),
+        ((*STEP, "", "periodic", "1.5"), "policy.every is 1.5; expected a whole number"),
+        (
+            (*STEP, "", "consistent"),
+            "the plant is discrete in time, and consistent predicts in continuous time; expected",
+        ),
+        ((*STEP, "", "1"), "the answers end before theta; expected one more; nothing is written"),
+        (("c", "[0 1; 0 0", "1"), "the answers end before A; expected one more; nothing is written"),
+        ((), "the answers end before the time base; expected one more; nothing is written"),
+    ],
+)
+def test_from_a_pipe_the_first_answer_that_does_not_fit_ends_it(
+    ask: Ask, answers: tuple[str, ...], sentence: str
+) -> None:
+    """In one sentence, and nothing is written."""
+    told = ask(answers)
+    assert (told.code, told.err.count("\n")) == (2, 1)
+    assert told.err.startswith(f"taciturn: {sentence}")
+    assert list(Path().iterdir()) == []
+
+
+def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
+    """The sentence, and the same question; a policy that is not for the plant asks for another."""
+    answers = (
+        "discrete",
+        "0",
+        "1",
+        "[1 2]",
+        "1.1",
+        "1",
+        "y",
+        "-1",
+        "0.1",
+        "1",
+        "1",
+        "",
+        "consistent",
+        "1",
+        "-1",
+        "1",
+        "0.2",
+    )
+    told = ask(answers, patient=True)
+    assert (told.code, told.err) == (0, "")
+    for sentence in (
+        "dt is 0; expected 0 < dt",
+        "A has shape (1, 2); expected a square matrix",
+        "W has the eigenvalue -1",
+        "consistent predicts in continuous time",
+        "theta is -1; expected 0 ≤ theta",
+    ):
+        assert sentence in told.out
+    assert taciturn.load("new.toml").parameters == {"theta": 0.2}
+
+
+def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_asked(ask: Ask) -> None:
+    """From a pipe that is the end, at a terminal another one is asked for."""
+    told = ask(STEP, "--kind", "integral")
+    assert told.err.startswith("taciturn: the plant is discrete in time, and integral predicts in continuous time; ex")
+    assert ask((*STEP, "", "1", ""), "--kind", "integral", patient=True).code == 0
+    assert taciturn.load("new.toml").kind == "lqg"
+
+
+def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:
+    """As is what matters."""
+    told = ask(
+        ("discrete", "0.5", "3", "1", "yes", "0.1", "2", "1", "udp", "0.9", "0", "0.1", "ideal", "1", "0.2"),
+        patient=True,
+    )
+    assert told.code == 0
+    assert "mean-square stability allows actuator losses below 0.111111" in told.out
+    problem = taciturn.load("new.toml")
+    assert (problem.kind, problem.network) == ("lqg", taciturn.Network())
+
+
+def test_the_end_of_the_answers_ends_it_at_a_terminal_too(ask: Ask) -> None:
+    """Ctrl-D is no answer that could be asked for again."""
+    told = ask(("d",), patient=True)
+    assert told.err == "taciturn: the answers end before dt; expected one more; nothing is written\n"
+    assert (told.code, list(Path().iterdir())) == (2, [])
+
+
+def test_nothing_is_overwritten(ask: Ask) -> None:
+    """Before anything is asked."""
+    Path("new.toml").write_text("mine", encoding="utf-8")
+    told = ask(())
+    assert told.sentence == "new.toml is there; expected the name of a file that is not, as nothing is overwritten"
+    assert Path("new.toml").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--kind", "lgq"), "Did you mean 'lqg'?"),
+        (("--dt", "-1"), "--dt is -1; expected 0 ≤ --dt"),
+        (("--yes",), "--yes is given without --from; expected both, or neither"),
+    ],
+)
+def test_options_that_do_not_fit_are_refused_before_anything_is_asked(
+    ask: Ask, options: tuple[str, ...], words: str
+) -> None:
+    """In one sentence."""
+    assert words in ask((), *options).sentence
+
+
+@pytest.mark.parametrize("name", ["new.txt", "folder.toml", "nowhere/new.toml"])
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_asked(ask: Ask, run: Run, name: str) -> None:
+    """Another ending, a folder, a folder that is not there."""
+    ask(())
+    Path("folder.toml").mkdir()
+    assert "expected" in run("new", name).sentence
+
+
+@pytest.mark.skipif(not hasattr(os, "openpty"), reason="no terminals here")
+def test_at_a_real_terminal_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
+    """A wrong answer is asked again; Ctrl-C ends with a sentence, exit code 130 and an empty folder."""
+    above, below = pty.openpty()
+    command = [sys.executable, "-m", "taciturn.cli", "new"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdin=below, stdout=below, stderr=below, start_new_session=True, preexec_fn=_control
+    ) as process:
+        os.close(below)
+        shown = ""
+        for question, typed in (("continuous]: ", "often\n"), ("continuous]: ", "c\n"), ("3 4]: ", "\x03")):
+            until, found = time.monotonic() + 30, len(shown)
+            while question not in shown[found:] and time.monotonic() < until:
+                shown += os.read(above, 4096).decode(errors="replace")
+            os.write(above, typed.encode())
+        while True:
+            try:
+                more = os.read(above, 4096)
+            except OSError:
+                break
+            if not more:
+                break
+            shown += more.decode(errors="replace")
+        os.close(above)
+        assert process.wait(30) == 130
+    assert "the time base is 'often'; expected one of continuous, discrete" in shown
+    assert "interrupted; nothing is written" in shown
+    assert "Traceback" not in shown
+    assert list(tmp_path.iterdir()) == []
+
+
+def _control() -> None:
+    """Make the terminal that of the new session, so that Ctrl-C reaches it."""
+    import fcntl
+    import termios
+
+    fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+
+
+def test_numbers_are_written_to_their_last_digit(ask: Ask) -> None:
+    """What is read back is what was typed."""
+    third = repr(1 / 3)
+    assert ask(("d", third, f"[{third} 1e-17; 0 0.7]", "[1 0; 0 1]", "y", "1", "1", "1", "", "1", "")).code == 0
+    plant = taciturn.load("new.toml").plant
+    assert np.array_equal(plant.A, [[1 / 3, 1e-17], [0, 0.7]])
+    assert isinstance(plant, taciturn.Plant)
+    assert plant.dt == 1 / 3

@@ -1,0 +1,181 @@
+"""``taciturn show``: what is known of a problem before anything runs."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from cli.conftest import COST, PLANT
+
+import taciturn
+from taciturn.design.catalogue import CATALOGUE
+from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.riccati import regulate
+from taciturn.model.steps import Send
+from taciturn.study.describe import describe
+
+if TYPE_CHECKING:
+    from conftest import Run, Write
+
+WALK = "[plant]\nA = [[0, 1], [0, 0]]\nB = [[0], [1]]\nW = [[0.1, 0], [0, 1]]\n"
+WEIGHTS = "[cost]\nQ = [[1, 0], [0, 1]]\nR = [[1]]\n"
+JUMPS = "[plant]\nA = [[0]]\nB = [[1]]\n[plant.jumps]\nrate = 2\ncovariance = [[0.5]]\n"
+ONE = "[cost]\nQ = [[1]]\nR = [[1]]\n"
+KINDS = {
+    "all-time": "", "periodic": "every = 3", "lqg": "theta = 0.3", "remote-lqg": "theta = 0.2\nzeta = 0.05",
+    "lossy-lqg": "price = 0.1", "excess": "theta = 0.1", "near-optimal": "price = 0.1", "absolute": "threshold = 0.1",
+    "relative": "sigma = 0.1", "mixed": "sigma = 0.1\nthreshold = 0.1", "dynamic": "sigma = 0.1\nrho = 0.5\ngain = 2",
+    "send-on-delta": "delta = 0.2", "variance": "threshold = 0.02", "rollout": "horizon = 4\nevery = 2",
+    "self-triggered": "beta = 1.2\nmax_interval = 4", "stochastic": "", "periodic-schedule": "length = 5\nsends = 2",
+    "downsampled": "fast = 1\nslow = 2\nthreshold = 0.1", "optimal": "price = 0.1",
+    "consistent": "period = 0.2", "integral": "slope = 0.4\nalpha = 1.0\nh_max = 5.0",
+}  # fmt: skip
+
+SLOW = ("near-optimal", "integral")  # to design: a second
+
+
+def document(run: Run, *arguments: str) -> dict[str, Any]:
+    """Return what ``taciturn show --json`` prints."""
+    told = run("show", *arguments, "--json")
+    assert (told.code, told.err) == (0, "")
+    return json.loads(told.out)
+
+
+def rows(text: str) -> dict[str, str]:
+    """Return what stands behind each name."""
+    return {line[:14].strip(): line[15:] for line in text.split("\n\n")[0].splitlines() if line[:14].strip()}
+
+
+def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
+    """The gains are found in the steps; here they are computed from the matrices."""
+    problem = taciturn.load("two-mass")
+    plant, cost, policy = problem.plant, problem.cost, problem.design()
+    assert isinstance(plant, taciturn.Plant)
+    shown = document(run, "two-mass")
+    assert np.allclose(shown["gains"]["L"], regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).L, rtol=1e-12)
+    assert np.allclose(shown["gains"]["K"], steady_filter(plant.A, plant.C, plant.W, plant.V).gain, rtol=1e-12)
+    assert shown["cost_all_time"] == policy.cost_all_time
+    assert shown["guarantee"]["cost"] == pytest.approx(1.1 * policy.cost_all_time)
+    assert shown["guarantee"]["holds"] is True
+    assert np.allclose(sorted(abs(complex(*pole)) for pole in shown["plant"]["poles"]), 1, atol=1e-6)
+    silent = shown["decisions"]["send"]["silent"]
+    assert silent["signals"] == ["estimate", "candidate", "error"]
+    assert np.array_equal(silent["Psi"], policy.decisions["send"].options["silent"].Psi)
+    assert shown["diagram"] == policy.diagram().document()
+
+
+def test_the_text_says_what_the_document_says(run: Run) -> None:
+    """Sizes, poles, guarantee, the trigger's forms; the diagram stands below."""
+    told = run("show", "two-mass")
+    found = rows(told.out)
+    assert found["plant"] == "4 states, 1 input, 2 outputs; discrete in time, 0.1 s per step"
+    assert found["poles"].endswith("on the edge of stability")
+    assert (found["controllable"], found["observable"], found["noise W"]) == ("yes", "yes", "0.01 I (4×4)")
+    assert found["guarantee"].startswith("J ≤ (1+θ) J_all, mean-square stable: at most 0.8068")
+    assert found["silent"] == "η'Ψη, η = [estimate; candidate; error]"
+    assert found["link, actuator"] == "command (1): if send, by estimate, candidate, error"
+    assert told.out.endswith(f"\n\n{taciturn.load('two-mass').design().diagram().text()}\n")
+
+
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=pytest.mark.evidence) if kind in SLOW else kind for kind in KINDS]
+)
+def test_every_kind_is_shown(write: Write, kind: str) -> None:
+    """As text and as JSON; every decision, link and note of its policy is named."""
+    tables = {"consistent": (WALK, WEIGHTS), "integral": (JUMPS, ONE)}.get(kind, (PLANT, COST))
+    found = describe(taciturn.load(write(*tables, f'[policy]\nkind = "{kind}"\n{KINDS[kind]}\n')))
+    shown = json.loads(json.dumps(found.document(), allow_nan=False))
+    told = "\n".join(f"{name:14s} {text}" for name, text in found.lines())
+    policy = found.policy
+    assert rows(told)["policy"].split()[0] == shown["policy"] == policy.kind == kind
+    for name, options in shown["decisions"].items():
+        assert f"decision {name}" in told
+        assert all(label in told for label in list(options)[:4])
+    links = [] if found.nodes is None else [step for step in found.nodes.steps if isinstance(step, Send)]
+    assert [link["link"] for link in (shown["diagram"] or {"links": []})["links"]] == [step.link for step in links]
+    for step in links:
+        assert all(f"{name} (" in rows(told)[f"link, {step.link}"] for name in step.payload)
+    assert (shown["diagram"] is None) == (kind == "integral")
+    proved = isinstance(policy, taciturn.Policy) and policy.guarantee is not None
+    if isinstance(policy, taciturn.Policy) and policy.guarantee is not None:
+        bound = policy.guarantee
+        assert rows(told)["guarantee"] == f"{bound.statement}: at most {bound.cost:.6g} ({bound.source})"
+    assert (shown["guarantee"] is None) == (not proved and kind != "integral")
+    assert all(note in told for note in getattr(policy, "notes", ()))
+
+
+def test_every_kind_of_the_catalogue_is_among_them() -> None:
+    """None is left out."""
+    assert set(KINDS) == set(CATALOGUE)
+
+
+@pytest.mark.parametrize(
+    ("file", "words"),
+    [
+        ("pendulum-by-encoders", "the plant is not linear (A and B are its linearisation): no guarantee holds"),
+        ("limited", "inputs are clipped (input_limit): no guarantee holds"),
+    ],
+)
+def test_a_guarantee_that_does_not_hold_is_not_claimed(run: Run, write: Write, file: str, words: str) -> None:
+    """Where the loop is not the one of the design."""
+    if file == "limited":
+        file = write(plant="[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\ninput_limit = [9.0]\n")
+    found = rows(run("show", file).out)
+    assert found["guarantee"] == "none of this loop; of the design: J ≤ (1+θ) J_all, mean-square stable"
+    shown = document(run, file)
+    assert (shown["guarantee"]["holds"], words in shown["notes"]) == (False, True)
+
+
+def test_modes_that_no_input_moves_are_told(run: Run, write: Write) -> None:
+    """And those that no measurement shows; they decay, or the plant is refused."""
+    path = write(
+        plant="[plant]\nA = [[1.2, 0], [0, 0.5]]\nB = [[1], [0]]\nC = [[1, 0]]\nW = [[1, 0], [0, 1]]\ndt = 1\n",
+        cost=WEIGHTS,
+    )
+    found = rows(run("show", path).out)
+    assert found["poles"] == "1.2, 0.5: unstable"
+    assert found["controllable"] == "but for the mode 0.5, which no input moves"
+    assert found["observable"] == "but for the mode 0.5, which no measurement shows"
+
+
+def test_missions_links_and_tables_are_told(run: Run) -> None:
+    """Gains by the clock, the network, the schedule of queries."""
+    rover = rows(run("show", "rover").out)
+    assert rover["cost"] == "a mission of 60 steps of x'Qx + u'Ru per step"
+    assert rover["gain L"] == "by clock, 60 of them; the first:"
+    assert rover["link, sensor"].startswith("y (1): if query, by the clock: 11 of the first 59 ticks")
+    lossy = rows(run("show", "lossy-double-integrator").out)
+    assert lossy["network"] == "udp (no acknowledgement); actuator loses 30 %, sensor loses 60 %"
+    assert lossy["at a rate R"] == "at most 63.776 + 10 (1 − R per tick)"
+
+
+def test_a_picture_is_written(run: Run, tmp_path: Path) -> None:
+    """With the words of the text."""
+    picture = tmp_path / "nodes.svg"
+    assert f"picture: {picture}" in run("show", "two-mass", "--plot", str(picture)).out
+    assert picture.read_text(encoding="utf-8").startswith("<?xml")
+
+
+@pytest.mark.evidence
+def test_what_has_no_nodes_is_not_drawn(run: Run, tmp_path: Path, write: Write) -> None:
+    """And says how it would have some."""
+    path = write(plant=JUMPS, cost=ONE, policy=f'[policy]\nkind = "integral"\n{KINDS["integral"]}\n')
+    told = run("show", path, "--plot", str(tmp_path / "nodes.svg"))
+    assert told.sentence.startswith("integral without a period has no loop of nodes to be drawn")
+
+
+def test_a_terminal_without_boxes_gets_plain_ones() -> None:
+    """What its encoding lacks is not escaped into the picture."""
+    command = [sys.executable, "-m", "taciturn.cli", "show", "two-mass"]
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
+    done = subprocess.run(command, capture_output=True, encoding="latin-1", env=environment, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    drawn = done.stdout.split("\n\n")[1]
+    assert drawn.isascii()
+    assert drawn.startswith("+-----")

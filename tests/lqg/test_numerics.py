@@ -1,0 +1,261 @@
+"""What rounding, units and bad conditioning do to the equations: right to what is claimed, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from digits import regulated, sampled
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from taciturn import ContinuousPlant, Cost, Plant, design
+from taciturn._modes import accumulate, least_eigenvalue, radius, uncontrollable_modes
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg import _care, _dare, _mean_square
+from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.lossy import Channel, lossy_step, regulate_lossy
+from taciturn.lqg.riccati import regulate, regulate_continuous
+from taciturn.lqg.sampling import sample
+
+seeds = st.integers(0, 2**32 - 1)
+times = pytest.mark.parametrize("continuous", [False, True], ids=["discrete", "continuous"])
+TOLERANCE = 1e-6  # what the documentation promises
+
+
+def off(found: np.ndarray, exact: np.ndarray) -> float:
+    """Return the largest error of a semidefinite matrix, each variable in the unit that makes its diagonal 1."""
+    unit = np.sqrt(np.diag(exact))
+    return float(np.abs((found - exact) / unit / unit[:, None]).max())
+
+
+def in_units(c, x: np.ndarray, u: np.ndarray, cost: float) -> tuple[np.ndarray, ...]:
+    """Return A, B, Q, R, N of a case whose state, input and cost are measured in other units."""
+    A, B = c.A / x[:, None] * x, c.B / x[:, None] * u
+    return A, B, cost * c.Q * x * x[:, None], cost * c.R * u * u[:, None], cost * c.N * x[:, None] * u
+
+
+@times
+@settings(max_examples=40)
+@given(seed=seeds)
+def test_units_from_1e_8_to_1e8_leave_the_regulator_as_it_is(draw, seed, continuous):
+    """K and L of a problem in other units are those of sixty digits, to 1e-8 of the cost and gain of each state."""
+    c = draw(seed)
+    n, m = c.B.shape
+    x, u, cost = 10.0 ** c.rng.uniform(-8, 8, n), 10.0 ** c.rng.uniform(-8, 8, m), 10.0 ** c.rng.uniform(-8, 8)
+    problem = in_units(c, x, u, cost)
+    found = (regulate_continuous if continuous else regulate)(*problem)
+    K, L = regulated(*problem, found.L, continuous)
+    assert off(found.K, K) < 1e-8
+    price = np.sqrt(np.diag(found.H))  # u'Hu of what each state asks for, beside what the state costs
+    assert np.abs((found.L - L) * price[:, None] / np.sqrt(np.diag(K))).max() < 1e-8
+
+
+@times
+@settings(max_examples=40)
+@given(seed=seeds, weak=st.integers(0, 6))
+def test_the_error_of_a_solution_is_within_what_is_claimed(draw, seed, weak, continuous):
+    """K − exact lies between − and + error, for inputs that reach the states unequally well."""
+    c = draw(seed)
+    B = c.B * 10.0 ** c.rng.uniform(-weak, 0, (len(c.A), 1))
+    found = (_care if continuous else _dare).solve(c.A, B, c.Q, c.R, c.N)
+    assume(found is not None)
+    K, _ = regulated(c.A, B, c.Q, c.R, c.N, found.L, continuous)
+    unit = np.sqrt(np.diag(K))
+    claimed, error = (part / unit / unit[:, None] for part in (found.error, found.K - K))
+    assert np.linalg.eigvalsh(claimed - error)[0] > -1e-16  # of the difference itself
+    assert np.linalg.eigvalsh(claimed + error)[0] > -1e-16
+
+
+@settings(max_examples=40)
+@given(seed=seeds)
+def test_units_from_1e_8_to_1e8_leave_the_filter_as_it_is(draw, seed):
+    """Covariance and gain in other units are those of sixty digits; no variance is taken for rounding."""
+    c = draw(seed)
+    x, y = 10.0 ** c.rng.uniform(-8, 8, len(c.A)), 10.0 ** c.rng.uniform(-8, 8, len(c.C))
+    A, C, W, V = c.A / x[:, None] * x, c.C / y[:, None] * x, c.W / x / x[:, None], c.V / y / y[:, None]
+    found = steady_filter(A, C, W, V)
+    start = -(A @ found.gain).T
+    Sigma, _ = regulated(A.T, C.T, W, V, np.zeros(C.T.shape), start)
+    assert off(found.prior, Sigma) < 1e-8
+    assert radius(A - A @ found.gain @ C) < 1
+
+
+def turned(unstable: float, reached: float, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return a plant with an unstable mode that the input reaches weakly, in coordinates that hide it."""
+    T = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    return T @ np.diag([unstable, -0.5]) @ T.T, T @ np.array([[reached], [1.0]])
+
+
+@times
+@pytest.mark.parametrize("angle", [0.0, 0.7])
+@pytest.mark.parametrize("digits", range(2, 15, 2))
+def test_an_unstable_mode_that_is_hardly_reached_is_right_or_refused(digits, angle, continuous):
+    """Reached by 1e-2 … 1e-14: K to the promised tolerance, or a sentence that says why not."""
+    A, B = turned(0.2 if continuous else 1.2, 10.0**-digits, angle)
+    problem = A, B, np.eye(2), np.eye(1), np.zeros((2, 1))
+    try:
+        found = (regulate_continuous if continuous else regulate)(*problem)
+    except UnstableError as error:
+        refusal = str(error)
+    else:
+        refusal = ""
+    if refusal:
+        assert angle, "what is only a matter of units is solved"
+        assert digits >= 8, refusal
+        assert any(reason in refusal for reason in ("cannot move", "too badly conditioned", "clear of rounding"))
+        return
+    K, _ = regulated(*problem, found.L, continuous)
+    assert off(found.K, K) < TOLERANCE
+
+
+@times
+@pytest.mark.parametrize("digits", range(2, 15, 2))
+def test_a_stable_mode_beyond_reach_near_the_edge_is_right_or_refused(digits, continuous):
+    """A pole at 1 − 1e-k, or at −1e-k, that nothing moves: its cost 1/(1 − λ²), or 1/(2|λ|), or a refusal."""
+    slow = -(10.0**-digits) if continuous else 1 - 10.0**-digits
+    A, B = np.diag([slow, -0.5]), np.array([[0.0], [1.0]])
+    try:
+        found = (regulate_continuous if continuous else regulate)(A, B, np.eye(2), np.eye(1), np.zeros((2, 1)))
+    except UnstableError:
+        found = None
+    if found is None:
+        assert digits >= 10
+        return
+    exact = -1 / (2 * slow) if continuous else 1 / ((1 - slow) * (1 + slow))
+    assert found.K[0, 0] == pytest.approx(exact, rel=TOLERANCE)
+
+
+@times
+@pytest.mark.parametrize("size", [2, 4, 8])
+def test_jordan_blocks_at_the_edge_are_solved_to_twelve_digits(size, continuous):
+    """Chains of integrators, moved at their end and weighed at their start."""
+    A = np.diag(np.ones(size - 1), 1) + (0 if continuous else np.eye(size))
+    problem = A, np.eye(size)[:, -1:], np.diag(np.eye(size)[0]), np.eye(1), np.zeros((size, 1))
+    found = (regulate_continuous if continuous else regulate)(*problem)
+    K, _ = regulated(*problem, found.L, continuous)
+    assert off(found.K, K) < 1e-12
+
+
+@pytest.mark.parametrize("small", [1e-4, 1e-8, 1e-12])
+def test_next_to_free_inputs_and_next_to_worthless_states_are_priced(small):
+    """R or Q of 1e-12 beside ones, against sixty digits."""
+    A, B, N = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
+    for Q, R in ((np.eye(2), [[small]]), (small * np.eye(2), [[1.0]]), (np.diag([1.0, small]), [[1.0]])):
+        found = regulate(A, B, Q, R, N)
+        assert off(found.K, regulated(A, B, Q, R, N, found.L)[0]) < 1e-12
+
+
+def test_a_cost_that_rounding_covers_is_refused():
+    """The noise excites only a stable mode, beside one that costs 1e20 times as much: J has no digit left."""
+    A, B = turned(1.2, 1e-8, 0.7)
+    stable = np.linalg.eig(A)
+    calm = stable.eigenvectors[:, [int(np.argmin(np.abs(stable.eigenvalues)))]].real
+    with pytest.raises(UnstableError, match=r"uncertain by .*\(at most 1e-06 of it\)"):
+        design.all_time(Plant(A, B, calm @ calm.T), Cost(np.eye(2), np.eye(1)))
+
+
+def test_a_sum_over_all_time_is_right_or_refused():
+    """Σ λ^2k = 1/(1 − λ²) while 1 − λ has the digits for it."""
+    for distance in (1e-3, 1e-6, 1e-9):
+        assert accumulate([[1 - distance]], [[1.0]])[0, 0] == pytest.approx(
+            0.5 / distance, rel=2 * distance + TOLERANCE
+        )
+    with pytest.raises(UnstableError, match="expected a loop that is more clearly stable"):
+        accumulate([[1 - 1e-12]], [[1.0]])
+
+
+def test_units_of_decoupled_states_do_not_decide_what_is_reached():
+    """An input of 1e-8 into one state and 1e8 into another moves both; into none it moves none."""
+    A = np.diag([1.1, 1.2, 1.3])
+    assert uncontrollable_modes(A, [[1e-8], [1e8], [1.0]]).size == 0
+    assert uncontrollable_modes(A, [[1e-8], [0.0], [1e8]]) == pytest.approx([1.2])
+    assert uncontrollable_modes(np.diag([1.1, 1.1]), [[1e-8], [1e8]]) == pytest.approx([1.1])
+
+
+def test_units_of_weights_do_not_decide_whether_they_are_definite():
+    """R = diag(1e-8, 1e8) is definite and a negative weight beside a large one is not rounding."""
+    assert Cost(np.eye(2), np.diag([1e-8, 1e8])).R[0, 0] == 1e-8
+    with pytest.raises(ProblemError, match="Q has the eigenvalue -1e-08"):
+        Cost(np.diag([1e8, -1e-8]), [[1.0]])
+    with pytest.raises(ProblemError, match=r"R has the eigenvalue .*positive definite"):
+        Cost([[1.0]], [[1e8, 1.0], [1.0, 1e-8]])
+    with pytest.raises(ProblemError, match="Q is not symmetric"):
+        Cost(np.array([[1e9, 0, 0], [0, 1, 0.5], [0, 0, 1]]), [[1.0]])
+    column = np.array([[1.0], [1e-12], [0.0]])
+    assert np.linalg.matrix_rank(Cost(column @ column.T, [[1.0]]).Q) == 1
+
+
+def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time():
+    """−1e-13 per second is a stable mode of a plant whose pace is as slow, and the edge of one that is fast."""
+    slow = ContinuousPlant(np.diag([-1e-13, -2e-13]), [[0.0], [1e-13]], np.eye(2))
+    assert slow.states == 2
+    with pytest.raises(ProblemError, match="which does not decay"):
+        ContinuousPlant(np.diag([-1e-13, -2.0]), [[0.0], [1.0]], np.eye(2))
+
+
+@pytest.mark.parametrize("fast", [1e2, 1e5, 1e8])
+def test_a_stiff_plant_keeps_the_digits_of_its_slow_mode(fast):
+    """Modes that decay 1e8 times and 1e-8 times in a period: the slow one decays by what sixty digits say."""
+    A, B, N = np.diag([-fast, -1 / fast]) + np.array([[0, 0.3], [0, 0]]), np.ones((2, 1)), np.zeros((2, 1))
+    found = sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 1.0)
+    Phi, weight, noise = sampled(A, B, np.eye(2), np.eye(1), N, np.eye(2), 1.0)
+    assert 1 - found.A[1, 1] == pytest.approx(1 - Phi[1, 1], rel=1e-12 + 2e-16 * fast)
+    assert off(found.W, noise) < 1e-12
+    assert off(np.block([[found.Q, found.N], [found.N.T, found.R]]), weight) < 1e-12
+
+
+def test_a_phase_without_digits_is_refused():
+    """An undamped oscillator of 1e12 rad/s is sampled every 1e-3 s, not every second."""
+    A, B, N = np.array([[0.0, 1e12], [-1e12, 0.0]]), np.array([[0.0], [1.0]]), np.zeros((2, 1))
+    assert np.isfinite(sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 1e-6).W).all()
+    with pytest.raises(ProblemError, match="expected a shorter period"):
+        sample(A, B, np.eye(2), np.eye(1), N, np.eye(2), 10.0)
+
+
+def chain(masses: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return masses in a row between springs, undamped, pushed at one end."""
+    stiffness = 2 * np.eye(masses) - np.eye(masses, k=1) - np.eye(masses, k=-1)
+    A = np.block([[np.zeros((masses, masses)), np.eye(masses)], [-stiffness, np.zeros((masses, masses))]])
+    return A, np.eye(2 * masses)[:, -1:]
+
+
+def test_thirty_masses_in_a_row_are_solved_and_lose_packets():
+    """Sixty undamped states: regulator and lossy fixed point hold their equations and claim an error below 1e-8."""
+    A, B = chain(30)
+    plant = sample(A, B, np.eye(60), np.eye(1), np.zeros((60, 1)), np.eye(60), 0.3)
+    found = _dare.solve(plant.A, plant.B, plant.Q, plant.R, plant.N)
+    assert found is not None
+    assert found.residual < 1e-13
+    assert found.doubt < 1e-8
+    channel = Channel(0.2, 0.3, acknowledged=False, delayed=False)
+    lossy = regulate_lossy(plant.A, plant.B, plant.Q, np.eye(1), channel)
+    K, P, *_ = lossy_step(plant.A, plant.B, plant.Q, np.eye(1), lossy.K, lossy.P, channel)
+    assert off(K, lossy.K) < 1e-12
+    assert off(P + lossy.K, lossy.P + lossy.K) < 1e-12
+    assert np.trace(lossy.error) < 1e-8 * np.trace(lossy.K)
+
+
+@settings(max_examples=30)
+@given(seed=seeds, told=st.booleans(), lost=st.floats(0, 0.9), unseen=st.floats(0, 0.9))
+def test_two_lyapunov_equations_grow_and_sum_like_the_stacked_rows(draw, seed, told, lost, unseen):
+    """The mean square of a loop by equations of n rows is that of one linear map of 2n² rows."""
+    c = draw(seed)
+    reach = 0.0 if told else unseen
+    loop = _mean_square.MeanSquare(c.A, c.B, 0.3 * c.rng.normal(size=c.B.T.shape), (lost, unseen), reach)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(_mean_square, "FEW", len(c.A))
+        growth, above = loop.growth(), loop.at(1.3 * loop.growth() + 0.1)
+        stacked = above.solve(c.Q, c.W)
+        patch.setattr(_mean_square, "FEW", 0)
+        assert loop.growth() == pytest.approx(growth, rel=1e-7)  # of a double eigenvalue
+        for one, other in zip(above.solve(c.Q, c.W), stacked, strict=True):
+            assert off(one, other) < 1e-9
+
+
+def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():
+    """Of a definite matrix in units of 1e-8 … 1e8, whose largest eigenvalue is 1e32 times the least."""
+    matrix = np.array([[2.0, 1.0], [1.0, 2.0]]) * np.outer([1e8, 1e-8], [1e8, 1e-8])
+    assert least_eigenvalue(matrix) == pytest.approx(1.5e-16, rel=1e-12)  # the determinant over the trace
+    assert least_eigenvalue(np.diag([1.0, -1.0])) == -1.0
+    assert least_eigenvalue(np.diag([1.0, 0.0])) == 0.0
+    assert least_eigenvalue(np.ones((2, 2))) <= 0.0
