@@ -69,7 +69,7 @@ KINDS: dict[str, Callable[[Plant, Cost, Units], Policy]] = {
 
 
 def assert_same_loop(kind: str, seed: int) -> list[float]:
-    """Compare J_all, simulated cost and rates of a loop in units of 1e-8 … 1e8 with those in the old ones: the rates."""
+    """Return the rates of a loop whose J_all, cost and rates in units of 1e-8 … 1e8 were found to be the old ones."""
     told: list[tuple[float, float, list[float]]] = []
     for digits in (0.0, 8.0):
         plant, cost, u = stated(seed, digits, kind == "sampled")
