@@ -36,7 +36,7 @@ def network(found: NetworkRun) -> None:
     cost = "-" if found.cost is None else f"{found.cost} per {found.unit}"
     lines = [("policy", policy.kind), ("ticks", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
     lines += [(f"rate, {link}", f"{rate} per {per}") for link, rate in found.rates.items()]
-    if found.loop.nominal:
+    if found.nominal:
         lines.append(("all-time cost", f"{policy.cost_all_time:.6g}"))
     for link, counted in found.datagrams.items():
         lines.append((f"link, {link}", ", ".join(f"{count} {name}" for name, count in counted.items())))

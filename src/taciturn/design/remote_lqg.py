@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number
-from taciturn._modes import radius
 from taciturn.design.certainty import (
     CLOCK,
     COLLOCATED,
@@ -22,9 +21,9 @@ from taciturn.design.certainty import (
 )
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.design.prices import Prices, by_clock, price_control
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.kalman import forgetting, steady_filter
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -180,18 +179,13 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
 
 
 def _settling(prices: Prices, watch: _Watch) -> float:
-    """Return the ticks in which regulator and filter forget: 1/(1 − |slowest mode per tick|)."""
     plant = prices.problem.plant
-    turn = np.eye(plant.states)
-    for gain in watch.gains:
-        turn = (plant.A - gain @ plant.C) @ turn
-    filtering = radius(turn) ** (1 / len(watch.gains))
-    if filtering >= 1 - 1e-12:
-        raise UnstableError(
-            "the filter along the schedule does not forget its start: too few queries for what the noise leaves "
-            "undetermined; expected a smaller zeta, or noise V on the measurement"
-        )
-    return 1 / (1 - max(radius(plant.A + plant.B @ prices.L), filtering))
+    return forgetting(
+        [plant.A - gain @ plant.C for gain in watch.gains],
+        plant.A + plant.B @ prices.L,
+        "too few queries for what the noise leaves undetermined; expected a smaller zeta, or noise V on the "
+        "measurement",
+    )
 
 
 def _parameter(name: str, value: float | None, controller: Controller, place: Controller) -> float:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, number
-from taciturn._modes import radius
-from taciturn.design.certainty import CLOCK, Certainty, count_ticks, design_certainty, sensor_policy
+from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
-from taciturn.errors import UnstableError
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import Predictor, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -59,7 +58,12 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
         "variance",
         certainty,
         _measured(plant, schedule, corrections),
-        _settling(certainty, left),
+        forgetting(
+            [plant.A @ kept for kept in left],
+            plant.A + plant.B @ certainty.regulator.L,
+            "too few measurements for what the noise leaves undetermined; expected a smaller threshold, or noise V on "
+            "the measurement",
+        ),
         locations=(count_ticks(len(schedule.queries), 0),),
         closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
         schedule=schedule,
@@ -82,17 +86,3 @@ def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> Estimatio
         {"prior": plant.mean},
         None,
     )
-
-
-def _settling(certainty: Certainty, left: Array) -> float:
-    """Return the ticks in which regulator and filter forget."""
-    plant, turn = certainty.problem.plant, np.eye(certainty.problem.plant.states)
-    for kept in left:
-        turn = plant.A @ kept @ turn
-    filtering = radius(turn) ** (1 / len(left))
-    if filtering >= 1 - 1e-12:
-        raise UnstableError(
-            "the filter along the schedule does not forget its start: too few measurements for what the noise leaves "
-            "undetermined; expected a smaller threshold, or noise V on the measurement"
-        )
-    return 1 / (1 - max(radius(plant.A + plant.B @ certainty.regulator.L), filtering))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,6 +165,28 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     Sigma = _arrays.semidefinite("Sigma", Sigma, A.shape[0], "states × states")
     gain = Sigma @ C.T @ _dare.price(C.T, Sigma, V)[1]
     return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
+
+
+def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str) -> float:
+    """Return the ticks in which a filter along a schedule that repeats, and a regulator, forget.
+
+    1/(1 − |slowest mode per tick|).
+
+    Args:
+        filtered: (n, n) each, maps of the filter's error from tick to tick, once around.
+        regulated: (n, n), A + BL.
+        remedy: what to do about a filter that does not.
+
+    Raises:
+        UnstableError: the filter does not forget.
+    """
+    turn = np.eye(len(regulated))
+    for step in filtered:
+        turn = step @ turn
+    slowest = radius(turn) ** (1 / len(filtered))
+    if slowest >= 1 - 1e-12:
+        raise UnstableError(f"the filter along the schedule does not forget its start: {remedy}")
+    return 1 / (1 - max(radius(regulated), slowest))
 
 
 @kept

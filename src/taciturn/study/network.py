@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,7 @@ class NetworkRun:
         sends: whether a packet was sent, by link, (ticks,).
         arrived: sequence numbers of the packets that came, by link, in order, as their receiver has logged.
         seed: of plant and links.
+        nominal: whether loop and links are those of the design; else nothing is guaranteed.
         seconds: wall time.
         notes: what the reader must know.
     """
@@ -73,6 +74,7 @@ class NetworkRun:
     sends: Mapping[str, Array]
     arrived: Mapping[str, tuple[int, ...]]
     seed: int
+    nominal: bool
     seconds: float
     notes: tuple[str, ...]
 
@@ -105,13 +107,13 @@ class NetworkRun:
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --json``."""
         policy, loop = self.loop.policy, self.loop
-        guarantee = policy.guarantee if loop.nominal else None
+        guarantee = policy.guarantee if self.nominal else None
         return {
             "policy": policy.kind,
             "unit": self.unit,
             "base_rate": 1.0 if loop.horizon is not None else 1 / policy.tick,
             "cost": None if self.cost is None else measured(self.cost),
-            "cost_all_time": policy.cost_all_time if loop.nominal else None,
+            "cost_all_time": policy.cost_all_time if self.nominal else None,
             "cost_bound": None if guarantee is None else guarantee.cost,
             "rates": {link: measured(rate) for link, rate in self.rates.items()},
             "datagrams": {link: dict(found) for link, found in self.datagrams.items()},
@@ -209,6 +211,7 @@ def run_network(
     cost, notes = _cost(loop, costs, simulated.final_cost())
     pace = 1.0 if unit == "mission" else 1 / policy.tick
     skipped = _settled(loop)
+    departures = loop.departures + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
         unit=unit,
@@ -220,8 +223,9 @@ def run_network(
         sends=sends,
         arrived={link: _arrived(logs[processes.receiver(link)], link) for link in processes.links},
         seed=seed,
+        nominal=not departures,
         seconds=time.monotonic() - began,
-        notes=notes + _unforeseen(datagrams) + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+        notes=notes + _unforeseen(datagrams) + tuple(f"{text}: no guarantee holds" for text in departures),
     )
 
 
@@ -239,6 +243,12 @@ def losses(
         )
         for i, link in enumerate(links)
     }
+
+
+def _other_links(fates: Mapping[LinkName, Fate], stated: Mapping[LinkName, Fate]) -> tuple[str, ...]:
+    """Say which links lose, delay or change packets otherwise than the network says."""
+    other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
+    return tuple(f"the {link} link treats packets otherwise than the network of the design" for link in other)
 
 
 def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
