@@ -149,7 +149,7 @@ def test_what_the_pages_of_theory_name_of_code_and_tests_is_there(page: str, lea
 
 def test_a_name_that_is_not_there_is_found() -> None:
     """The search itself can fail: a module, a function, an attribute, a file, a test; code cells are left out."""
-    named = "`lqg.nowhere` `nothing` in `lqg.lossy` `PredictionCost.nothing` in `lqg.prediction` "
+    named = "`lqg.nowhere` `nobody` in `lqg.lossy` `PredictionCost.nothing` in `lqg.prediction` "
     named += "*it* (`lqg/test_no.py`) *nothing* (`lqg/test_lossy.py`) `lossy_step` in `lqg.lossy`\n"
     named += "```python\n`lqg.nowhere`\n```\n"
     wrong, names = missing(named)

@@ -25,7 +25,7 @@ def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("package")
     (archive,) = sources.SdistBuilder(str(ROOT)).build(directory=str(folder), versions=["standard"])
     with tarfile.open(archive) as packed:
-        packed.extractall(folder, filter="data")
+        packed.extractall(folder, **({"filter": "data"} if hasattr(tarfile, "data_filter") else {}))
     unpacked = folder / f"taciturn-{taciturn.__version__}"
     assert {"README.md", "CHANGELOG.md", "THIRD_PARTY.md", "tests", ".ci"} <= {path.name for path in unpacked.iterdir()}
     (wheel,) = wheels.WheelBuilder(str(unpacked)).build(directory=str(folder), versions=["standard"])

@@ -138,7 +138,7 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
     state, inputs = balanced, np.ones(B.shape[1])
     for _ in range(3):  # either unit rests on the other
         moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
-        inputs = 1 / np.where(moved > 0, moved, 1.0)
+        inputs = 1 / np.where(moved > TINY, moved, 1.0)
         found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
         for _ in range(len(A)):
             found, before = np.maximum(found, (off * found).max(axis=1, initial=0.0) / largest), found

@@ -102,4 +102,4 @@ def test_a_network_or_jumps_are_refused(run: Run, write: Write) -> None:
         '[cost]\nQ = [[1.0]]\nR = [[1.0]]\n[policy]\nkind = "consistent"\nperiod = 0.1\n',
         encoding="utf-8",
     )
-    assert "the noise comes in jumps" in run("channel", str(jumps), *share).sentence
+    assert "plant.jumps is given" in run("channel", str(jumps), *share).sentence

@@ -51,7 +51,7 @@ def test_the_plant_that_is_simulated_may_be_the_one_that_is_not_linear(run: Run,
         "the plant is not linear (A and B are its linearisation)",
         "the plant is not the one of the design",
     ]
-    assert document["linearisation"]["cost_bound"] is not None
+    assert "linearisation" not in document  # the design's is another plant
 
 
 @pytest.mark.parametrize(

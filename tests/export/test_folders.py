@@ -140,7 +140,10 @@ def test_a_wrong_bit_is_found(tmp_path: Path) -> None:
     folder = write(tmp_path, print_folder(two_mass(), "two_mass"))
     source = folder / "two_mass_controller.c"
     text = source.read_text()
-    for old, new in (("0x1.4c784858cabbbp-1", "0x1.4c784858cabbcp-1"), ("<=", ">")):
+    gain = re.findall(r"-?0x1\.[0-9a-f]{13}p[+-]\d+", text)[0]
+    digit = gain.index("p") - 1
+    other = gain[:digit] + format(int(gain[digit], 16) ^ 1, "x") + gain[digit + 1 :]
+    for old, new in ((gain, other), ("<=", ">")):
         assert text.count(old) >= 1
         source.write_text(text.replace(old, new, 1))
         code, line = run_check(compile_check(folder))

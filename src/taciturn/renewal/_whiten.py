@@ -10,6 +10,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import root
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 
+CRUMB = 1e-13  # relative: a weight this much smaller than the largest is rounding
 RANK = 1e-10  # relative: a direction this much weaker than the strongest is rounding
 MOST_STATES = 3
 SOFT = np.pi / 2  # exp(−SOFT m x²/2) has the mass of the interval m x² ≤ 1
@@ -179,12 +180,19 @@ def _reached(data: Data) -> Data:
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 
+def _half(weight: Array) -> Array:
+    """Return H with H'H = weight but for rounding, of coordinates in units of what the noise does to them."""
+    values, vectors = np.linalg.eigh(weight / np.abs(weight).max())
+    kept = values > CRUMB * len(weight)
+    return (vectors[:, kept] * np.sqrt(values[kept])).T
+
+
 def _seen(data: Data) -> Data:
     """Return the data without the directions that neither Ψ nor Γ sees, now or later."""
     if not data.F.size:
         return data
     size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0
-    halves = [root(weight / np.abs(weight).max()).T for weight in (data.Psi, data.Gamma) if weight.any()]
+    halves = [_half(weight) for weight in (data.Psi, data.Gamma) if weight.any()]
     blocks = [np.vstack([np.zeros((1, len(data.F))), *halves])]
     for _ in range(len(data.F) - 1):
         blocks.append(blocks[-1] @ data.F / size)
