@@ -41,9 +41,10 @@ def check_table(path: Path) -> None:
         raise ProblemError(f"the table {str(path)!r} has an unknown format; expected .csv or .parquet")
     if not path.absolute().parent.is_dir():
         raise ProblemError(f"the folder of the table {str(path)!r} is not there; expected one that is")
-    needed = "pandas" if path.suffix == ".csv" else "pyarrow"
-    if find_spec("pandas") is None or find_spec(needed) is None:
-        raise ProblemError(f"{needed} is not installed; expected it for {path.suffix}: pip install 'taciturn[pandas]'")
+    needed = ("pandas",) if path.suffix == ".csv" else ("pandas", "pyarrow")
+    missing = " and ".join(name for name in needed if find_spec(name) is None)
+    if missing:
+        raise ProblemError(f"{missing} is not installed; expected it for {path.suffix}: pip install 'taciturn[pandas]'")
 
 
 def save_table(frame: pandas.DataFrame, path: Path) -> None:

@@ -212,6 +212,22 @@ def test_what_is_known_is_as_of_numpy() -> None:
         np.testing.assert_allclose(evaluate(traced(picks), values, fast), expected, rtol=1e-14)
 
 
+def products(x: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Use each of NumPy's products of vectors and matrices, and bounds by either name."""
+    square = np.reshape(x, (2, 2))
+    known = np.identity(2, float) + np.array([[0.0, 2.0], [3.0, 0.0]])
+    found = np.inner(square, known) + np.dot(square, known) - np.inner(square, square) @ np.outer(u, u)
+    bounded = np.clip(x, a_min=-0.5, a_max=None) + np.clip(x, min=None, max=0.25)
+    return found.ravel() * np.vdot(square, known) + bounded * np.inner(u, u)
+
+
+@pytest.mark.skipif(not hasattr(np, "vecdot"), reason="this NumPy has clip without min and max")
+def test_products_are_those_of_numpy() -> None:
+    """Over the last axes, over all entries, or of rows and columns."""
+    values = numbers(6)
+    np.testing.assert_allclose(evaluate(traced(products), values), by_floats(products, values), rtol=1e-12)
+
+
 class Scaled:
     """A function that is an object."""
 

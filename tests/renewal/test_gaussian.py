@@ -12,7 +12,7 @@ from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
 from taciturn.model.plant import Jumps
 from taciturn.renewal import gaussian
-from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
+from taciturn.renewal.chain import Chain, Intervals, JumpNoise, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 
 UNIT = np.eye(2)
@@ -328,6 +328,7 @@ def test_intervals_are_asked_in_any_shape_and_refuse_what_is_no_number_of_checks
     assert intervals.beyond(np.array([[0, 1], [2, 3]])).shape == (2, 2)
     assert intervals.beyond(0) == 1
     assert intervals.quantile(1e-300) == 1
+    assert Intervals(np.array([1.0, 0.5]), 0.0).quantile(0.9) == 2  # what is left after the last is sent at once
     for wrong in (-1, [0.5], np.nan, "3", True):
         with pytest.raises(ProblemError, match="no whole number"):
             intervals.beyond(wrong)

@@ -76,7 +76,7 @@ def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.Monk
     """What the old one kept stays."""
     swept(tmp_path)
     for module in ("taciturn.study.cells", "taciturn.study.sweep"):
-        monkeypatch.setattr(f"{module}.version", lambda name: "0.0.9")
+        monkeypatch.setattr(f"{module}.__version__", "0.0.9")
     seen = computed(monkeypatch)
     with pytest.warns(UserWarning, match=r"was filled by another version .*, now 0\.0\.9"):
         swept(tmp_path)

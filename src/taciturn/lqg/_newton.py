@@ -67,7 +67,7 @@ def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
     raise UnstableError(
         f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its "
         f"terms (at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
-        f"{TOLERANCE:.0e}), most in state {worst}; units do not matter here: expected modes {remedy}"
+        f"{TOLERANCE:.0e}), most in state {worst + 1}; units do not matter here: expected modes {remedy}"
     )
 
 

@@ -115,7 +115,10 @@ def regulate_discounted(
         -1.522789
     """
     A, B, Q, R, N = _checked(A, B, Q, R, N)
-    root = np.sqrt(_arrays.number("discount", discount, 0.0, np.nextafter(1.0, 2.0)))
+    discount = _arrays.number("discount", discount, 0.0)
+    if discount > 1:
+        raise ProblemError(f"discount is {discount:g}; expected 0 < discount ≤ 1")
+    root = np.sqrt(discount)
     return _regulate(root * A, root * B, Q, R, N, float(root))
 
 

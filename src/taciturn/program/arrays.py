@@ -38,9 +38,9 @@ def choose(condition: Any, yes: Any, no: Any) -> Any:
     return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
 
 
-def clip(a: Any, a_min: Any = None, a_max: Any = None) -> Any:
-    """Return entries between bounds, where there are any."""
-    for ufunc, bound in ((np.maximum, a_min), (np.minimum, a_max)):
+def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
+    """Return entries between bounds, where there are any; NumPy has two names for each."""
+    for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
         a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
     return a
 
@@ -49,6 +49,16 @@ def dot(a: Any, b: Any) -> Any:
     """Return the product of vectors, matrices or numbers."""
     one, other = objects(a), objects(b)
     return seen(multiply(one, other)) if one.ndim and other.ndim else a * b
+
+
+def inner(a: Any, b: Any) -> Any:
+    """Return the sums of products over the last axes of both."""
+    return dot(a, objects(b).T) if objects(b).ndim > 1 else dot(a, b)
+
+
+def vdot(a: Any, b: Any) -> Any:
+    """Return the sum of the products of all entries, in order."""
+    return dot(objects(a).ravel(), objects(b).ravel())
 
 
 def solve(a: Any, b: Any) -> Any:
@@ -91,7 +101,7 @@ def _extreme(ufunc: np.ufunc) -> Callable[..., Any]:
 
 
 _RULES: Mapping[Callable[..., Any], Callable[..., Any]] = {
-    np.where: choose, np.clip: clip, np.dot: dot, np.inner: dot, np.vdot: dot, np.max: _extreme(np.maximum),
+    np.where: choose, np.clip: clip, np.dot: dot, np.inner: inner, np.vdot: vdot, np.max: _extreme(np.maximum),
     np.min: _extreme(np.minimum), np.any: _extreme(np.logical_or), np.all: _extreme(np.logical_and),
     np.linalg.solve: solve, np.linalg.inv: invert, np.linalg.norm: norm,
 }  # fmt: skip
@@ -145,6 +155,10 @@ def _eye(N: int, M: int | None = None, k: int = 0, dtype: Any = None) -> Any:
     return held(np.eye(N, M, k, float if dtype is None else dtype))
 
 
+def _identity(n: int, dtype: Any = None) -> Any:
+    return _eye(n, dtype=dtype)
+
+
 def _joined(function: Callable[..., Any]) -> Callable[..., Any]:
     """Return a function of several arrays that sees symbols in lists of lists."""
 
@@ -172,7 +186,7 @@ def _block(arrays: Any) -> Any:
 _FLOATS = (None, float, np.float64, "float", "float64", "f8", object)
 STAND_INS: Mapping[Any, Callable[..., Any]] = {  # functions whose arrays are to hold symbols, which they do not see
     np.array: _array, np.asarray: _array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
-    np.full: _full, np.eye: _eye, np.identity: _eye, np.concatenate: _joined_along(np.concatenate),
+    np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
     np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),
     np.column_stack: _joined(np.column_stack), np.diag: _diagonal, np.block: _block,
 }  # fmt: skip

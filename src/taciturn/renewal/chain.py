@@ -89,6 +89,8 @@ class Intervals:
         if found.size:
             return max(int(found[0]), 1)
         last = len(self.survival) - 1
+        if self.decay == 0:
+            return last + 1
         return last + int(np.ceil(np.log(left / self.survival[-1]) / np.log(self.decay)))
 
 

@@ -130,7 +130,7 @@ class Wire:
         """Return the packet of a datagram, or why it is none.
 
         ``"malformed"``: its length or a field is impossible; ``"corrupted"``: its CRC is wrong; ``"foreign"``: it is of
-        another version or policy, or not authenticated alike; ``"forged"``: its tag is wrong. In this order.
+        another version or policy, or not authenticated alike; ``"forged"``: its tag is wrong.
         """
         found = self._open(datagram)
         if isinstance(found, str):

@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.metadata import version
 from typing import Protocol, TypeAlias
 
 from taciturn._arrays import instance, number
+from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
@@ -143,7 +143,7 @@ class _Kept:
 
     @cached_property
     def _common(self) -> str:
-        return encode([fingerprint(self.problem), self.effort, version("taciturn")])
+        return encode([fingerprint(self.problem), self.effort, __version__])
 
 
 def evaluate_cells(

@@ -50,7 +50,7 @@ class Game:
     """The loops, the capacity, and what all schedulers are measured by."""
 
     def __init__(self, kinds: Sequence[Kind], capacity: int, seed: int, progress: Progress) -> None:
-        """Find the best clock, and the price."""
+        """Find the best clock."""
         self.kinds, self.capacity, self.seed, self.progress = kinds, capacity, seed, progress
         self.counts = np.array([kind.count for kind in kinds], dtype=np.float64)
         self.looks = np.array([kind.looks for kind in kinds])

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -18,6 +17,7 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._files import write_whole
+from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
@@ -101,7 +101,7 @@ def sweep(
 
 def label_of(problem: Problem) -> dict[str, str]:
     """Return what tells a sweep's results from others': problem and version."""
-    return {"problem": fingerprint(problem), "version": version("taciturn")}
+    return {"problem": fingerprint(problem), "version": __version__}
 
 
 def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
