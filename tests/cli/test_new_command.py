@@ -297,12 +297,13 @@ def test_at_a_real_terminal_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
         shown = ""
         for question, typed in (("continuous]: ", "often\n"), ("continuous]: ", "c\n"), ("3 4]: ", "\x03")):
             shown += _told(above, question)
+            time.sleep(0.3)  # the answer is waited for by now
             os.write(above, typed.encode())
         shown += _told(above)
         os.close(above)
         if "interrupted" not in shown:
             process.kill()
-        assert process.wait(30) == 130
+        assert process.wait(30) == 130, shown
     assert "the time base is 'often'; expected one of continuous, discrete" in shown
     assert "interrupted; nothing is written" in shown
     assert "Traceback" not in shown
