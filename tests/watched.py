@@ -5,6 +5,7 @@ from __future__ import annotations
 from decimal import Decimal, localcontext
 
 import numpy as np
+from digits import exactly
 from hypothesis import assume
 from hypothesis import strategies as st
 
@@ -49,11 +50,6 @@ def random_plant(seed: int, kind: str = "output", largest: int = 3) -> Plant:
     return plant
 
 
-def digits(matrix) -> np.ndarray:
-    """Return the entries with as many digits as are asked."""
-    return np.vectorize(Decimal, otypes=[object])(np.asarray(matrix, dtype=float))
-
-
 def sixty_digits(plant: Plant, Sigma, P, discount: float = 1.0, terms: int | None = None) -> float:
     """Return Σ_s α^{s+1} tr(P_s (Ric^s(AΣA' + W) − Ric^{s+1}(Σ))), subtracting what was iterated, as it is written.
 
@@ -61,8 +57,8 @@ def sixty_digits(plant: Plant, Sigma, P, discount: float = 1.0, terms: int | Non
     known exactly grow from tick to tick, so noise-free outputs take more digits.
     """
     size, usual = (60, 300) if (np.diag(plant.V) > 0).all() else (600, 80)
-    A, C, W = (digits(getattr(plant, name)) for name in "ACW")
-    noise, alpha = digits(np.diag(plant.V)), Decimal(discount)
+    A, C, W = (exactly(getattr(plant, name)) for name in "ACW")
+    noise, alpha = exactly(np.diag(plant.V)), Decimal(discount)
 
     def silent(X):
         return A @ X @ A.T + W
@@ -76,10 +72,10 @@ def sixty_digits(plant: Plant, Sigma, P, discount: float = 1.0, terms: int | Non
 
     with localcontext() as context:
         context.prec = size
-        Sigma, total = digits(Sigma), Decimal(0)
+        Sigma, total = exactly(Sigma), Decimal(0)
         late, early = silent(Sigma), queried(Sigma)
         for s in range((terms or usual) if np.ndim(P) == 2 else len(P)):
-            weight = digits(P if np.ndim(P) == 2 else P[s])
+            weight = exactly(P if np.ndim(P) == 2 else P[s])
             total += alpha ** (s + 1) * np.sum(weight * (late - early))
             late, early = queried(late), queried(early)
         return float(total)

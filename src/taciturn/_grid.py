@@ -43,6 +43,11 @@ def _parse_value(text: str) -> object:
             return json.loads(text)
         except ValueError:
             return text
+    return parse_number(text)
+
+
+def parse_number(text: str) -> object:
+    """Return a number, a whole one as such; what is none as it is."""
     for convert in (int, float):
         try:
             return convert(text)

@@ -13,6 +13,7 @@ from systems import continuous_system, price_of
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
+from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
 from taciturn.renewal.cycles import estimate_cycles, sweep
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
@@ -36,14 +37,20 @@ WIENER = ContinuousPlant(DOUBLE.A, DOUBLE.B, DOUBLE.W)
 COST = Cost(np.eye(2), [[10.0]])
 
 
-def it_beats_periodic_control(seed: int, law: str) -> None:
-    """J ≤ tr(PW) + ξ f(E[θ]) ≤ J_per(E[θ]) at the fixed point of an admissible slope."""
+def admissible(seed: int, law: str) -> tuple[ContinuousPlant, Cost, PredictionCost, float, float]:
+    """Return a random plant under jumps, its cost, the price of its intervals, the longest, and the largest slope."""
     plant, cost, _ = continuous_system(seed, law)
     price = price_of(plant, cost)
-    assert plant.jumps is not None
     h_max = 5.0 / max(1.0, float(np.abs(np.linalg.eigvals(plant.A)).max()))
     limit = price.least_ratio(0.0, h_max)[0]
     assume(limit > 1e-3 * price.growth(h_max) / h_max)
+    return plant, cost, price, h_max, limit
+
+
+def it_beats_periodic_control(seed: int, law: str) -> None:
+    """J ≤ tr(PW) + ξ f(E[θ]) ≤ J_per(E[θ]) at the fixed point of an admissible slope."""
+    plant, cost, price, h_max, limit = admissible(seed, law)
+    assert plant.jumps is not None
     policy = design.integral(plant, cost, slope=0.9 * limit, h_max=h_max)
     assert isinstance(policy, EventPolicy)
     found = estimate_cycles(policy.process, policy.trigger, cycles=100_000, seed=seed)
@@ -73,12 +80,8 @@ def test_the_dynamic_trigger_beats_periodic_control_over_many_plants(law: str) -
 @given(seed=SEEDS)
 def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, seed: int) -> None:
     """Lemma 4.2: L(ε) > ε for a small ε, L(h_max) < h_max, and L never falls."""
-    plant, cost, _ = continuous_system(seed, law)
-    price = price_of(plant, cost)
+    plant, _, price, h_max, slope = admissible(seed, law)
     assert plant.jumps is not None
-    h_max = 5.0 / max(1.0, float(np.abs(np.linalg.eigvals(plant.A)).max()))
-    slope = price.least_ratio(0.0, h_max)[0]
-    assume(slope > 1e-3 * price.growth(h_max) / h_max)
     process = JumpProcess(plant.A, plant.jumps, price.S)
     alphas = h_max * np.array([0.001, 0.03, 0.1, 0.3, 0.6, 1.0])
     found = sweep(process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from taciturn._grid import parse_number
 from taciturn.cli.frame import Kind, app
 from taciturn.cli.questions import Questions
 
@@ -144,7 +145,7 @@ class _Interview:
             words, step = ("continuous", "discrete"), 0.0
             question = "Is the model continuous in time, dx/dt = Ax + Bu, or discrete, x⁺ = Ax + Bu?"
             if self.questions.choose("the time base", question, words, "continuous") == "discrete":
-                read: Callable[[str], float] = lambda text: number("dt", _number(text), 0.0)  # noqa: E731
+                read: Callable[[str], float] = lambda text: number("dt", parse_number(text), 0.0)  # noqa: E731
                 step = self.questions.ask("dt", "Seconds per step", read, "1")
         self.draft.dt = step
 
@@ -158,9 +159,7 @@ class _Interview:
             whole = self.questions.choose("what is measured", question, ("yes", "no"), "yes") == "yes"
         if not whole:
             if self._has("V") and not self._has("C"):  # y = x + v
-                draft.keep(
-                    "C", [[float(i == j) for j in range(len(draft.plant["A"]))] for i in range(len(draft.plant["A"]))]
-                )
+                draft.measure_all()
             else:
                 self._take("C", "C, what is measured, y = Cx + v")
             self._take("V", f"V, the covariance of v in a sample: {SQUARE}", "0")
@@ -202,7 +201,7 @@ class _Interview:
         for name, (what, usual) in shares.items():
 
             def read(text: str, name: str = name) -> float:
-                return number(name, _number(text), 0.0, 1.0, closed=True)
+                return number(name, parse_number(text), 0.0, 1.0, closed=True)
 
             self.draft.network[name] = ask(name, f"Share of the {what} that is lost", read, usual)
 
@@ -222,7 +221,7 @@ class _Interview:
             usual = suggest_value(name, plant, cost, policy.get("period"))
 
             def read(text: str, name: str = name) -> Any:
-                return check_parameter(chosen, name, _number(text))
+                return check_parameter(chosen, name, parse_number(text))
 
             question = f"{name}: {notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
@@ -271,13 +270,3 @@ def _expect_kind(kind: str) -> str:
         near = suggest(kind, list(CATALOGUE))
         raise ProblemError(f"the kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
     return kind
-
-
-def _number(text: str) -> object:
-    """Return a number, a whole one as such; what is none as it is."""
-    for convert in (int, float):
-        try:
-            return convert(text)
-        except ValueError:
-            continue
-    return text
