@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from sphinx.application import Sphinx
 
 
-def setup(app: Sphinx) -> None:
-    """Add the directives, and what makes docstrings and signatures fit."""
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Add the directives, and what makes docstrings and signatures fit; pages may be read by several processes."""
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
     app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
@@ -23,6 +23,7 @@ def setup(app: Sphinx) -> None:
     app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
     app.connect("autodoc-process-signature", _short)
     app.connect("autodoc-skip-member", _is_field)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
 
 
 class Names(SphinxDirective):

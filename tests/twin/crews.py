@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import pickle
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -30,10 +32,21 @@ def blind() -> str:
 
 @cache
 def crew(name: str) -> Prepared:
-    """Return a robot whose camera is calibrated and whose model is identified, or skip where nothing can be drawn."""
+    """Return a robot whose camera is calibrated and whose model is identified, or skip where nothing can be drawn.
+
+    The workers of a run share it: what a robot is does not depend on who asks.
+    """
     if blind():
         pytest.skip(blind())
-    return prepare(name)
+    kept = Path(os.environ["XDG_CACHE_HOME"], f"{name}.pickle")
+    if kept.exists():
+        return pickle.loads(kept.read_bytes())
+    prepared = prepare(name)
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    own = kept.with_suffix(f".{os.getpid()}")
+    own.write_bytes(pickle.dumps(prepared))
+    own.replace(kept)
+    return prepared
 
 
 def short_mission(name: str, ticks: int, folder: Path, **policy: float) -> str:
