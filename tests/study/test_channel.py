@@ -169,7 +169,10 @@ def test_silence_that_costs_nothing_is_no_error() -> None:
         assert found.cost.value == pytest.approx(found.cost_all_time)
 
 
-@pytest.mark.parametrize(("A", "loops", "slots"), [(1.0, 400, 2), (0.9, 200, 2), (3.0, 3, 1), (1.2, 10, 4)])
+@pytest.mark.parametrize(
+    ("A", "loops", "slots"),
+    [pytest.param(1.0, 400, 2, marks=pytest.mark.evidence), (0.9, 200, 2), (3.0, 3, 1), (1.2, 10, 4)],
+)
 def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: int, slots: int) -> None:
     """Rare sends, few loops, errors that grow quickly or decay: no worse than the best clock, or the largest error."""
     problem = Problem(Plant([[A]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})
