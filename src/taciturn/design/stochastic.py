@@ -86,7 +86,8 @@ def stochastic(
     mu, guarantee = largest_ratio(certainty.square, W), None
     if mu is not None:
         bound = problem.per_unit(certainty.cost_all_time + 2 * mu / np.e)
-        guarantee = Guarantee(bound, "J ≤ J_all + 2μ/e, mean-square stable", "han2015")
+        statement = "J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; mean-square stable"
+        guarantee = Guarantee(bound, statement, "han2015")
     exact = actuation == "model" and problem.jumps is None
     return certainty_policy(
         "stochastic",
