@@ -40,6 +40,16 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
     return result
 
 
+def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
+    """Return ``value`` as a read-only finite square matrix.
+
+    Raises:
+        ProblemError: not numeric, not finite, or not square.
+    """
+    size = array(name, value, (None, None), meaning).shape[0]
+    return array(name, value, (size, size), meaning)
+
+
 def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
     """Return ``value`` as a read-only symmetric matrix.
 
@@ -90,6 +100,11 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
             "(all eigenvalues > 0)"
         )
     return result
+
+
+def is_definite(matrix: Array) -> bool:
+    """Say whether a symmetric matrix is positive definite and can be inverted, whatever the units of the variables."""
+    return bool((np.diag(matrix) > TINY).all()) and _least_eigenvalue(matrix) > DEFINITENESS_TOLERANCE
 
 
 def number(name: str, value: object, low: float = -np.inf, high: float = np.inf, *, closed: bool = False) -> float:

@@ -99,8 +99,7 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
         >>> uncontrollable_modes([[2.0, 1.0], [0.0, 0.5]], [[1.0], [0.0]])
         array([0.5+0.j])
     """
-    A = _arrays.array("A", A, (None, None), "states × states")
-    A = _arrays.array("A", A, (A.shape[0], A.shape[0]), "states × states")
+    A = _arrays.square("A", A, "states × states")
     B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
     state, inputs = reach(A, B)  # the units of states and inputs decide nothing
     rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
@@ -151,12 +150,19 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
     return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
 
 
-def root(matrix: Array) -> Array:
-    """Return G with G G' = matrix, one column per direction; the units of the variables decide nothing."""
-    scale = np.sqrt(np.where(np.diag(matrix) > TINY, np.diag(matrix), 0.0))
+def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
+    """Return G with G G' = matrix, one column per direction; the units of the variables decide nothing.
+
+    Args:
+        matrix: (n, n), semidefinite but for rounding.
+        beside: a covariance whose rounding it may hold, (n, n); omitted: itself.
+        crumb: eigenvalue per row, relative to that covariance, below which a direction is rounding.
+    """
+    spread = np.diag(matrix if beside is None else beside)
+    scale = np.sqrt(np.where(spread > TINY, spread, 0.0))
     inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
     values, vectors = np.linalg.eigh(matrix * inverse * inverse[:, None])
-    kept = values > 1e-13 * len(matrix)
+    kept = values > crumb * len(matrix)
     return scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
 
 
@@ -190,8 +196,7 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
         >>> float(accumulate([[0.5]], [[3.0]])[0, 0])
         4.0
     """
-    F = _arrays.array("F", F, (None, None))
-    F = _arrays.array("F", F, (F.shape[0], F.shape[0]))
+    F = _arrays.square("F", F)
     W = _arrays.symmetric("W", W, F.shape[0])
     if radius(F) >= 1:
         raise UnstableError(

@@ -18,9 +18,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.conftest import Answer, Run
+from numpy.typing import ArrayLike
 
 import taciturn
+from taciturn import ProblemError
+from taciturn.cli.new import GOALS
 from taciturn.design.catalogue import CATALOGUE
+from taciturn.problem.draft import Draft
 
 Ask = Callable[..., Answer]
 WALK = ("continuous", "[0 1; 0 0]", "[0; 1]", "yes")  # a double integrator, as far as its noise
@@ -178,6 +182,10 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
             (*STEP, "", "consistent"),
             "the plant is discrete in time, and consistent predicts in continuous time; expected",
         ),
+        (
+            (*WALK, "1", "1", "1", "", "lossy-lqg"),
+            "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; exp",
+        ),
         ((*STEP, "", "1"), "the answers end before theta; expected one more; nothing is written"),
         (("c", "[0 1; 0 0", "1"), "the answers end before A; expected one more; nothing is written"),
         ((), "the answers end before the time base; expected one more; nothing is written"),
@@ -233,6 +241,32 @@ def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_aske
     assert told.err.startswith("taciturn: the plant is discrete in time, and integral predicts in continuous time; ex")
     assert ask((*STEP, "", "1", ""), "--kind", "integral", patient=True).code == 0
     assert taciturn.load("new.toml").kind == "lqg"
+
+
+@pytest.mark.parametrize("dt", [0.0, 0.5])
+@pytest.mark.parametrize("more", [{}, {"C": [[1.0, 0.0]], "V": 0.1}, {"N": [[0.1], [0.0]]}])
+def test_the_kinds_that_are_listed_are_those_that_can_be_designed(dt: float, more: dict[str, ArrayLike]) -> None:
+    """For plants of either time, with outputs and with a cross weight; no kind is listed or refused by another rule."""
+    draft = Draft(dt=dt)
+    for key, value in {
+        "A": [[0.9, 0.2], [0.0, 0.8]],
+        "B": [[0.0], [1.0]],
+        "W": 1.0,
+        "Q": 1.0,
+        "R": 1.0,
+        **more,
+    }.items():
+        draft.keep(key, value)
+    needed = {"lqg": {"theta": 0.1}, "near-optimal": {"price": 1.0}, "consistent": {}, "lossy-lqg": {"price": 1.0}}
+    needed |= {"remote-lqg": {"theta": 0.1, "zeta": 0.1}, "send-on-delta": {"delta": 0.1}}
+    for kind in GOALS:
+        period = {"period": 0.2} if kind == "consistent" or (kind != "lossy-lqg" and not dt) else {}
+        try:
+            CATALOGUE[kind](draft.made_plant(), draft.made_cost(), **needed[kind], **period)
+            designed = True
+        except ProblemError:
+            designed = False
+        assert draft.fits(kind) == designed, kind
 
 
 def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:

@@ -14,6 +14,7 @@ from systems import System, make_system, systems
 from taciturn import Cost, Plant, ProblemError, UnstableError, average, close, design, simulate
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.riccati import regulate
 from taciturn.simulation.average import completed_squares, plain_average
 
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -180,6 +181,20 @@ def test_silence_that_costs_without_end_is_refused() -> None:
     assert policy.closed_form is not None
     found = average(close(plant, policy), completed_squares(close(plant, policy)), steps=4_000_000)
     assert abs(found.cost.value - policy.closed_form.cost) <= 5 * found.cost.standard_error
+
+
+@pytest.mark.parametrize("scale", [0.5, 4.0])
+def test_the_bound_of_the_stochastic_trigger_is_its_statement(scale: float) -> None:
+    """J_all + 2μ/(e s), μ the least with L'HL ⪯ μW: a generalised eigenvalue of the weight as it was given."""
+    system = make_system(21, 3, 2, 2, False)
+    plant, cost, W = system.plant, system.cost, np.diag([1.0, 2.0, 3.0])
+    found = design.stochastic(plant, cost, weight=W, scale=scale).guarantee
+    assert found is not None
+    assert found.statement.startswith("J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW")
+    best = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    mu = np.linalg.eigvals(np.linalg.solve(W, best.L.T @ best.H @ best.L)).real.max()
+    everything = design.all_time(plant, cost).cost_all_time
+    assert found.cost == pytest.approx(everything + 2 * mu / (np.e * scale), rel=1e-9)
 
 
 def test_notes_say_why_there_is_no_bound() -> None:

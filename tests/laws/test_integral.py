@@ -48,7 +48,7 @@ def admissible(seed: int, law: str) -> tuple[ContinuousPlant, Cost, PredictionCo
 
 
 def it_beats_periodic_control(seed: int, law: str) -> None:
-    """J ≤ tr(PW) + ξ f(E[θ]) ≤ J_per(E[θ]) at the fixed point of an admissible slope."""
+    """J ≤ tr(PW) + c min(1, ε/E[θ]) ≤ J_per(E[θ]) at the fixed point of an admissible slope."""
     plant, cost, price, h_max, limit = admissible(seed, law)
     assert plant.jumps is not None
     policy = design.integral(plant, cost, slope=0.9 * limit, h_max=h_max)
@@ -60,6 +60,16 @@ def it_beats_periodic_control(seed: int, law: str) -> None:
     error = 4 * found.cost.standard_error + 1e-9 * cost_of
     assert cost_of - error <= policy.bound(mean)
     assert cost_of - error <= price.periodic(mean + 4 * found.interval.standard_error)
+
+
+def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
+    """tr(PW) + c min(1, ε/E[θ]), c = αC: with P = W = 1, C = 0.4, α = 0.8, ε = 0.5 that is 1 + 0.32 · 0.5/2 at 2 s."""
+    plant = ContinuousPlant([[0.0]], [[1.0]], jumps=Jumps(2.0, [[0.5]]))
+    policy = design.integral(plant, Cost([[1.0]], [[1.0]]), slope=0.4, alpha=0.8, saturation=0.5, h_max=5.0)
+    assert isinstance(policy, EventPolicy)
+    assert policy.statement is not None
+    assert policy.statement.startswith("J ≤ tr(PW) + c min(1, ε/E[θ]), c = αC")
+    assert (policy.bound(), policy.bound(2.0)) == (pytest.approx(1.32, rel=1e-12), pytest.approx(1.08, rel=1e-12))
 
 
 @pytest.mark.parametrize("law", ["normal", "uniform", "two-point"])

@@ -183,7 +183,7 @@ class _Interview:
             word = text.lower()
             if word not in ("ideal", "tcp", "udp"):
                 raise ProblemError(f"the network is {text!r}; expected ideal, tcp or udp")
-            if word != "ideal" and not self.draft.bears_losses:
+            if word != "ideal" and not self.draft.fits("lossy-lqg"):
                 raise ProblemError(
                     f"the network is {word}, and losses are reckoned with where the model is discrete in time, its "
                     "whole state is measured and N is 0; expected ideal"

@@ -36,7 +36,7 @@ def absolute(
     Args:
         plant: the plant.
         cost: the average cost.
-        threshold: Y ≥ 0, in the units of the error.
+        threshold: Y ≥ 0, in the units of √(e'We).
         weight: W, (m, m) or (n, n), semidefinite; omitted: the identity.
         error: ``"input"`` or ``"state"``.
         period: seconds between ticks; only with a continuous plant.

@@ -70,7 +70,8 @@ def bound_by_state(
     per_silence = mu * threshold**2 / (1 - share)
     guarantee = Guarantee(
         problem.per_unit(base + per_silence),
-        "J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1−s), s = σ²μ/q; mean-square stable",
+        "J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N'); "
+        "mean-square stable",
         source,
         problem.per_unit(base),
         per_silence / problem.tick,

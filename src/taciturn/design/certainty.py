@@ -14,12 +14,11 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, choice
-from taciturn._modes import radius
 from taciturn._scipy import block_diagonal
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter, steady_filter
+from taciturn.lqg.kalman import Filter, forgetting, steady_filter
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
@@ -117,11 +116,8 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
     refuse_uncertain(float(cost), float(doubt))
-    slowest = radius(plant.A + plant.B @ regulator.L)
-    if not plant.full_state:
-        slowest = max(slowest, radius(plant.A - plant.A @ steady.gain @ plant.C))
-    estimation = estimate_state(plant, steady)
-    return Certainty(problem, regulator, steady, estimation, float(cost), 1 / (1 - slowest))
+    settling = forgetting([plant.A - plant.A @ steady.gain @ plant.C], plant.A + plant.B @ regulator.L)
+    return Certainty(problem, regulator, steady, estimate_state(plant, steady), float(cost), settling)
 
 
 def expect_average(kind: str, cost: Cost) -> None:

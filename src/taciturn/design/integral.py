@@ -36,6 +36,7 @@ LOOKS = 6  # rounds of the search for a period
 COARSE, FINE = 50, 200  # looks per mean interval
 PRINTED = 1e-6  # relative: a slope given with as many digits as its limit is printed
 SURE = 4.0  # standard errors
+STATEMENT = "J ≤ tr(PW) + c min(1, ε/E[θ]), c = αC, and no more than periodic control at the mean interval E[θ]"
 
 
 def integral(
@@ -112,7 +113,7 @@ def integral(
             notes.append(f"alpha = {value} s is the fixed point L(alpha) = alpha")
         return value, replace(trigger, c=value.value * slope)
 
-    statement = "J ≤ tr(PW) + ξ f(E[θ]), and no more than periodic control at its mean interval" if h_min == 0 else None
+    statement = None if h_min > 0 else STATEMENT
     if period is None and plant.jumps is not None:
         process = JumpProcess(plant.A, plant.jumps, price.S)
         value, rule = found(process)

@@ -87,8 +87,14 @@ def lossy_lqg(
         0.1
     """
     price = number("price", price, 0.0, closed=True)
-    given = Network() if network is None else network
-    plant = _refuse_what_is_not_covered(plant, cost, given, reference)
+    plant, given = refuse_what_is_not_covered(plant, cost), Network() if network is None else network
+    instance("network", given, Network)
+    if given.delay > 1:
+        raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
+    if reference is not None:
+        instance("reference", reference, Reference)
+        if cost.horizon is None:
+            raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
     network = given.without_bursts()
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
@@ -132,14 +138,14 @@ def lossy_lqg(
     )
 
 
-def _refuse_what_is_not_covered(
-    plant: Plant | ContinuousPlant, cost: Cost, network: Network, reference: Reference | None
-) -> Plant:
+def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
+    """Return the plant, if the gains over lossy links are known for it and the cost.
+
+    Raises:
+        ProblemError: a continuous plant, C or V, N or a discount.
+    """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
-    instance("network", network, Network)
-    if reference is not None:
-        instance("reference", reference, Reference)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
             "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; "
@@ -153,10 +159,6 @@ def _refuse_what_is_not_covered(
         raise ProblemError(
             f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average or a horizon"
         )
-    if network.delay > 1:
-        raise ProblemError(f"network.delay is {network.delay}; expected 0 or 1 with lossy-lqg")
-    if reference is not None and cost.horizon is None:
-        raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
     return discretise(plant, cost, None).plant
 
 

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import choice, number
+from taciturn._arrays import choice, number, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn._scipy import block_diagonal
 from taciturn.design.certainty import (
@@ -105,7 +105,7 @@ def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form
     K, L = certainty.regulator.K, certainty.regulator.L
     U = p.N @ L + L.T @ p.N.T
     M = p.Q + L.T @ p.R @ L + U
-    limit = least_eigenvalue((M + M.T) / 2)
+    limit = least_eigenvalue(symmetrised(M))
     if limit <= 0:
         raise ProblemError(
             f"Q + L'RL + U has the eigenvalue {limit:.3g}; expected a positive definite matrix for this trigger; "
@@ -120,4 +120,4 @@ def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form
     G = L.T @ p.R + p.N
     Z = p.R + (1 + theta) * B.T @ K @ B + (theta / epsilon) * G.T @ G
     Y = theta * (M - epsilon * np.eye(p.plant.states))
-    return Form(("estimate", "error"), block_diagonal(-(Y + Y.T) / 2, (Z + Z.T) / 2))
+    return Form(("estimate", "error"), block_diagonal(-symmetrised(Y), symmetrised(Z)))

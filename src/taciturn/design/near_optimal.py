@@ -26,7 +26,7 @@ def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, pe
     that ``cost_lower_bound`` shows; nothing is proved beforehand.
 
     Args:
-        plant: the plant; continuous with its full state measured: both ends predict in continuous time.
+        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
         cost: the average cost.
         price: λ > 0, of a send, in the units of the cost per step, or per second times seconds.
         period: seconds between checks; only with a continuous plant.
@@ -61,7 +61,7 @@ def modelled(
 
     Args:
         kind: name in the catalogue.
-        plant: the plant; continuous with its full state measured: both ends predict in continuous time.
+        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
         cost: the average cost.
         period: seconds between checks; only with a continuous plant.
         silence: gives the form, over the error of the reset.

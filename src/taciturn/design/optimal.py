@@ -20,7 +20,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
     (``renewal/optimal``). Nodes do not run it: ``near_optimal`` has a trigger that they do.
 
     Args:
-        plant: the plant; continuous with its full state measured: both ends predict in continuous time.
+        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
         cost: the average cost.
         price: λ > 0, of a send, in the units of the cost per step, or per second times seconds.
         period: seconds between checks; only with a continuous plant.

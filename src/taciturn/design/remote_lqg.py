@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import Array, choice, number
+from taciturn._arrays import Array, choice, number, symmetrised
 from taciturn.design.certainty import (
     CLOCK,
     COLLOCATED,
@@ -225,7 +225,7 @@ def _estimate(plant: Plant, watch: _Watch) -> Estimation:
         innovation = Assign("controller", "innovation", (nothing, seen), Received("sensor"))
     elif len(watch.covariance) == 1:  # steady: white innovations
         S = plant.C @ watch.covariance[0] @ plant.C.T + plant.V
-        innovations = Innovations("innovation", (S + S.T) / 2, ESTIMATE, watch.covariance[0])
+        innovations = Innovations("innovation", symmetrised(S), ESTIMATE, watch.covariance[0])
     moved = {ESTIMATE: plant.A, HELD: plant.B, "innovation": Scheduled(CLOCK, watch.gains)}
     return Estimation(
         (Assign("controller", ESTIMATE, {"prior": np.eye(n)}),),

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import number
-from taciturn._modes import radius
 from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import Filter, steady_filter
+from taciturn.lqg.kalman import Filter, forgetting, steady_filter
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send
@@ -50,8 +49,8 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)
     steady = steady_filter(plant.A, plant.C, plant.W, taken)
-    slowest = max(radius(plant.A + plant.B @ certainty.regulator.L), radius(plant.A - plant.A @ steady.gain @ plant.C))
-    return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), 1 / (1 - slowest))
+    settling = forgetting([plant.A - plant.A @ steady.gain @ plant.C], plant.A + plant.B @ certainty.regulator.L)
+    return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), settling)
 
 
 def _heard(plant: Plant, steady: Filter, delta: float) -> Estimation:

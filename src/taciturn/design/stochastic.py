@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import TINY, Array, ArrayLike, number, semidefinite, symmetrised
+from taciturn._modes import root
 from taciturn.design.bounds import LARGEST, largest_ratio
 from taciturn.design.certainty import (
     DEVIATION,
@@ -86,7 +87,8 @@ def stochastic(
     mu, guarantee = largest_ratio(certainty.square, W), None
     if mu is not None:
         bound = problem.per_unit(certainty.cost_all_time + 2 * mu / np.e)
-        guarantee = Guarantee(bound, "J ≤ J_all + 2μ/e, mean-square stable", "han2015")
+        statement = "J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW; mean-square stable"
+        guarantee = Guarantee(bound, statement, "han2015")
     exact = actuation == "model" and problem.jumps is None
     return certainty_policy(
         "stochastic",
@@ -108,12 +110,11 @@ def _renewed(certainty: Certainty, W: Array) -> ClosedForm | None:
         UnstableError: silence that the weight does not end costs more and more, so that the mean is infinite.
     """
     problem, A, noise = certainty.problem, certainty.problem.plant.A, certainty.corrections
-    values, vectors = np.linalg.eigh(W)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    half = root(W)
     Sigma, silent, length, excess, before = noise, 1.0, 1.0, 0.0, np.inf
     for _ in range(LONGEST):
-        factor = np.linalg.cholesky(np.eye(len(W)) + root.T @ Sigma @ root)
-        reach = np.linalg.solve(factor, root.T @ Sigma)
+        factor = np.linalg.cholesky(np.eye(half.shape[1]) + half.T @ Sigma @ half)
+        reach = np.linalg.solve(factor, half.T @ Sigma)
         kept, stays = symmetrised(Sigma - reach.T @ reach), 1 / float(np.prod(np.diag(factor)))
         following = symmetrised(A @ kept @ A.T + noise)
         silent *= stays

@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn import _arrays
+from taciturn._arrays import Array, ArrayLike, symmetrised
 from taciturn._modes import reach
 
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
@@ -26,6 +27,24 @@ class Quadratic(NamedTuple):
     Q: Array
     R: Array
     N: Array
+
+    @classmethod
+    def checked(cls, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Quadratic:
+        """Return the problem of matrices as they were given, read-only.
+
+        Raises:
+            ProblemError: data of the wrong shape, not finite, or Q or R not symmetric.
+        """
+        A = _arrays.square("A", A, "states × states")
+        B = _arrays.array("B", B, (len(A), None), "states × inputs")
+        n, m = B.shape
+        return cls(
+            A,
+            B,
+            _arrays.symmetric("Q", Q, n, "states × states"),
+            _arrays.symmetric("R", R, m, "inputs × inputs"),
+            _arrays.array("N", N, (n, m), "states × inputs"),
+        )
 
     def under(self, L: Array) -> tuple[Array, Array]:
         """Return the closed loop A + BL and its stage cost."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import DEFINITENESS_TOLERANCE, TINY, Array, symmetrised
+from taciturn._arrays import TINY, Array, is_definite, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._newton import Solution, Time
@@ -22,23 +22,13 @@ MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not calle
 SINGULAR_MARGIN = 1e-6
 
 
-def is_definite(matrix: Array) -> bool:
-    """Say whether a symmetric matrix is positive definite, each variable measured in its own unit."""
-    diagonal = np.diag(matrix)
-    if (diagonal <= TINY).any():
-        return False
-    scale = 1 / np.sqrt(diagonal)
-    return bool(np.linalg.eigvalsh(matrix * scale * scale[:, None])[0] > DEFINITENESS_TOLERANCE)
-
-
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     """Return H = R + B'KB and its inverse, or a pseudo-inverse that maps null directions to zero.
 
     A diagonal entry counts as zero when it is rounding of the products it sums; the rest is judged with a
     unit diagonal. So the units of the variables decide nothing.
     """
-    H = R + B.T @ K @ B
-    H = (H + H.T) / 2
+    H = symmetrised(R + B.T @ K @ B)
     diagonal = np.diag(H)
     products = (np.abs(B.T) @ np.sqrt(np.maximum(np.diag(K), 0))) ** 2 + np.abs(np.diag(R))
     kept = diagonal > np.maximum(1e-14 * products, TINY)

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, symmetrised
+from taciturn._arrays import Array, is_definite, symmetrised
 from taciturn._modes import summed
 from taciturn.errors import UnstableError
-from taciturn.lqg import _dare
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.plant import Plant
 
@@ -83,7 +82,7 @@ def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
 
     Source: anderson1990optimal
     """
-    if not _dare.is_definite(plant.V):
+    if not is_definite(plant.V):
         return None
     try:
         steady = steady_filter(plant.A, plant.C, plant.W, plant.V)

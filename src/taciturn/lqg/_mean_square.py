@@ -63,9 +63,8 @@ class MeanSquare:
         if len(self.A) <= FEW:
             if self.reach:
                 return radius(self._stacked)
-            squared = (
-                len(self.A) ** 2
-            )  # the weights do not meet; A alone may be defective, and has all digits of its modes
+            squared = len(self.A) ** 2
+            # the weights do not meet; A alone may be defective, and has all digits of its modes
             return max(radius(self._stacked[:squared, :squared]), self.beta * radius(self.A) ** 2)
         low = max(self.apart, 1e-12)
         if self.spread == 0 or self.at(low * (1 + NEAREST)).joined() <= 1:

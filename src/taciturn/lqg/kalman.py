@@ -8,13 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
+from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._modes import mode_text, persistent, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import refuse_doubtful
+
+CRUMB = 1e-14  # relative to the prior: a posterior variance below this is rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,8 +169,8 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
 
 
-def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str) -> float:
-    """Return the ticks in which a filter along a schedule that repeats, and a regulator, forget.
+def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str = "take more measurements") -> float:
+    """Return the ticks in which a filter, steady or along a schedule that repeats, and a regulator forget.
 
     1/(1 − |slowest mode per tick|).
 
@@ -208,7 +210,7 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
         if observer is not None:
             none = np.zeros((n, n))
             return _frozen(none, none, observer.gain, np.zeros((p, p)), none)
-    elif _dare.is_definite(V):
+    elif is_definite(V):
         _refuse_unreached(A, W)
     found = _filter(A, C, W, V)
     if found is None:
@@ -230,7 +232,7 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
     gain = Sigma @ C.T @ inverse
-    if not _dare.is_definite(S):
+    if not is_definite(S):
         # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
         gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
     if radius(A - A @ gain @ C) >= 1 - _dare.MARGIN:
@@ -243,16 +245,9 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     rest = np.eye(len(Sigma)) - gain @ C
     posterior = symmetrised(rest @ Sigma @ rest.T + gain @ V @ gain.T)
     # A noise-free output leaves exact zeros, whose rounding must not be inverted at a next step.
-    return posterior if _dare.is_definite(V) else _cleaned(posterior, Sigma)
-
-
-def _cleaned(posterior: Array, prior: Array) -> Array:
-    """Return ``posterior`` without the directions that are rounding errors of ``prior``."""
-    scale = np.sqrt(np.where(np.diag(prior) > TINY, np.diag(prior), 0.0))
-    inverse = np.where(scale > 0, 1 / np.where(scale > 0, scale, 1.0), 0.0)
-    values, vectors = np.linalg.eigh(posterior * inverse * inverse[:, None])
-    kept = values > 1e-14 * len(prior)
-    half = scale[:, None] * vectors[:, kept] * np.sqrt(values[kept])
+    if is_definite(V):
+        return posterior
+    half = root(posterior, Sigma, CRUMB)
     return half @ half.T
 
 
@@ -279,9 +274,8 @@ def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array, erro
 
 
 def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:
-    A = _arrays.array("A", A, (None, None), "states × states")
-    n = A.shape[0]
-    A = _arrays.array("A", A, (n, n), "states × states")
+    A = _arrays.square("A", A, "states × states")
+    n = len(A)
     C = _arrays.array("C", C, (None, n), "outputs × states")
     return (
         A,

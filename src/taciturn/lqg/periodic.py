@@ -9,6 +9,7 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import ArrayLike
 from taciturn.errors import ProblemError, UnstableError
+from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._interval import Interval, Sampled, repeat, split
 from taciturn.lqg.kalman import Filter
 from taciturn.lqg.riccati import Regulator, regulate
@@ -53,14 +54,8 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
         >>> float(found.A[0, 0]), float(found.B[0, 0]), float(found.W[0, 0]), found.noise_cost
         (4.0, 3.0, 5.0, 1.0)
     """
-    A = _arrays.array("A", A, (None, None), "states × states")
-    n = A.shape[0]
-    A = _arrays.array("A", A, (n, n), "states × states")
-    B = _arrays.array("B", B, (n, None), "states × inputs")
-    m = B.shape[1]
-    Q = _arrays.symmetric("Q", Q, n, "states × states")
-    R = _arrays.symmetric("R", R, m, "inputs × inputs")
-    N = _arrays.array("N", N, (n, m), "states × inputs")
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
+    n, m = B.shape
     W = _arrays.semidefinite("W", W, n, "states × states")
     every = _arrays.count("every", every)
     F = np.block([[A, B], [np.zeros((m, n)), np.eye(m)]])
@@ -113,8 +108,7 @@ def periodic_cost(
         >>> round(found.cost, 6)
         4.030057
     """
-    A = _arrays.array("A", A, (None, None), "states × states")
-    n = A.shape[0]
+    n = len(_arrays.square("A", A, "states × states"))
     Q = _arrays.symmetric("Q", Q, n, "states × states")
     posterior = _arrays.semidefinite("estimator.posterior", estimator.posterior, n, "states × states")
     # gain S gain' rather than the difference Σ̃ − Σ: semidefinite under rounding.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._arrays import Array, frozen, is_definite, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
@@ -53,7 +53,7 @@ class Predictor:
 
     def __init__(self, plant: Plant) -> None:
         """Look once at what decides how a gain is computed."""
-        self.plant, self._noisy = plant, _dare.is_definite(plant.V)
+        self.plant, self._noisy = plant, is_definite(plant.V)
         self._observer = np.zeros((plant.states, plant.outputs))
         if not self._noisy:
             with suppress(UnstableError):

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, symmetrised
+from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, pace, persistent, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
+from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
 
@@ -25,8 +25,6 @@ __all__ = [
     "regulate_finite",
     "uncontrollable_modes",
 ]
-
-_Data: TypeAlias = tuple[Array, Array, Array, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,8 +77,7 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
         >>> round(float(found.L[0, 0]), 6)
         -1.568729
     """
-    data = _checked(A, B, Q, R, N)
-    return _regulate(*data, 1.0)
+    return _regulate(*Quadratic.checked(A, B, Q, R, N), 1.0)
 
 
 def regulate_discounted(
@@ -114,7 +111,7 @@ def regulate_discounted(
         >>> round(float(found.L[0, 0]), 6)
         -1.522789
     """
-    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     discount = _arrays.number("discount", discount, 0.0)
     if discount > 1:
         raise ProblemError(f"discount is {discount:g}; expected 0 < discount ≤ 1")
@@ -152,7 +149,7 @@ def regulate_finite(
         >>> found.K[:, 0, 0].tolist()
         [1.6, 1.5, 1.0, 0.0]
     """
-    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     horizon = _arrays.count("horizon", horizon)
     n, m = B.shape
     K, L, H = np.zeros((horizon + 1, n, n)), np.zeros((horizon, m, n)), np.zeros((horizon, m, m))
@@ -167,7 +164,7 @@ def regulate_finite(
                 f"has the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; shorten the horizon or let B "
                 "reach that mode"
             )
-        if not _dare.is_definite(H[k]):
+        if not is_definite(H[k]):
             raise _singular(H[k], f" at step {k}")
         L[k] = -np.linalg.solve(H[k], cross)
         closed = A + B @ L[k]
@@ -205,7 +202,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         >>> found.L.round(6).tolist()
         [[-0.316228, -0.855836]]
     """
-    A, B, Q, R, N = _checked(A, B, Q, R, N)
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
     _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
@@ -236,11 +233,11 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
     _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
-    if _dare.is_definite(R):
+    if is_definite(R):
         unseen = _unseen_modes(A, B, Q, R, N)
         _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
     found = _checked_solution(_dare.solve(A, B, Q, R, N))
-    if not _dare.is_definite(found.H):
+    if not is_definite(found.H):
         raise _singular(found.H, "")
     return Regulator(*(_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error)))
 
@@ -254,21 +251,6 @@ def _checked_solution(found: Solution | None) -> Solution:
         )
     refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them")
     return found
-
-
-def _checked(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> _Data:
-    A = _arrays.array("A", A, (None, None), "states × states")
-    n = A.shape[0]
-    A = _arrays.array("A", A, (n, n), "states × states")
-    B = _arrays.array("B", B, (n, None), "states × inputs")
-    m = B.shape[1]
-    return (
-        A,
-        B,
-        _arrays.symmetric("Q", Q, n, "states × states"),
-        _arrays.symmetric("R", R, m, "inputs × inputs"),
-        _arrays.array("N", N, (n, m), "states × inputs"),
-    )
 
 
 def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:

@@ -8,6 +8,7 @@ from taciturn import _arrays, _scipy
 from taciturn._arrays import Array, ArrayLike
 from taciturn._modes import TOLERANCE, pace
 from taciturn.errors import ProblemError
+from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._interval import Interval, Sampled, integrate, repeat, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
@@ -48,15 +49,15 @@ def sample(
         >>> found.B.ravel().tolist(), round(found.noise_cost * 12, 12)
         ([0.5, 1.0], 1.0)
     """
-    A, B, Q, R, N, W = _checked(A, B, Q, R, N, W)
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
+    W = _arrays.semidefinite("W", W, n, "states × states")
     F = np.block([[A, B], [np.zeros((m, n + m))]])
     M = np.block([[Q, N], [N.T, R]])
     period = _arrays.number("period", period, 0.0)
     scale = _scipy.balancing(A)
-    pace = max(float(np.abs(A / scale[:, None] * scale).max(initial=0.0)), 1 / period)
     reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
-    units = np.concatenate([scale, np.exp2(np.round(np.log2(pace / reach)))])
+    units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
     return split(_integrated(F, M, _padded(W, m), period, units), n)
 
 
@@ -101,8 +102,9 @@ def sample_prediction(
         >>> round(float(found.A[0, 0] + found.B[0, 0]), 6)  # e^{-1}: the prediction is exact at the sample
         0.367879
     """
-    A, B, Q, R, N, W = _checked(A, B, Q, R, N, W)
+    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     n, m = B.shape
+    W = _arrays.semidefinite("W", W, n, "states × states")
     L = _arrays.array("L", L, (m, n), "inputs × states")
     dynamics = A + B @ L if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
     F = np.block([[A, B @ L], [np.zeros((n, n)), dynamics]])
@@ -131,24 +133,6 @@ def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> In
             "plant without that mode"
         )
     return whole
-
-
-def _checked(
-    A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    A = _arrays.array("A", A, (None, None), "states × states")
-    n = A.shape[0]
-    A = _arrays.array("A", A, (n, n), "states × states")
-    B = _arrays.array("B", B, (n, None), "states × inputs")
-    m = B.shape[1]
-    return (
-        A,
-        B,
-        _arrays.symmetric("Q", Q, n, "states × states"),
-        _arrays.symmetric("R", R, m, "inputs × inputs"),
-        _arrays.array("N", N, (n, m), "states × inputs"),
-        _arrays.semidefinite("W", W, n, "states × states"),
-    )
 
 
 def _padded(W: Array, more: int) -> Array:

@@ -71,10 +71,6 @@ class Cost:
 
     def same_as(self, other: Cost) -> bool:
         """Tell whether the other cost has the same weights, horizon and discount."""
-        terminals = (self.terminal, other.terminal)
-        same_terminal = terminals[0] is terminals[1] is None or (
-            terminals[0] is not None and terminals[1] is not None and np.array_equal(terminals[0], terminals[1])
-        )
         same_time = (self.horizon, self.discount) == (other.horizon, other.discount)
-        weights = ("Q", "R", "N")
-        return same_time and same_terminal and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in weights)
+        weights = ("Q", "R", "N", "terminal")
+        return same_time and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in weights)

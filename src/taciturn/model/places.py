@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from taciturn.errors import ProblemError
-from taciturn.model.policy import NodeName, Policy
+from taciturn.model.policy import NODES, NodeName, Policy
 
 
 def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
@@ -22,8 +22,7 @@ def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
 
 def roles(policy: Policy) -> tuple[NodeName, ...]:
     """Return the nodes that run as processes of their own, in the order of a tick: one for each place."""
-    found: list[NodeName] = ["sensor", "controller", "actuator"]
-    return tuple(role for role in found if role == "controller" or "controller" not in policy.site(role))
+    return tuple(role for role in NODES if role == "controller" or "controller" not in policy.site(role))
 
 
 def role_at(policy: Policy, node: str) -> NodeName:

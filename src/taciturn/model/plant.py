@@ -92,13 +92,8 @@ class Plant:
 
     def same_as(self, other: Plant) -> bool:
         """Tell whether the other plant has the same linear dynamics, noise and input limit."""
-        limits = (self.input_limit, other.input_limit)
-        same_limit = limits[0] is limits[1] is None or (
-            limits[0] is not None and limits[1] is not None and np.array_equal(limits[0], limits[1])
-        )
-        return same_limit and all(
-            np.array_equal(getattr(self, key), getattr(other, key)) for key in ("A", "B", "C", "W", "V")
-        )
+        keys = ("A", "B", "C", "W", "V", "input_limit")
+        return all(np.array_equal(getattr(self, key), getattr(other, key)) for key in keys)
 
 
 @dataclass(frozen=True, eq=False)

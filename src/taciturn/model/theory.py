@@ -18,7 +18,7 @@ class Guarantee:
         statement: the theorem in one line.
         source: key in ``docs/sources.bib``.
         base: cost at which a bound that depends on the rate starts; omitted: no such bound.
-        per_silence: what a tick without a send adds to ``base`` at most.
+        per_silence: what never sending adds to ``base`` at most; ticks in silence add their share of it.
     """
 
     cost: float
@@ -28,7 +28,7 @@ class Guarantee:
     per_silence: float = 0.0
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound at a rate of sends per tick, or None where none is proved."""
+        """Return the bound at a rate R of sends per tick, base + per_silence·(1 − R), or None where none is proved."""
         return None if self.base is None else self.base + self.per_silence * (1 - rate)
 
 

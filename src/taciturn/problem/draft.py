@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike
+from taciturn.design.lossy_lqg import refuse_what_is_not_covered
 from taciturn.design.prediction import refuse_what_is_not_predicted
+from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.problem import parse
@@ -18,7 +20,7 @@ from taciturn.problem.matrices import square_matrix
 from taciturn.problem.written import problem_text
 
 COST = ("Q", "R", "N")
-PREDICTED = ("consistent", "integral")
+PREDICTED, LOSSY = ("consistent", "integral"), "lossy-lqg"
 
 
 @dataclass
@@ -48,11 +50,6 @@ class Draft:
     def continuous(self) -> bool:
         """Whether the plant is continuous in time."""
         return self.dt == 0
-
-    @property
-    def bears_losses(self) -> bool:
-        """Whether there is a policy for it that reckons with lost packets."""
-        return not self.continuous and self.made_plant().full_state and "N" not in self.cost
 
     def keep(self, key: str, value: ArrayLike) -> None:
         """Keep a matrix, if what is known can have it; a weight or covariance may be one number or a diagonal.
@@ -90,20 +87,23 @@ class Draft:
         return self._cost(self.cost)
 
     def fits(self, kind: str) -> bool:
-        """Tell whether a policy kind is for plants and networks as this one, as far as that can be told at once."""
-        whole = self.made_plant().full_state
-        if kind == "lossy-lqg":
-            return self.bears_losses
-        return {"consistent": self.continuous and whole, "near-optimal": whole or not self.continuous}.get(kind, True)
+        """Tell whether a policy kind is for a plant and a cost as these, as far as that can be told at once."""
+        try:
+            self.expect_fit(kind)
+        except ProblemError:
+            return False
+        return True
 
     def expect_fit(self, kind: str) -> None:
-        """Refuse a policy kind that predicts in continuous time where that cannot be.
+        """Refuse a policy kind that is not for a plant and a cost as these, as far as that can be told at once.
 
         Raises:
-            ProblemError: the plant is discrete in time, or its state is not measured.
+            ProblemError: the kind predicts in continuous time, or reckons with lost packets, where that cannot be.
         """
         if kind in PREDICTED:
             refuse_what_is_not_predicted(kind, self.made_plant(), self.made_cost())
+        if kind == LOSSY:
+            refuse_what_is_not_covered(self.made_plant(), self.made_cost())
 
     def write(self, policy: Mapping[str, Any], name: str) -> str:
         """Return the text of a problem file, once it is read back and its policy is designed.

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
 from itertools import pairwise
 from math import erfc, exp, lgamma, log, sqrt
 
 import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev
-from numpy.polynomial.legendre import leggauss
 
 from taciturn._arrays import Array
+from taciturn.renewal._nodes import legendre
 from taciturn.renewal.chain import NoQuadratureError
 
 BEYOND = 1e-10  # probability of jumps that are left out because they are too large together
@@ -70,12 +70,9 @@ class Shower:
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
 
 
-_legendre = cache(leggauss)
-
-
 def gauss(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
     """Return nodes and weights of Gauss and Legendre on an interval."""
-    nodes, weights = _legendre(count)
+    nodes, weights = legendre(count)
     return low + (high - low) * (nodes + 1) / 2, weights * (high - low) / 2
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.polynomial import chebyshev, legendre
+from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
 from taciturn.renewal._jump_density import gauss, reach
@@ -83,6 +83,6 @@ class Line:
 
 
 def _pieces(count: int, pieces: int) -> tuple[Array, Array]:
-    nodes, weights = legendre.leggauss(count)
+    nodes, weights = gauss(count)
     starts = np.arange(pieces)[:, None] / pieces
-    return (starts + (nodes + 1) / 2 / pieces).ravel(), np.tile(weights / 2 / pieces, pieces)
+    return (starts + nodes / pieces).ravel(), np.tile(weights / pieces, pieces)

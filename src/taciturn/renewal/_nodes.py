@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
+from numpy.polynomial.legendre import leggauss
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, frozen
 from taciturn.renewal._whiten import White
 
 STEEP = 4.0  # a map this much steeper than one has finer nodes at once
@@ -207,8 +209,14 @@ def _angular(span: _Span, density: float, more: int, most: float) -> tuple[Array
 
 def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[Array, Array]:
     half = _affordable(density * (FEWEST + PER_HALF_WIDTH * half_width) / 2 + more, min(most, LARGEST) / 2)
-    nodes, weights = np.polynomial.legendre.leggauss(2 * half)
-    return np.asarray(nodes, dtype=np.float64), np.asarray(weights, dtype=np.float64)
+    return legendre(2 * half)
+
+
+@lru_cache(maxsize=64)
+def legendre(count: int) -> tuple[Array, Array]:
+    """Return nodes and weights of Gauss and Legendre on [−1, 1], which are the same for many integrals."""
+    nodes, weights = leggauss(count)
+    return frozen(nodes), frozen(weights)
 
 
 def _affordable(half: float, most: float) -> int:

@@ -24,7 +24,7 @@ from math import inf
 
 import numpy as np
 
-from taciturn._arrays import Array, array, instance, number, semidefinite
+from taciturn._arrays import Array, array, instance, number, semidefinite, square
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
@@ -62,8 +62,8 @@ class JumpProcess:
 
     def __post_init__(self) -> None:
         """Check and freeze."""
-        n = array("A", self.A, (None, None), "(states, states)").shape[0]
-        object.__setattr__(self, "A", array("A", self.A, (n, n), "(states, states)"))
+        object.__setattr__(self, "A", square("A", self.A, "(states, states)"))
+        n = len(self.A)
         object.__setattr__(self, "S", semidefinite("S", self.S, n, "(states, states)"))
         instance("jumps", self.jumps, Jumps)
         array("jumps.covariance", self.jumps.covariance, (n, n), "(states, states)")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite
+from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
 from taciturn.renewal._check import INTERPOLATED
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place
@@ -125,8 +125,8 @@ def solve_optimal(
         >>> round(found.cost, 6), bool(found.sends([0.1])), bool(found.sends([3.0]))
         (1.346628, False, True)
     """
-    n = array("F", F, (None, None)).shape[0]
-    F = array("F", F, (n, n))
+    F = square("F", F)
+    n = len(F)
     noise, Gamma = semidefinite("noise", noise, n), semidefinite("Gamma", Gamma, n)
     price = number("price", price, 0.0)
     white = whiten(Chain(F, noise, Gamma, price, Gamma / price), OTHERWISE)

@@ -49,7 +49,7 @@ class Share:
     rate_periodic: float
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Sharing:
     """Loops on a channel.
 
@@ -260,27 +260,27 @@ def share_channel(
         "the mean load alone, and what can be allocated may cost more"
     )
     return Sharing(
-        scheduler,
-        capacity,
-        unit_of(next(iter(problems.values()))),
-        tuple(shares),
-        mean(measured.costs.sum(axis=1)).scaled(1.0, base),
-        base,
-        bound,
-        load,
-        mean(measured.busy),
-        None if plan.price is None else mean(measured.waiting),
-        plan.load,
-        plan.price,
-        base + float(game.counts @ game.clocked.costs),
-        base + float(game.counts @ periodic.costs),
-        not few,
-        measured.ticks,
-        measured.reached,
-        seed,
-        time.perf_counter() - began,
-        prepared,
-        plan.notes + ((clashing,) if few else ()),
+        scheduler=scheduler,
+        capacity=capacity,
+        unit=unit_of(next(iter(problems.values()))),
+        shares=tuple(shares),
+        cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
+        cost_all_time=base,
+        lower_bound=bound,
+        load=load,
+        busy=mean(measured.busy),
+        waiting=None if plan.price is None else mean(measured.waiting),
+        load_expected=plan.load,
+        price=plan.price,
+        cost_periodic=base + float(game.counts @ game.clocked.costs),
+        cost_periodic_same_load=base + float(game.counts @ periodic.costs),
+        clock_attained=not few,
+        ticks=measured.ticks,
+        reached=measured.reached,
+        seed=seed,
+        seconds=time.perf_counter() - began,
+        price_seconds=prepared,
+        notes=plan.notes + ((clashing,) if few else ()),
     )
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn import _scipy
+from taciturn._arrays import symmetrised
 from taciturn._modes import stationary
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
@@ -129,7 +130,7 @@ class Curve:
             S = stationary(F.T, S)
         for _ in range(0 if np.isinf(interval) else int(interval) - 1):
             S = F.T @ S @ F + self.kind.Gamma
-        return Form((ERROR,), (S + S.T) / 2, -price)
+        return Form((ERROR,), symmetrised(S), -price)
 
 
 def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[Estimate, float]:
