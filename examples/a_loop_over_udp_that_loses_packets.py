@@ -10,7 +10,7 @@ from dataclasses import replace
 import taciturn
 from taciturn.study.network import NetworkRun, losses
 
-NAME, SEEDS = "lossy-double-integrator", range(3)
+NAME, SEEDS = "lossy-double-integrator", range(2)
 problem = taciturn.load(NAME)
 
 

@@ -1,4 +1,4 @@
-"""How much does a robot lose that is looked at seldom? The rover of the thesis, as a twin: 18 s, three missions.
+"""How much does a robot lose that is looked at seldom? The rover of the thesis, as a twin: 18 s, two missions.
 
 Rigid bodies, a camera that is rendered when it is asked, image processing, UDP between processes. The camera is
 calibrated and the model is identified first, both in the twin. Then the link to the camera dies for two seconds.
@@ -14,11 +14,11 @@ rover = prepare("rover")
 B, error = rover.model.B[0, 0], rover.model.B_standard_error[0, 0]
 print(f"identified: {B / 0.3:.5f} ± {error / 0.3:.5f} m/s per percent; data sheet {rover.robot.rate[0][0]}")
 
-run = run_twin(rover, Setup(runs=3, seed=1))
+run = run_twin(rover, Setup(runs=2, seed=1))
 print(f"asked {run.rates['sensor'].value:.0%} of the steps, sent {run.rates['actuator'].value:.0%}")
 print(f"cost {run.cost}, all-time {run.always.totals.mean():.1f}, guaranteed at most {run.cost_bound:.1f}")
 
-blind = run_twin(rover, Setup(runs=3, seed=1, faults=(parse_fault("camera@3+2"),)), compare=False)
+blind = run_twin(rover, Setup(runs=2, seed=1, faults=(parse_fault("camera@3+2"),)), compare=False)
 print(f"two seconds without a camera: cost {blind.cost}, {blind.trial.datagrams['questions']['unanswered']} unanswered")
 
 assert run.trial.datagrams["unaccounted"] == 0
