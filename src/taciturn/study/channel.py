@@ -17,10 +17,11 @@ from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
-from taciturn.study.evaluate import SURE, unit_of
+from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather
 from taciturn.study.prices import DualBound, bound_schedulers
 from taciturn.study.schedulers import SCHEDULERS, SHORTEST, Game, measure
+from taciturn.study.units import TimeUnit, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,7 +80,7 @@ class Sharing:
 
     scheduler: SchedulerName
     capacity: int
-    unit: Literal["step", "second"]
+    unit: TimeUnit
     shares: tuple[Share, ...]
     cost: Estimate
     cost_all_time: float
@@ -262,7 +263,7 @@ def share_channel(
     return Sharing(
         scheduler,
         capacity,
-        unit_of(next(iter(problems.values()))),
+        time_unit(next(iter(problems.values()))),
         tuple(shares),
         mean(measured.costs.sum(axis=1)).scaled(1.0, base),
         base,
