@@ -37,7 +37,7 @@ class Point:
         evaluation: of the policy.
         actuation: of the policy, and of the periodic controller it is compared with.
         cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable,
-            or none is comparable: over lossy links, with scheduled queries, for missions.
+            or none is comparable: with scheduled queries, for missions, in a loop that is not the one of its design.
     """
 
     values: Mapping[str, Any]
