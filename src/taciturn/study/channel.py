@@ -124,25 +124,25 @@ class Sharing:
             "loops": self.loops,
             "capacity": self.capacity,
             "unit": self.unit,
-            "cost": _document(self.cost),
+            "cost": self.cost.document(),
             "cost_all_time": self.cost_all_time,
             "cost_lower_bound": None if bound is None else bound.cost,
             "cost_lower_bound_confidence": None if bound is None else bound.confidence,
             "cost_periodic": _finite(self.cost_periodic),
             "cost_periodic_same_load": _finite(self.cost_periodic_same_load),
             "consistent": self.consistent,
-            "load": _document(self.load),
-            "load_expected": None if self.load_expected is None else _document(self.load_expected),
-            "busy": _document(self.busy),
-            "waiting": None if self.waiting is None else _document(self.waiting),
+            "load": self.load.document(),
+            "load_expected": None if self.load_expected is None else self.load_expected.document(),
+            "busy": self.busy.document(),
+            "waiting": None if self.waiting is None else self.waiting.document(),
             "price": self.price,
             "problems": [
                 {
                     "name": share.name,
                     "copies": share.copies,
-                    "cost": _document(share.cost),
+                    "cost": share.cost.document(),
                     "cost_all_time": share.cost_all_time,
-                    "rate": _document(share.rate),
+                    "rate": share.rate.document(),
                     "rate_periodic": share.rate_periodic,
                 }
                 for share in self.shares
@@ -287,7 +287,3 @@ def share_channel(
 
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
-
-
-def _document(estimate: Estimate) -> dict[str, Any]:
-    return {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}

@@ -112,9 +112,7 @@ class Evaluation:
             "cost_all_time": self.cost_all_time,
             "cost_bound": self.cost_bound,
             "cost_bound_at_rate": self.cost_bound_at_rate,
-            "rates": {
-                link: {"value": rate.value, "standard_error": rate.standard_error} for link, rate in self.rates.items()
-            },
+            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
             "seed": self.seed,
             "seconds": round(self.seconds, 4),
             "steps": self.steps,
@@ -359,5 +357,4 @@ def _interval(rate: Estimate, tick: float) -> Estimate | None:
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
-    found = {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}
-    return found | ({"error": estimate.error} if estimate.method == "quadrature" else {})
+    return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})

@@ -362,5 +362,5 @@ def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None
 
 def measured(estimate: Estimate) -> dict[str, Any]:
     """Return what a JSON document says of a number that was measured: without a standard error where it was once."""
-    error = None if estimate.method == "exact" else estimate.standard_error
-    return {"value": estimate.value, "standard_error": error, "method": "simulation"}
+    once = {"standard_error": None} if estimate.method == "exact" else {}
+    return estimate.document() | once | {"method": "simulation"}
