@@ -32,10 +32,10 @@ RATES = ("rate_actuator", "rate_sensor")
 
 def network(found: NetworkRun) -> None:
     """Print what nodes over a network cost and sent."""
-    policy, per = found.loop.policy, "step" if found.unit == "mission" else found.unit
+    policy = found.loop.policy
     cost = "-" if found.cost is None else f"{found.cost} per {found.unit}"
     lines = [("policy", policy.kind), ("ticks", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
-    lines += [(f"rate, {link}", f"{rate} per {per}") for link, rate in found.rates.items()]
+    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.nominal:
         lines.append(("all-time cost", f"{policy.cost_all_time:.6g}"))
     for link, counted in found.datagrams.items():
@@ -247,7 +247,7 @@ def comparison(found: Comparison) -> None:
         )
     _print_table(header, rows)
     all_time = "" if found.cost_all_time is None else f"; all-time cost {found.cost_all_time:.6g}"
-    typer.echo(f"{found.rate:.6g} sends per {found.unit}{all_time}")
+    typer.echo(f"{found.rate:.6g} sends per {found.rate_unit}{all_time}")
     for one in found.ranking:
         shared = "" if one.share == 1 else f"{100 * one.share:.1f} % of the time the first, else the second; "
         notes = "; ".join(one.tuned.evaluation.notes)

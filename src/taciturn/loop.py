@@ -343,7 +343,6 @@ def check_network(policy: Policy, network: Network) -> None:
 
 def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
     plant, model, cost = problem.plant, policy.model, problem.cost
-    mission = cost.horizon is not None or cost.discount < 1
     same_start = np.array_equal(plant.mean, model.mean) and np.array_equal(plant.covariance, model.covariance)
     filtered = not plant.full_state and policy.closed_form is None
     bursts = any(network.burst(link) is not None for link in ENDS)
@@ -351,7 +350,7 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
     found = {
         "the plant is not linear (A and B are its linearisation)": plant.function is not None,
         "the plant is not the one of the design": not plant.same_as(model),
-        "the initial state is not the one of the design": mission and not same_start,
+        "the initial state is not the one of the design": cost.mission and not same_start,
         "inputs are clipped (input_limit)": plant.input_limit is not None,
         "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
         "losses come in bursts, and the design knows their mean only": bursts,

@@ -139,3 +139,15 @@ def test_continuous_plants_are_compared_per_second() -> None:
     assert [one.name for one in found.ranking] == ["events", "clock"]
     assert found.unit == "second"
     assert all(one.cost.standard_error == 0 for one in found.ranking)
+
+
+def test_what_missions_cost_is_a_total_and_what_they_send_a_share_of_their_steps() -> None:
+    """Of the rover, whatever it asks of its camera."""
+    rover = taciturn.load("rover")
+    found = compare(
+        {"often": rover, "seldom": rover.changed({"zeta": 0.008})}, 0.2, link="actuator", standard_error=0.5
+    )
+    assert (found.unit, found.rate_unit) == ("mission", "step")
+    assert found.document()["unit"] == found.ranking[0].tuned.evaluation.unit
+    axis = found.plot().axes[0]
+    assert (axis.get_xlabel(), axis.get_title()) == ("cost per mission", "0.2 sends per step")

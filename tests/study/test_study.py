@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import taciturn
+from taciturn import Network, Plant
+from taciturn.study.periodic import periodic_cost_at
 from taciturn.study.reproduce import reproduce
 
 
@@ -67,6 +69,41 @@ def test_a_continuous_tradeoff_counts_per_second() -> None:
     first = found.periodic["hold"][0]
     assert first.rate == pytest.approx(10.0)
     assert first.cost == pytest.approx(found.points[0].evaluation.cost_all_time)
+
+
+@pytest.mark.parametrize(
+    ("plant", "actual", "network"),
+    [
+        (Plant([[1.2]], [[1.0]], [[0.05]], input_limit=[1.0]), None, Network()),
+        (Plant([[1.2]], [[1.0]], [[0.05]]), Plant([[1.1]], [[1.0]], [[0.05]]), Network()),
+        (Plant([[1.2]], [[1.0]], [[0.05]], function=lambda x, u, w: 1.2 * np.sin(x) + u + w), None, Network()),
+        (Plant([[1.2]], [[1.0]], [[0.05]]), None, Network(payload="float32")),
+    ],
+    ids=["clipped", "another plant", "not linear", "rounded"],
+)
+def test_a_loop_that_is_not_the_one_of_its_design_is_compared_with_no_clock(
+    plant: Plant, actual: Plant | None, network: Network
+) -> None:
+    """The cost of periodic control is exact in the loop of its design; what is simulated is another."""
+    problem = taciturn.Problem(plant, taciturn.Cost([[1.0]], [[2.0]]), network, "lqg", {}, actual)
+    found = taciturn.tradeoff(problem, {"theta": [0.1, 0.2]}, standard_error=0.1)
+    assert [point.cost_periodic_same_rate for point in found.points] == [None, None]
+    assert found.periodic == {}
+
+
+def test_jumps_behind_a_filter_are_compared_with_a_clock() -> None:
+    """Whose cost is exact there: of second moments, which jumps share with Gaussian noise."""
+    W = [[0.0, 0.0], [0.0, 1.0]]
+    A, B, C, V = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.01]]
+    cost = taciturn.Cost([[1.0, 0.0], [0.0, 1.0]], [[1.0]])
+    jumping = taciturn.ContinuousPlant(A, B, None, taciturn.Jumps(1.0, W), C, V)
+    plants = (jumping, taciturn.ContinuousPlant(A, B, W, None, C, V))
+    costs = [
+        periodic_cost_at(taciturn.Problem(plant, cost, Network(), "lqg", {"period": 0.5}), 2.0, "hold")
+        for plant in plants
+    ]
+    assert costs[0] is not None
+    assert costs[0] == pytest.approx(costs[1])
 
 
 def test_a_mistake_in_the_last_cell_is_told_before_the_first_runs() -> None:

@@ -13,6 +13,7 @@ from taciturn.design.catalogue import CATALOGUE, KNOBS
 from taciturn.problem import check_parameters
 
 MASSES = taciturn.load("two-mass")
+INTEGRATOR = taciturn.load("wiener-double-integrator")
 SETTINGS: dict[str, dict[str, Any]] = {
     "lqg": {"theta": 3.0},
     "absolute": {"threshold": 40.0},
@@ -139,9 +140,7 @@ def test_links_have_knobs_of_their_own() -> None:
     ("problem", "budget", "words"),
     [
         (MASSES, {"rate": 0.05}, "it reaches rates from 0.20"),
-        (MASSES, {"rate": 1.5}, "to 1; expected a rate in between"),
-        (MASSES, {"rate": 1e308}, "it reaches rates from 0.20"),
-        (MASSES, {"cost": 0.5}, "it reaches costs from 0.733"),
+        (MASSES, {"cost": 10.0}, "expected a cost in between"),
         (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "it reaches rates from 0.58"),
         (MASSES, {}, "expected one of them"),
         (MASSES, {"rate": 0.3, "cost": 1.0}, "expected one of them"),
@@ -155,6 +154,40 @@ def test_what_cannot_be_met_is_one_sentence(problem: Problem, budget: dict[str, 
     with pytest.raises(ProblemError) as caught:
         tune(problem, **budget)
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("problem", "budget", "words"),
+    [
+        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above that of sending at every tick; expected at most 1"),
+        (MASSES, {"rate": 1e308}, "expected at most 1"),
+        (
+            MASSES,
+            {"cost": 0.5},
+            "the cost 0.5 per step is below that of sending at every tick; expected at least 0.733",
+        ),
+        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above that of sending at every tick"),
+        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below that of sending at every tick"),
+        (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost 50 per mission is below"),
+    ],
+)
+def test_what_no_tick_is_left_for_is_refused_at_the_first_look(
+    problem: Problem, budget: dict[str, Any], words: str
+) -> None:
+    """More sends than ticks, or less cost than with all of them."""
+    looks: list[float] = []
+    with pytest.raises(ProblemError) as caught:
+        tune(problem, **budget, progress=looks.append)
+    assert words in str(caught.value)
+    assert len(looks) == 1
+
+
+def test_a_period_may_be_shorter_than_the_one_to_start_from() -> None:
+    """Its ticks are what is sought: neither their rate nor their cost is a limit."""
+    clock = with_policy("periodic", INTEGRATOR, period=0.5, actuation="model")
+    found = tune(clock, rate=8.0)
+    assert found.parameter.value == pytest.approx(1 / 8)
+    assert tune(clock, cost=found.evaluation.cost.value).parameter.value == pytest.approx(1 / 8)
 
 
 def test_every_kind_has_a_knob_that_it_knows() -> None:

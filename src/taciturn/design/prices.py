@@ -39,7 +39,7 @@ class Prices:
     @property
     def average(self) -> bool:
         """Whether the cost is an average, and not the total of a mission."""
-        return self.problem.cost.horizon is None and self.problem.cost.discount == 1
+        return not self.problem.cost.mission
 
     @property
     def ticks(self) -> float:

@@ -69,6 +69,11 @@ class Cost:
         ):
             object.__setattr__(self, key, value)
 
+    @property
+    def mission(self) -> bool:
+        """Whether it is a total, of a finite horizon or a discounted sum; else it is an average."""
+        return self.horizon is not None or self.discount < 1
+
     def same_as(self, other: Cost) -> bool:
         """Tell whether the other cost has the same weights, horizon and discount."""
         same_time = (self.horizon, self.discount) == (other.horizon, other.discount)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 Method: TypeAlias = Literal["exact", "quadrature", "bound", "simulation"]
+Part: TypeAlias = Literal["value", "standard_error", "method", "error"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,10 @@ class Estimate:
         """Return factor/estimate, its errors to first order."""
         slope = abs(factor) / self.value**2
         return Estimate(factor / self.value, slope * self.standard_error, self.method, slope * self.error)
+
+    def document(self, *parts: Part) -> dict[str, Any]:
+        """Return what JSON holds of it; where no parts are named, all but the error, which a quadrature alone has."""
+        return {part: getattr(self, part) for part in parts or ("value", "standard_error", "method")}
 
     def __str__(self) -> str:
         """Return the value with as many digits as its standard error, or its claimed error, supports."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.problem import Problem
-from taciturn.study.evaluate import unit_of
+from taciturn.study.units import TimeUnit, time_unit
 
 Found = TypeVar("Found")
 
@@ -56,7 +56,7 @@ class Certificates:
     """
 
     policy: str
-    unit: Literal["step", "second"]
+    unit: TimeUnit
     states: int
     actions: tuple[str, ...]
     decay: float | None
@@ -136,7 +136,7 @@ def certify(problem: Problem) -> Certificates:
     tick = policy.tick
     return Certificates(
         policy=policy.kind,
-        unit=unit_of(problem),
+        unit=time_unit(problem),
         states=matrices.states,
         actions=matrices.labels,
         decay=None if decay is None else decay.rate,

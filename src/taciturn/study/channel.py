@@ -17,10 +17,11 @@ from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
-from taciturn.study.evaluate import SURE, unit_of
+from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather
 from taciturn.study.prices import DualBound, bound_schedulers
 from taciturn.study.schedulers import SCHEDULERS, SHORTEST, Game, measure
+from taciturn.study.units import TimeUnit, time_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,7 +80,7 @@ class Sharing:
 
     scheduler: SchedulerName
     capacity: int
-    unit: Literal["step", "second"]
+    unit: TimeUnit
     shares: tuple[Share, ...]
     cost: Estimate
     cost_all_time: float
@@ -123,25 +124,25 @@ class Sharing:
             "loops": self.loops,
             "capacity": self.capacity,
             "unit": self.unit,
-            "cost": _document(self.cost),
+            "cost": self.cost.document(),
             "cost_all_time": self.cost_all_time,
             "cost_lower_bound": None if bound is None else bound.cost,
             "cost_lower_bound_confidence": None if bound is None else bound.confidence,
             "cost_periodic": _finite(self.cost_periodic),
             "cost_periodic_same_load": _finite(self.cost_periodic_same_load),
             "consistent": self.consistent,
-            "load": _document(self.load),
-            "load_expected": None if self.load_expected is None else _document(self.load_expected),
-            "busy": _document(self.busy),
-            "waiting": None if self.waiting is None else _document(self.waiting),
+            "load": self.load.document(),
+            "load_expected": None if self.load_expected is None else self.load_expected.document(),
+            "busy": self.busy.document(),
+            "waiting": None if self.waiting is None else self.waiting.document(),
             "price": self.price,
             "problems": [
                 {
                     "name": share.name,
                     "copies": share.copies,
-                    "cost": _document(share.cost),
+                    "cost": share.cost.document(),
                     "cost_all_time": share.cost_all_time,
-                    "rate": _document(share.rate),
+                    "rate": share.rate.document(),
                     "rate_periodic": share.rate_periodic,
                 }
                 for share in self.shares
@@ -262,7 +263,7 @@ def share_channel(
     return Sharing(
         scheduler=scheduler,
         capacity=capacity,
-        unit=unit_of(next(iter(problems.values()))),
+        unit=time_unit(next(iter(problems.values()))),
         shares=tuple(shares),
         cost=mean(measured.costs.sum(axis=1)).scaled(1.0, base),
         cost_all_time=base,
@@ -286,7 +287,3 @@ def share_channel(
 
 def _finite(value: float) -> float | None:
     return value if isfinite(value) else None
-
-
-def _document(estimate: Estimate) -> dict[str, Any]:
-    return {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}

@@ -20,8 +20,9 @@ from taciturn.model.policy import LinkName, Policy
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation, unit_of
+from taciturn.study.evaluate import Evaluation
 from taciturn.study.tune import Tuned, tune
+from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,17 +72,22 @@ class Comparison:
     """Policies at the same rate, the cheapest first.
 
     Args:
-        rate: sends per step or per second.
-        unit: what rate and cost count per: ``"step"`` or ``"second"``.
+        rate: sends per step or per second; of a mission the mean fraction of its steps.
+        unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
         cost_all_time: exact cost of sending at every tick, the least that a policy with the most ticks per second has;
             None where none is known.
         ranking: the contestants.
     """
 
     rate: float
-    unit: str
+    unit: Unit
     cost_all_time: float | None
     ranking: tuple[Contestant, ...]
+
+    @property
+    def rate_unit(self) -> TimeUnit:
+        """What the rate counts per."""
+        return rate_unit(self.unit)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn compare --json``."""
@@ -101,12 +107,8 @@ class Comparison:
                         "beyond": None if one.tuned.beyond is None else one.tuned.beyond.parameter.value,
                         "share": one.share,
                     },
-                    "cost": {
-                        "value": one.cost.value,
-                        "standard_error": one.cost.standard_error,
-                        "method": one.cost.method,
-                    },
-                    "above_best": {"value": one.above.value, "standard_error": one.above.standard_error},
+                    "cost": one.cost.document(),
+                    "above_best": one.above.document("value", "standard_error"),
                     "cost_bound": one.cost_bound,
                     "statement": None if one.cost_bound is None else one.tuned.evaluation.statement,
                     "notes": list(one.tuned.evaluation.notes),
@@ -128,7 +130,7 @@ class Comparison:
             series.append(Series([b for b, _ in shown], [p for _, p in shown], "guaranteed", "stars", color=3))
         if self.cost_all_time is not None:
             series.append(Series([self.cost_all_time] * 2, [-0.5, len(names) - 0.5], "all-time", "dashed", color=7))
-        title = f"{self.rate:.4g} sends per {self.unit}"
+        title = f"{self.rate:.4g} sends per {self.rate_unit}"
         return draw([Panel(series, f"cost per {self.unit}", "", title, names)], height=1.5 + 0.35 * len(names))
 
 
@@ -149,7 +151,7 @@ def compare(
 
     Args:
         problems: at least two, by name: the same plant, cost and network, and different policies.
-        rate: sends per step, or per second of a continuous plant.
+        rate: sends per step, or per second of a continuous plant; of a mission the mean fraction of its steps.
         link: whose rate; omitted where each policy decides one only.
         seed: of the draws.
         standard_error: absolute, of each cost; omitted: 3e-4 of that of sending at every tick.
@@ -192,7 +194,7 @@ def compare(
         best = ranking[0]
         beside = [replace(one, above=_above(one, best, rate, seed + len(problems))) for one in found]
         ranking = tuple(sorted(beside, key=lambda one: one.above.value))
-    return Comparison(rate, unit_of(found[0].tuned.problem), _all_time(found), ranking)
+    return Comparison(rate, cost_unit(found[0].tuned.problem), _all_time(found), ranking)
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:

@@ -17,7 +17,7 @@ from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.evaluate import unit_of
+from taciturn.study.units import cost_unit, time_unit
 
 BLUR = 1e-6  # relative: what rounding makes of poles that coincide
 WIDEST = 12  # columns of a matrix that is printed whole
@@ -64,7 +64,7 @@ class Description:
         return {
             "policy": self.problem.kind,
             "parameters": {name: _plain(value) for name, value in self.problem.parameters.items()},
-            "unit": self._unit,
+            "unit": cost_unit(self.problem),
             "plant": _plant_document(self.problem.plant),
             "actual": None if self.problem.actual is None else _plant_document(self.problem.actual),
             "cost": {key: _plain(getattr(cost, key)) for key in ("Q", "R", "N", "horizon", "terminal", "discount")},
@@ -87,7 +87,7 @@ class Description:
 
     def lines(self) -> Lines:
         """Return what is printed of it: names, and what stands behind them."""
-        problem, per = self.problem, self._unit
+        problem, per = self.problem, cost_unit(self.problem)
         given = ", ".join(f"{name} = {_plain(value)}" for name, value in problem.parameters.items())
         lines: Lines = [("policy", problem.kind + (f" ({given})" if given else ""))]
         lines += _plant_lines(problem.plant)
@@ -108,11 +108,6 @@ class Description:
                 told = ", acknowledged" if link.acknowledged else ""
                 lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}"))
         return [*lines, *(("note", note) for note in self.notes)]
-
-    @property
-    def _unit(self) -> str:
-        cost = self.problem.cost
-        return "mission" if cost.horizon is not None or cost.discount < 1 else unit_of(self.problem)
 
     @property
     def _decisions(self) -> Mapping[str, Trigger]:
@@ -258,7 +253,7 @@ def _cost_lines(problem: Problem) -> Lines:
     elif cost.discount < 1:
         kind = f"a discounted sum, factor {cost.discount:g} per tick"
     cross = " + 2x'Nu" if cost.N.any() else ""
-    lines: Lines = [("cost", f"{kind} of x'Qx + u'Ru{cross} per {unit_of(problem)}")]
+    lines: Lines = [("cost", f"{kind} of x'Qx + u'Ru{cross} per {time_unit(problem)}")]
     lines += [*_matrix_lines("cost Q", cost.Q), *_matrix_lines("cost R", cost.R)]
     if cost.N.any():
         lines += _matrix_lines("cost N", cost.N)

@@ -14,7 +14,6 @@ from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
-from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
@@ -25,6 +24,7 @@ from taciturn.simulation.events import average_events
 from taciturn.simulation.sampling import Progress
 from taciturn.study.measure import measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
+from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 SURE = 4.0  # standard errors
@@ -76,7 +76,7 @@ class Evaluation:
     """
 
     policy: str
-    unit: Literal["step", "second", "mission"]
+    unit: Unit
     base_rate: float | None
     cost: Estimate
     cost_all_time: float | None
@@ -98,9 +98,9 @@ class Evaluation:
     linearisation: Linearisation | None = None
 
     @property
-    def rate_unit(self) -> Literal["step", "second"]:
+    def rate_unit(self) -> TimeUnit:
         """What a rate counts per."""
-        return "step" if self.unit == "mission" else self.unit
+        return rate_unit(self.unit)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn evaluate --json``."""
@@ -112,9 +112,7 @@ class Evaluation:
             "cost_all_time": self.cost_all_time,
             "cost_bound": self.cost_bound,
             "cost_bound_at_rate": self.cost_bound_at_rate,
-            "rates": {
-                link: {"value": rate.value, "standard_error": rate.standard_error} for link, rate in self.rates.items()
-            },
+            "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
             "seed": self.seed,
             "seconds": round(self.seconds, 4),
             "steps": self.steps,
@@ -212,13 +210,12 @@ def evaluate(
         notes += _contradicted(found.rates[policy.scheduled[0]], certified)
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
-    mission = loop.horizon is not None
-    pace = 1.0 if mission else 1 / policy.tick
+    pace = base_rate(loop)
     compared = loop.nominal and per_tick > 0 and _predicts(policy)
     periodic = periodic_cost_at(problem, per_tick / policy.tick, actuation_of(problem)) if compared else None
     return Evaluation(
         policy=policy.kind,
-        unit="mission" if mission else unit_of(problem),
+        unit=cost_unit(problem),
         base_rate=pace,
         cost=found.cost,
         cost_all_time=policy.cost_all_time if loop.nominal else None,
@@ -264,11 +261,6 @@ def expect_bound(problem: Problem) -> None:
             f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
         )
     resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
-
-
-def unit_of(problem: Problem) -> Literal["step", "second"]:
-    """Return what averages of a problem count per."""
-    return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
 
 
 def _bounded(loop: Loop, rate: Estimate, confidence: float, seed: int) -> LowerBound:
@@ -365,5 +357,4 @@ def _interval(rate: Estimate, tick: float) -> Estimate | None:
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
-    found = {"value": estimate.value, "standard_error": estimate.standard_error, "method": estimate.method}
-    return found | ({"error": estimate.error} if estimate.method == "quadrature" else {})
+    return estimate.document() | (estimate.document("error") if estimate.method == "quadrature" else {})

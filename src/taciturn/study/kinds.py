@@ -17,7 +17,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
 from taciturn.problem import Problem
 from taciturn.renewal.allocation import Clocked
-from taciturn.study.evaluate import unit_of
+from taciturn.study.units import time_unit
 
 FINEST = 1_000_000  # parts of a second that periods are told apart by
 EQUAL = 1e-9  # relative, by which a period may be off such a part
@@ -74,7 +74,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
     for problem in problems.values():
         instance("problems", problem, Problem)
-    units = {name: unit_of(problem) for name, problem in problems.items()}
+    units = {name: time_unit(problem) for name, problem in problems.items()}
     for name, unit in units.items():
         first = next(iter(units))
         if unit != units[first]:

@@ -32,7 +32,7 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
-from taciturn.study.evaluate import unit_of
+from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
 if TYPE_CHECKING:
     import pandas
@@ -65,7 +65,7 @@ class NetworkRun:
     """
 
     loop: Loop
-    unit: str
+    unit: Unit
     cost: Estimate | None
     rates: Mapping[str, Estimate]
     datagrams: Mapping[str, Mapping[str, int]]
@@ -77,6 +77,11 @@ class NetworkRun:
     nominal: bool
     seconds: float
     notes: tuple[str, ...]
+
+    @property
+    def rate_unit(self) -> TimeUnit:
+        """What rates count per."""
+        return rate_unit(self.unit)
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a table with one row per tick: what it cost, and whether a packet was sent, by link.
@@ -111,7 +116,7 @@ class NetworkRun:
         return {
             "policy": policy.kind,
             "unit": self.unit,
-            "base_rate": 1.0 if loop.horizon is not None else 1 / policy.tick,
+            "base_rate": base_rate(loop),
             "cost": None if self.cost is None else measured(self.cost),
             "cost_all_time": policy.cost_all_time if self.nominal else None,
             "cost_bound": None if guarantee is None else guarantee.cost,
@@ -207,14 +212,13 @@ def run_network(
     for link, counts in seen.items():
         found = predict_drops(drops[link].seed, drops[link].permille, range(datagrams[link]["sent"]))
         datagrams[link] |= {"predicted": int(found.sum()), "nft_seen": counts.seen, "nft_dropped": counts.dropped}
-    unit = "mission" if loop.horizon is not None else unit_of(problem)
     cost, notes = _cost(loop, costs, simulated.final_cost())
-    pace = 1.0 if unit == "mission" else 1 / policy.tick
+    pace = base_rate(loop)
     skipped = _settled(loop)
     departures = loop.departures + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
-        unit=unit,
+        unit=cost_unit(problem),
         cost=cost,
         rates={link: _rate(sends[link], skipped).scaled(pace) for link in policy.scheduled if link in sends},
         datagrams=datagrams,
@@ -358,5 +362,5 @@ def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None
 
 def measured(estimate: Estimate) -> dict[str, Any]:
     """Return what a JSON document says of a number that was measured: without a standard error where it was once."""
-    error = None if estimate.method == "exact" else estimate.standard_error
-    return {"value": estimate.value, "standard_error": error, "method": "simulation"}
+    once = {"standard_error": None} if estimate.method == "exact" else {}
+    return estimate.document() | once | {"method": "simulation"}

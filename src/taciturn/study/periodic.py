@@ -10,7 +10,6 @@ import numpy as np
 from taciturn.design.certainty import Actuation
 from taciturn.design.periodic import periodic
 from taciturn.errors import TaciturnError
-from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 
@@ -44,7 +43,8 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
         actuation: of the periodic controller.
 
     Returns:
-        The cost; none for a plant that is not linear.
+        The cost; none where the loop of a periodic policy would not be the one of its design: over links that lose, of
+        inputs that are clipped, of a plant that is not linear or not the one of the design.
     """
     if rate <= 0:
         return None
@@ -86,14 +86,13 @@ def _first_stable(problem: Problem, steps: Sequence[int], actuation: Actuation) 
 
 
 def _cost(problem: Problem, interval: float, actuation: Actuation) -> float | None:
-    """The closed form of a periodic policy; sampling that loses a mode and predictions without the state have none."""
-    if problem.network != Network() or problem.nonlinear:  # it knows ideal links and linear plants only
-        return None
+    """Return the closed form of a periodic policy; None where it has none, or its loop is not the one of its design."""
     try:
         if isinstance(problem.plant, ContinuousPlant):
             policy = periodic(problem.plant, problem.cost, period=interval, actuation=actuation)
         else:
             policy = periodic(problem.plant, problem.cost, every=int(interval), actuation=actuation)
-    except TaciturnError:
+        nominal = problem.close(policy).nominal
+    except TaciturnError:  # such as sampling that loses a mode, a prediction without the state, a link with delay
         return None
-    return None if policy.closed_form is None else policy.closed_form.cost
+    return policy.closed_form.cost if nominal and policy.closed_form is not None else None

@@ -67,10 +67,7 @@ class Reproduction:
                         {
                             "setting": dict(row.setting),
                             "printed": dict(row.printed),
-                            "computed": {
-                                key: {"value": e.value, "standard_error": e.standard_error, "method": e.method}
-                                for key, e in row.computed.items()
-                            },
+                            "computed": {key: found.document() for key, found in row.computed.items()},
                         }
                         for row in table.rows
                     ],

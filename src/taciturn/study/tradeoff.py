@@ -20,6 +20,7 @@ from taciturn.study.evaluate import Evaluation
 from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
+from taciturn.study.units import Unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,7 +37,7 @@ class Point:
         evaluation: of the policy.
         actuation: of the policy, and of the periodic controller it is compared with.
         cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable,
-            or none is comparable: over lossy links, with scheduled queries, for missions.
+            or none is comparable: with scheduled queries, for missions, in a loop that is not the one of its design.
     """
 
     values: Mapping[str, Any]
@@ -58,7 +59,7 @@ class Tradeoff:
 
     points: tuple[Point, ...]
     periodic: Mapping[Actuation, tuple[PeriodicPoint, ...]]
-    unit: str
+    unit: Unit
     guarantee: str | None
 
     def document(self) -> dict[str, Any]:
@@ -158,8 +159,7 @@ def tradeoff(
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
         changed.designed()  # a mistake in the last cell is told before the first one runs
-    units = {(changed.cost.horizon is None and changed.cost.discount == 1) for changed in problems}
-    if len(units) > 1:
+    if len({changed.cost.mission for changed in problems}) > 1:
         raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
     check_confidence(problems, confidence)
     effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
