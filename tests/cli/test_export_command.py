@@ -42,7 +42,7 @@ def test_an_export_is_told(run: Run, tmp_path: Path) -> None:
 def test_sizes_are_those_of_a_cortex_or_of_this_machine_or_none(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What there is a compiler for; without one that is said, and the export is whole all the same."""
+    """What there is a compiler for; without one that is said, and the export is whole; one that refuses is heard."""
     sizes = json.loads(run("export", "rover", "--c", str(tmp_path), "--json").out)["sizes"]
     assert sizes["processor"] == ("Cortex-M3" if shutil.which("arm-none-eabi-gcc") else platform.machine())
     assert all(sizes[name]["code"] > 100 for name in ("sensor", "controller", "actuator", "core"))
@@ -50,6 +50,12 @@ def test_sizes_are_those_of_a_cortex_or_of_this_machine_or_none(
     answer = run("export", "rover", "--c", str(tmp_path))
     assert answer.code == 0
     assert answer.out.splitlines()[-1].split()[:3] == ["sizes", "not", "measured,"]
+    compiler = tmp_path / "arm-none-eabi-gcc"
+    compiler.write_text("#!/bin/sh\necho this is no C >&2\nexit 1\n")
+    compiler.chmod(0o755)
+    refused = run("export", "rover", "--c", str(tmp_path))
+    assert refused.code != 0
+    assert "arm-none-eabi-gcc fails (this is no C); expected it to succeed" in refused.err
 
 
 @pytest.mark.parametrize("version", ["3.0", "2.0"])

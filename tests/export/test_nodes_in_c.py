@@ -26,7 +26,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
 from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
-from taciturn.runtime.inbox import Channel, Inbox
+from taciturn.runtime.inbox import Inbox, Stream
 from taciturn.runtime.node import Node, Stepped
 from taciturn.runtime.packet import Packet, Wire
 
@@ -42,21 +42,21 @@ class SmallInbox(Inbox):
 
     def take(self, packet: Packet, past: int) -> bool:
         """Take a packet in that a tick wants which is not further ahead than places are."""
-        channel = self.channels.get((packet.kind, packet.link))
+        stream = self.streams.get((packet.kind, packet.link))
         self.past = past
-        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (channel.lag if channel else 0)):
+        with patch("taciturn.runtime.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
             return super().take(packet, past)
 
-    def _wait(self, channel: Channel, packet: Packet) -> None:
-        for tick in [t for t in channel.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
+    def _wait(self, stream: Stream, packet: Packet) -> None:
+        for tick in [t for t in stream.waiting if t % WAITING == packet.tick % WAITING and t != packet.tick]:
             if self.past < 0 and tick > packet.tick:
-                return self._miss(channel, packet)
+                return self._miss(stream, packet)
             if self.past < 0:
-                self._miss(channel, channel.waiting.pop(tick))
+                self._miss(stream, stream.waiting.pop(tick))
             elif tick > self.past:  # else it is late, and found to be so when it is looked for
-                del channel.waiting[tick]
+                del stream.waiting[tick]
                 self.counters["ahead"] += 1
-        return super()._wait(channel, packet)
+        return super()._wait(stream, packet)
 
 
 class Watch(NamedTuple):
@@ -82,7 +82,7 @@ class Case(NamedTuple):
             self.policy, self.role, network=self.network, epoch=epoch, seed=SEED, loop=LOOP, watchdog=ticks, safe=safe
         )
         inbox = node.inbox
-        node.inbox = SmallInbox(inbox.channels, LOOP, self.network.protocol == "ideal", node.counters, node._degrade)
+        node.inbox = SmallInbox(inbox.streams, LOOP, self.network.protocol == "ideal", node.counters, node._degrade)
         return node
 
 
@@ -131,7 +131,7 @@ def case(name: str, role: NodeName, watched: int) -> Case:
     """Return a node, compiled; one that acts and listens is watched."""
     loop = LOOPS[name]()
     node = Node(loop.policy, role, network=loop.network)
-    ticks, safe = WATCHES[watched] if node.actuates and node.inbox.channels else Watch()
+    ticks, safe = WATCHES[watched] if node.actuates and node.inbox.streams else Watch()
     watch = Watch(ticks, safe and safe[: loop.policy.model.inputs])
     return Case(loop.policy, loop.network, role, watch, compiled(name, role))
 
@@ -157,7 +157,7 @@ class Pair:
         self.sequences: dict[tuple[str, str], int] = {}  # of the next packet to come
         self.packets, self.recoveries, self.was_degraded = 0, 0, False
         inbox = self.host.inbox
-        sizes = {name: channel.size for name, channel in inbox.channels.items()}
+        sizes = {name: stream.size for name, stream in inbox.streams.items()}
         self.sizes = {
             **sizes,
             **{("mark", link): 0 for _, link in sizes},

@@ -115,6 +115,11 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         "the packet of the actuator link is sent on the label 'send'; expected a label of its decision (None)",
     ),
     (
+        (COMMAND, DECIDE, SEND, Send("controller", "actuator", ("command",)), INPUT),
+        {},
+        "2 packets go over the actuator link in a tick; expected one Send, with the signals and the labels of both",
+    ),
+    (
         (AT_TWO, *STEPS[1:]),
         {},
         "a table by 'clock' has 2 entries, and there are no such location among []; expected one per location",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,7 +15,8 @@ from runtime.attacks import CHAPTER_7, KEY, await_ticks, capture, chapter_7, noi
 from runtime.loops import by_hand
 
 import taciturn
-from taciturn.runtime.processes import Processes
+from taciturn.errors import ProblemError
+from taciturn.runtime.processes import Process, Processes
 from taciturn.runtime.relay import Fate
 from taciturn.study.network import NetworkRun, losses, run_network
 
@@ -189,3 +192,23 @@ def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
     assert len(found.costs) == 200
     assert np.isfinite(found.costs).all()
     assert set(found.reports["controller"]["lateness_ms"]) == {"p50", "p95", "p99", "max"}
+
+
+def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that listens too late, one that does not end when it is asked to, and one that has ended."""
+    process = Process(["relay", "--bind", ":0", "--peer", ":9"], "the relay")
+    with monkeypatch.context() as patch:
+        patch.setattr("taciturn.runtime.processes.PATIENCE", 0.0)
+        with pytest.raises(ProblemError, match="the relay does not listen after 0 s; expected"):
+            process.expect()
+    process.expect()
+    os.kill(process._process.pid, signal.SIGSTOP)
+    with monkeypatch.context() as patch:
+        patch.setattr("taciturn.runtime.processes.PATIENCE", 0.1)
+        with pytest.raises(ProblemError, match=r"the relay has not ended after 0\.1 s; expected"):
+            process.stop()
+    assert not process.alive
+    ended = Process(["relay", "--bind", ":0"], "the relay")
+    with pytest.raises(ProblemError, match=r"--peer|has ended with code 2"):
+        ended.expect()
+    ended.kill()

@@ -13,7 +13,7 @@ import taciturn
 from taciturn import Burst
 from taciturn.errors import ProblemError
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.relay import Channel, Fate
+from taciturn.runtime.relay import EmulatedLink, Fate
 
 WIRE = Wire(taciturn.load("two-mass").design())
 
@@ -64,7 +64,7 @@ def test_order_and_time_of_arrival_do_not_matter() -> None:
 
 def test_every_datagram_is_accounted_for() -> None:
     """Loss, doubles, swaps and harm together: in − lost + doubled = out + still held."""
-    channel = Channel(Fate(1, 0.2, duplicate=0.3, reorder=0.3, corrupt=0.1))
+    channel = EmulatedLink(Fate(1, 0.2, duplicate=0.3, reorder=0.3, corrupt=0.1))
     out = [one for k in range(5000) for one in channel.take(datagram(k), 0.0)]
     count = channel.counters
     assert count["received"] == 5000
@@ -81,13 +81,20 @@ def test_every_datagram_is_accounted_for() -> None:
 
 def test_delays_are_kept_and_marks_overtake_nothing() -> None:
     """In real time a packet is due after its delay; in virtual time it waits for the mark that lets it go."""
-    slow = Channel(Fate(delay=0.2, jitter=0.1))
+    slow = EmulatedLink(Fate(delay=0.2, jitter=0.1))
     assert slow.take(datagram(0), 5.0) == []
     assert slow.due is not None
     assert 5.2 <= slow.due <= 5.3
     assert slow.release(5.19) == []
     assert slow.release(5.31) == [datagram(0)]
-    held = Channel(Fate(hold=2))
+    assert slow.take(datagram(1), 6.0) == slow.take(datagram(1, "mark"), 6.0) == []
+    assert slow.pending == 1
+    assert slow.release(6.5) == [datagram(1), datagram(1, "mark")]
+    assert slow.counters == {"received": 2, "marks": 1, "delivered": 2}
+    shaken = EmulatedLink(Fate(jitter=0.1))
+    assert shaken.take(datagram(0), 5.0) == shaken.take(datagram(0, "mark"), 5.1) == []
+    assert shaken.release(5.1) == [datagram(0), datagram(0, "mark")]
+    held = EmulatedLink(Fate(hold=2))
     assert held.take(datagram(0), 0.0) == []
     assert held.take(datagram(1, "mark"), 0.0) == [datagram(1, "mark")]
     assert held.take(datagram(2, "mark"), 0.0) == [datagram(0), datagram(2, "mark")]
@@ -100,7 +107,7 @@ def test_impossible_links_are_refused() -> None:
             Fate(**wrong)  # type: ignore[arg-type]
     with pytest.raises(ProblemError, match="both given"):
         Fate(loss=0.1, burst=Burst(0.1, 0.1, 0.0, 1.0))
-    channel = Channel(Fate())
+    channel = EmulatedLink(Fate())
     assert channel.take(b"short", 0.0) == []
     assert channel.counters == {"foreign": 1}
 
@@ -113,7 +120,7 @@ def test_loops_that_share_a_link_lose_other_packets_and_an_outage_is_one_for_all
     for loop in (0, 1):
         for k in range(30):
             assert other.lost(k, k, loop) == (10 <= k < 20 or fate.lost(k, k, loop))
-    channel = Channel(Fate(outage=(3, 5)))
+    channel = EmulatedLink(Fate(outage=(3, 5)))
     assert [len(channel.take(datagram(k), 0.0)) for k in range(7)] == [1, 1, 1, 0, 0, 1, 1]
     with pytest.raises(ProblemError, match="the outage is"):
         Fate(outage=(5, 5))

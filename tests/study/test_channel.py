@@ -15,7 +15,7 @@ from taciturn.model.trigger import Form
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.simulation.access import MostUrgent, RandomAccess, RoundRobin, TimeDivision
-from taciturn.simulation.channel import ERROR, Channel, Group, contend, measure_freely
+from taciturn.simulation.channel import ERROR, Group, SharedChannel, contend, measure_freely
 from taciturn.study.channel import share_channel
 from taciturn.study.kinds import gather
 from taciturn.study.prices import Curve, bound_schedulers, find_price
@@ -90,9 +90,9 @@ def test_loops_that_never_wait_cost_what_the_renewal_equations_say() -> None:
 def test_the_machine_and_numpy_take_the_same_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without llvmlite the channel runs in NumPy: the same sends, the same costs to rounding."""
     group = Group(np.array([[1.1]]), UNIT, UNIT, Form((ERROR,), UNIT, -2.0), 50)
-    fast = Channel([group], MostUrgent(10), channels=2, seed=4).run(60)
+    fast = SharedChannel([group], MostUrgent(10), channels=2, seed=4).run(60)
     monkeypatch.setattr("taciturn.program.machine.available", lambda: False)
-    slow = Channel([group], MostUrgent(10), channels=2, seed=4).run(60)
+    slow = SharedChannel([group], MostUrgent(10), channels=2, seed=4).run(60)
     assert (fast.sends == slow.sends).all()
     assert fast.cost == pytest.approx(slow.cost, rel=1e-12)
     assert contend(group).inputs == ("granted",)
@@ -102,7 +102,7 @@ def test_a_loop_that_looks_half_as_often_counts_as_it_should() -> None:
     """Round robin of loops that look at every tick and at every other one: exact rates and costs."""
     slow = Group(UNIT, UNIT, 2 * UNIT, Form(constant=1.0), 8, every=2)
     quick = Group(UNIT, UNIT, UNIT, Form(constant=1.0), 8)
-    channel = Channel([slow, quick], RoundRobin(4, 16), channels=400)
+    channel = SharedChannel([slow, quick], RoundRobin(4, 16), channels=400)
     channel.run(80)
     found = channel.run(800)
     assert found.sends.mean(axis=0) == pytest.approx([2.0, 2.0])

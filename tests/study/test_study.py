@@ -9,6 +9,7 @@ import pytest
 
 import taciturn
 from taciturn import Network, Plant
+from taciturn.design.catalogue import CATALOGUE
 from taciturn.study.periodic import periodic_cost_at
 from taciturn.study.reproduce import reproduce
 
@@ -125,6 +126,26 @@ def test_a_trajectory_keeps_everything() -> None:
     assert 0.4 < sent.mean() < 0.8
     assert np.abs(path.state - path.estimate).mean() < 0.2
     assert (taciturn.simulate(loop, 400, seed=2).state == path.state).all()
+
+
+DECIDED = {
+    "rollout": {"horizon": 4, "every": 2},
+    "self-triggered": {"beta": 1.5, "max_interval": 5},
+    "dynamic": {"sigma": 0.5, "rho": 0.5, "gain": 2.0},
+    "stochastic": {"scale": 0.5},
+}
+
+
+@pytest.mark.parametrize("kind", DECIDED)
+def test_the_trigger_of_a_trajectory_is_the_one_that_decides(kind: str) -> None:
+    """Whatever else a policy decides, its packets are sent exactly when the value exceeds the threshold."""
+    plant = taciturn.Plant([[1.1]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
+    policy = CATALOGUE[kind](plant, taciturn.Cost([[1.0]], [[1.0]]), **DECIDED[kind])
+    assert isinstance(policy, taciturn.Policy)
+    path = taciturn.simulate(taciturn.close(plant, policy), 200, seed=3)
+    (sent,) = path.sends.values()
+    assert 10 < sent.sum() < 190
+    assert (sent == (path.trigger_value > path.threshold)).all()
 
 
 def test_a_trajectory_can_be_drawn_and_tabulated() -> None:

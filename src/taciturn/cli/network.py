@@ -204,7 +204,7 @@ def relay(
     seed: Seed = 0,
 ) -> None:
     """Carry packets over a link that loses, delays, doubles, reorders or corrupts them, alike for the same seed."""
-    from taciturn.runtime.relay import Channel, Fate
+    from taciturn.runtime.relay import EmulatedLink, Fate
     from taciturn.runtime.service import say_where, until_stopped
     from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint, parse_address
     from taciturn.runtime.world import relay as carry
@@ -213,7 +213,7 @@ def relay(
     to = parse_address("--peer", peer)
     with until_stopped() as stopped, Endpoint(parse_address("--bind", bind), LARGEST_OF_ALL) as endpoint:
         say_where("relay", endpoint.address)
-        typer.echo(json.dumps(carry(Channel(fate), endpoint, to, stopped)))
+        typer.echo(json.dumps(carry(EmulatedLink(fate), endpoint, to, stopped)))
 
 
 @contextmanager

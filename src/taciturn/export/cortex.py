@@ -57,7 +57,6 @@ M3 = Board("Cortex-M3", "mps2-an385", ("-mcpu=cortex-m3", "-mthumb"))
 M4F = Board(
     "Cortex-M4F", "mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 )  # whose floating-point unit knows single precision alone
-BOARDS: Mapping[str, Board] = {"m3": M3, "m4f": M4F}
 HOST = Board(platform.machine(), "", (), "")  # this machine, which no emulator runs
 
 
@@ -180,13 +179,13 @@ def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
 
     Returns:
         The processor and the sizes of each node, and of the ``"core"``.
+
+    Raises:
+        ProblemError: the compiler refuses.
     """
-    for board in (M4F if folder.single else M3, HOST):
-        try:
-            return board.processor, measure_sizes(board, folder, "-Os")
-        except ProblemError:  # no such compiler
-            continue
-    return None
+    boards = (M4F if folder.single else M3, HOST)
+    board = next((board for board in boards if shutil.which(board.compiler)), None)
+    return None if board is None else (board.processor, measure_sizes(board, folder, "-Os"))
 
 
 def _sections(board: Board, into: Path, stems: Sequence[str]) -> Sizes:

@@ -126,8 +126,8 @@ class Policy:
         notes: what a reader of its numbers must know.
 
     Raises:
-        ProblemError: a signal, decision or location without origin, a matrix that does not fit, a cost that is
-            not finite, or theory of linear steps where one is a function.
+        ProblemError: a signal, decision or location without origin, a matrix that does not fit, two packets on one
+            link, a cost that is not finite, or theory of linear steps where one is a function.
     """
 
     kind: str
@@ -183,6 +183,13 @@ class Policy:
                     f"the condition {step.on!r} is not decided before its use; expected one of {decided}"
                 )
             self._check(step)
+        links = [step.link for step in self.steps if isinstance(step, Send)]
+        for link in set(links):
+            if links.count(link) > 1:
+                raise ProblemError(
+                    f"{links.count(link)} packets go over the {link} link in a tick; "
+                    "expected one Send, with the signals and the labels of both"
+                )
         for location in self.locations:
             if location.on is not None and location.table.shape[1] != self.outcomes(location.on):
                 raise ProblemError(

@@ -99,11 +99,6 @@ def check_separable(policy: Policy) -> None:
                 f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at one place; "
                 "expected its ends at two, or no packets on it"
             )
-        if step.link in places:
-            raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: two packets go over the {step.link} link in a tick; "
-                "expected one, with the signals of both"
-            )
         places[step.link] = place
     for place, step in enumerate(policy.steps):
         if not isinstance(step, Assign | Evaluate) or not isinstance(step.on, Received):

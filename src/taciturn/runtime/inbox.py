@@ -28,7 +28,7 @@ AHEAD = 64  # ticks that a packet may be early
 
 
 @dataclass
-class Channel:
+class Stream:
     """Packets of one kind on one link.
 
     Args:
@@ -52,7 +52,7 @@ class Inbox:
     """The packets that have come to a node.
 
     Args:
-        channels: by kind and link.
+        streams: by kind and link.
         loop: of the node.
         lossless: whether the policy's theory takes every packet to arrive.
         counters: where each packet is counted.
@@ -61,32 +61,32 @@ class Inbox:
 
     def __init__(
         self,
-        channels: Mapping[tuple[str, str], Channel],
+        streams: Mapping[tuple[str, str], Stream],
         loop: int,
         lossless: bool,
         counters: Counter[str],
         degrade: Callable[[str], None],
     ) -> None:
         """Nothing has come."""
-        self.channels, self.loop, self._lossless = channels, loop, lossless
+        self.streams, self.loop, self._lossless = streams, loop, lossless
         self.counters, self._degrade = counters, degrade
-        self.marks = {link: Window() for _, link in channels}
-        self.marked = {link: -1 for _, link in channels}  # the last tick that its sender has finished
+        self.marks = {link: Window() for _, link in streams}
+        self.marked = {link: -1 for _, link in streams}  # the last tick that its sender has finished
 
     @property
     def waiting(self) -> int:
         """Packets that wait for their tick."""
-        return sum(len(channel.waiting) for channel in self.channels.values())
+        return sum(len(stream.waiting) for stream in self.streams.values())
 
     def take(self, packet: Packet, past: int) -> bool:
         """Take a packet in after the tick ``past``; return whether it is new, and not far too early."""
         self.counters["received"] += 1
-        channel = self.channels.get((packet.kind, packet.link))
+        stream = self.streams.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.link in self.marks
-        if packet.loop != self.loop or not (mark or channel):
+        if packet.loop != self.loop or not (mark or stream):
             self.counters["misdirected"] += 1
             return False
-        window = self.marks[packet.link] if channel is None else channel.window
+        window = self.marks[packet.link] if stream is None else stream.window
         news = window.admit(packet.epoch, packet.sequence)
         if news != "new":
             self.counters[news] += 1
@@ -94,84 +94,84 @@ class Inbox:
         if packet.tick > past + AHEAD and past >= 0:
             self.counters["ahead"] += 1
             return False
-        if channel is None:
+        if stream is None:
             self.counters["marks"] += 1
             self.marked[packet.link] = max(self.marked[packet.link], packet.tick)
-        elif packet.tick > past - channel.lag:
-            self._wait(channel, packet)
+        elif packet.tick > past - stream.lag:
+            self._wait(stream, packet)
         else:
-            self._miss(channel, packet)
+            self._miss(stream, packet)
         return True
 
     def settled(self, link: str, tick: int) -> bool:
         """Tell whether the packet of a tick has come, or will not."""
-        return self.marked[link] >= tick or tick in self.channels["data", link].waiting
+        return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
     def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
         """Put the packets that a part of a tick wants among its inputs; return those that came in time."""
         found: list[Packet] = []
-        for channel in self.channels.values():
-            if channel.part != part:
+        for stream in self.streams.values():
+            if stream.part != part:
                 continue
-            wanted = tick - channel.lag
-            for old in [number for number in channel.waiting if number < wanted]:
-                self._miss(channel, channel.waiting.pop(old))
-            packet = channel.waiting.pop(wanted, None)
+            wanted = tick - stream.lag
+            for old in [number for number in stream.waiting if number < wanted]:
+                self._miss(stream, stream.waiting.pop(old))
+            packet = stream.waiting.pop(wanted, None)
             if packet is not None:
                 self.counters["used"] += 1
                 found.append(packet)
-            elif channel.behind is not None:
-                packet = channel.behind
-            channel.behind = None
-            if self._lossless and channel.window.missing > channel.missing:
+            elif stream.behind is not None:
+                packet = stream.behind
+            stream.behind = None
+            if self._lossless and stream.window.missing > stream.missing:
                 self._degrade("lost")
-            channel.missing = channel.window.missing
-            arrived = (0.0,) * (1 + channel.size) if packet is None else (1.0, *packet.values)
-            inputs[channel.at : channel.at + 1 + channel.size] = arrived
+            stream.missing = stream.window.missing
+            arrived = (0.0,) * (1 + stream.size) if packet is None else (1.0, *packet.values)
+            inputs[stream.at : stream.at + 1 + stream.size] = arrived
         return found
 
     def save(self) -> dict[str, Any]:
         """Return all that is remembered, as JSON holds it."""
-        channels = {
+        streams = {
             " ".join(name): {
-                "window": channel.window.save(),
-                "waiting": [list(packet) for packet in channel.waiting.values()],
-                "behind": channel.behind and list(channel.behind),
-                "missing": channel.missing,
+                "window": stream.window.save(),
+                "waiting": [list(packet) for packet in stream.waiting.values()],
+                "behind": stream.behind and list(stream.behind),
+                "missing": stream.missing,
             }
-            for name, channel in self.channels.items()
+            for name, stream in self.streams.items()
         }
         marks = {link: window.save() for link, window in self.marks.items()}
-        return {"channels": channels, "marks": marks, "marked": dict(self.marked)}
+        return {"channels": streams, "marks": marks, "marked": dict(self.marked)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
         """Go on from what was saved."""
-        for name, channel in self.channels.items():
+        for name, stream in self.streams.items():
             kept = saved["channels"][" ".join(name)]
-            channel.window.restore(kept["window"])
-            channel.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}
-            channel.behind = None if kept["behind"] is None else packet_of(kept["behind"])
-            channel.missing = kept["missing"]
+            stream.window.restore(kept["window"])
+            stream.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}
+            stream.behind = None if kept["behind"] is None else packet_of(kept["behind"])
+            stream.missing = kept["missing"]
         for link, window in self.marks.items():
             window.restore(saved["marks"][link])
             self.marked[link] = saved["marked"][link]
 
-    def _wait(self, channel: Channel, packet: Packet) -> None:
-        known = channel.waiting.get(packet.tick)
+    def _wait(self, stream: Stream, packet: Packet) -> None:
+        known = stream.waiting.get(packet.tick)
         self.counters["superseded"] += known is not None
         if known is None or (packet.epoch, packet.sequence) > (known.epoch, known.sequence):
-            channel.waiting[packet.tick] = packet
-        if len(channel.waiting) > 2 * AHEAD:  # of a node that has not begun
-            self._miss(channel, channel.waiting.pop(min(channel.waiting)))
+            stream.waiting[packet.tick] = packet
+        if len(stream.waiting) > 2 * AHEAD:  # of a node that has not begun
+            self._miss(stream, stream.waiting.pop(min(stream.waiting)))
 
-    def _miss(self, channel: Channel, packet: Packet) -> None:
+    def _miss(self, stream: Stream, packet: Packet) -> None:
         self.counters["late"] += 1
         if packet.kind == "acknowledgement":
             self._degrade("late acknowledgement")
         elif self._lossless:
             self._degrade("late")
-            if channel.behind is None or packet.tick > channel.behind.tick:
-                channel.behind = packet
+            if stream.behind is None or packet.tick > stream.behind.tick:
+                stream.behind = packet
 
 
 def packet_of(saved: Sequence[Any]) -> Packet:

@@ -24,7 +24,7 @@ from taciturn.program.draws import seed_generators
 from taciturn.program.layout import lay_out
 from taciturn.program.node import lower_node
 from taciturn.program.python import compile_python
-from taciturn.runtime.inbox import Channel, Inbox
+from taciturn.runtime.inbox import Inbox, Stream
 from taciturn.runtime.packet import Packet
 
 CAUGHT_UP = 10_000  # ticks that a node which has slept makes up for
@@ -98,10 +98,10 @@ class Node:
         self.reasons: Counter[str] = Counter()
         self._layout = layout = lay_out(policy, program)
         self._inputs = [0.0] * len(layout.inputs)
-        channels = {(one.kind, one.link): Channel(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
-        self.inbox = Inbox(channels, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
+        streams = {(one.kind, one.link): Stream(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
+        self.inbox = Inbox(streams, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
         # of each link, which tick its sender must have finished before tick k may begin: k less this
-        self.listens: dict[str, int] = {link: channel.lag for (_, link), channel in self.inbox.channels.items()}
+        self.listens: dict[str, int] = {link: stream.lag for (_, link), stream in self.inbox.streams.items()}
         self._watchdog = None if watchdog is None else count("watchdog", watchdog)
         if watchdog is not None and (layout.applied is None or not program.hears):
             raise ProblemError(

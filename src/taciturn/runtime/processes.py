@@ -66,12 +66,14 @@ class Process:
         """Wait until it listens.
 
         Raises:
-            ProblemError: it has ended, with its own sentence.
+            ProblemError: it has ended, with its own sentence, or does not listen in time.
         """
         end = time.monotonic() + PATIENCE
         while not self._listens.wait(0.05):
-            if not self.alive or time.monotonic() > end:
+            if not self.alive:
                 raise ProblemError(self.sentence())
+            if time.monotonic() > end:
+                raise ProblemError(f"{self._name} does not listen after {PATIENCE:g} s; expected it to be faster")
 
     def sentence(self) -> str:
         """Return what it said when it ended."""
@@ -96,15 +98,17 @@ class Process:
         """Ask it to end, and return its report.
 
         Raises:
-            ProblemError: it gives none.
+            ProblemError: it gives none, or does not end in time.
         """
         self._process.terminate()
         assert self._process.stdout is not None
         try:
             self._process.wait(PATIENCE)
             return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which a pipe holds
-        except (subprocess.TimeoutExpired, ValueError, IndexError):
+        except subprocess.TimeoutExpired:
             self._process.kill()
+            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster") from None
+        except (ValueError, IndexError):
             raise ProblemError(self.sentence()) from None
         finally:
             self._process.wait()

@@ -27,7 +27,7 @@ class Fate:
         seed: of the draws.
         loss: probability that a packet is lost, in [0, 1].
         burst: losses that come in bursts instead: the link turns good or bad from tick to tick.
-        delay: seconds that every packet takes.
+        delay: seconds that every packet takes, and every mark.
         jitter: up to so many seconds more, drawn.
         hold: ticks that every packet waits, as the marks on the link count them; for runs in virtual time.
         duplicate: probability that a packet comes twice.
@@ -105,7 +105,7 @@ class Fate:
         return bad
 
 
-class Channel:
+class EmulatedLink:
     """A link on its way: datagrams in, datagrams out; no socket, and time is what the caller says.
 
     Args:
@@ -116,11 +116,10 @@ class Channel:
         """Nothing is on its way."""
         self.fate = fate
         self.counters: Counter[str] = Counter()
-        self._waiting: list[tuple[float, int, bytes]] = []  # due, order, datagram
+        self._waiting: list[tuple[float, int, bool, bytes]] = []  # due, order, whether it is a mark, datagram
         self._held: list[tuple[int, bytes]] = []  # tick of the mark that lets it go, datagram
         self._swapped: bytes | None = None
         self._order = 0
-        self._marked = -1
 
     @property
     def due(self) -> float | None:
@@ -129,13 +128,16 @@ class Channel:
 
     @property
     def pending(self) -> int:
-        """Datagrams that are still on their way."""
-        return len(self._waiting) + len(self._held) + (self._swapped is not None)
+        """Datagrams that are still on their way; marks are not counted."""
+        waiting = sum(not mark for _, _, mark, _ in self._waiting)
+        return waiting + len(self._held) + (self._swapped is not None)
 
     def take(self, datagram: bytes, now: float) -> list[bytes]:
         """Take a datagram in, and return what comes out at once.
 
-        A mark overtakes nothing and is never lost; what is no packet at all is dropped.
+        A mark says that all packets of its tick were sent before it: it is never lost, and takes the delay, or longer
+        where what was sent before it does. It overtakes only what ``hold`` and ``reorder`` mean to come too late. What
+        is no packet at all is dropped.
         """
         if len(datagram) < HEADER_SIZE:
             self.counters["foreign"] += 1
@@ -143,10 +145,13 @@ class Channel:
         sequence, kind, loop, tick = read_place(datagram)
         if kind == MARK:
             self.counters["marks"] += 1
-            self._marked = max(self._marked, tick)
             free = [old for let, old in self._held if let <= tick]
             self._held = [(let, old) for let, old in self._held if let > tick]
-            return [*self._out(free), datagram]
+            if not self._waiting and self.fate.delay == 0.0:
+                return [*self._out(free), datagram]
+            last = max((due for due, *_ in self._waiting), default=now)
+            self._wait([datagram], max(now + self.fate.delay, last), mark=True)
+            return self._out(free)
         self.counters["received"] += 1
         fate = self.fate
         if fate.lost(sequence, tick, loop):
@@ -172,7 +177,8 @@ class Channel:
         """Return the datagrams that are due."""
         due = sorted(entry for entry in self._waiting if entry[0] <= now)
         self._waiting = [entry for entry in self._waiting if entry[0] > now]
-        return self._out([datagram for _, _, datagram in due])
+        self._out([datagram for _, _, mark, datagram in due if not mark])
+        return [datagram for *_, datagram in due]
 
     def _send(self, copies: list[bytes], sequence: int, tick: int, now: float) -> list[bytes]:
         fate = self.fate
@@ -181,11 +187,13 @@ class Channel:
             return []
         if fate.delay == 0.0 and fate.jitter == 0.0:
             return self._out(copies)
-        for datagram in copies:
-            due = now + fate.delay + fate.jitter * fate.uniform(_WAIT, sequence)
-            self._waiting.append((due, self._order, datagram))
-            self._order += 1
+        self._wait(copies, now + fate.delay + fate.jitter * fate.uniform(_WAIT, sequence))
         return []
+
+    def _wait(self, datagrams: list[bytes], due: float, mark: bool = False) -> None:
+        for datagram in datagrams:
+            self._waiting.append((due, self._order, mark, datagram))
+            self._order += 1
 
     def _out(self, datagrams: list[bytes]) -> list[bytes]:
         self.counters["delivered"] += len(datagrams)

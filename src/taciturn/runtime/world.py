@@ -13,7 +13,7 @@ from taciturn._arrays import Array
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.relay import Channel
+from taciturn.runtime.relay import EmulatedLink
 from taciturn.runtime.service import IDLE, QUIET, Told
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
@@ -181,14 +181,14 @@ class PlantServer:
             self.refused["late"] += 1
 
 
-def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
+def relay(link: EmulatedLink, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
     """Carry datagrams to a peer over a link that may lose them, until stopped; return the report."""
 
     def carry(until: float) -> bool:
-        found = endpoint.receive(until if channel.due is None else min(until, channel.due))
+        found = endpoint.receive(until if link.due is None else min(until, link.due))
         now = time.monotonic()
-        out = [datagram for one in found for datagram in channel.take(one, now)]
-        for datagram in out + channel.release(now):
+        out = [datagram for one in found for datagram in link.take(one, now)]
+        for datagram in out + link.release(now):
             endpoint.send(datagram, peer)
         return bool(found)
 
@@ -198,7 +198,7 @@ def relay(channel: Channel, endpoint: Endpoint, peer: Address, stopped: Callable
         pass
     return {
         "role": "relay",
-        "counters": dict(channel.counters),
-        "pending": channel.pending,
+        "counters": dict(link.counters),
+        "pending": link.pending,
         "datagrams": endpoint.counted,
     }

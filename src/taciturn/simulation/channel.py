@@ -59,7 +59,7 @@ class Stretch:
     waiting: Array
 
 
-class Channel:
+class SharedChannel:
     """Loops that share channels, tick by tick; the costs beyond sending always are exact by completion of squares.
 
     Memory and time grow linearly with the loops.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.loop import SENT, Loop
+from taciturn.model.policy import Policy, Send
 from taciturn.program.engine import prepare
 from taciturn.simulation.lost import expect_numbers
 
@@ -29,8 +31,10 @@ class Trajectory:
         state: of the plant, (ticks, n).
         estimate: x̂, (ticks, n); empty where the policy has none.
         input: applied to the plant, (ticks, m).
-        trigger_value: value of staying silent, (ticks,); empty where no decision looks at the signals.
-        threshold: least value of the other actions; silence is kept while trigger_value ≤ threshold.
+        trigger_value: value of staying silent in the decision on the packet, (ticks,): of a policy that plans its sends
+            ahead, whether one is due, or when. Empty where no packet's decision looks at the signals; of several the
+            first.
+        threshold: least value of sending in that decision; silence is kept while trigger_value ≤ threshold.
         sends: whether a packet was sent, by link, (ticks,).
     """
 
@@ -118,12 +122,23 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
 
     states = stacked("x")
     expect_numbers(loop, states)
-    weighed = [name for name, trigger in loop.policy.decisions.items() if trigger.reads]  # a clock weighs nothing
-    options = [values for key, values in records.items() if weighed and key.startswith(f"option {weighed[0]} ")]
-    silent, others = (options[0], np.min(options[1:], axis=0)) if options else (np.empty(0), np.empty(0))
+    silent, others = _weighed(loop.policy, records)
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
     time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)
     return Trajectory(time, states, stacked("estimate"), stacked("applied"), silent, others, sends)
+
+
+def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Return the least values of the options without the packet and with it; of a clock, which weighs nothing, none."""
+    for step in policy.steps:
+        if isinstance(step, Send) and step.on is not None and policy.decisions[step.on].reads:
+            labels = policy.decisions[step.on].labels
+            sending = step.labels or labels[1:]
+            values = {label: records[f"option {step.on} {label}"] for label in labels}
+            silent = [value for label, value in values.items() if label not in sending]
+            if silent:
+                return np.min(silent, axis=0), np.min([values[label] for label in sending], axis=0)
+    return np.empty(0), np.empty(0)
 
 
 def _entry(name: str) -> int:

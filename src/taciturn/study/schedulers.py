@@ -15,7 +15,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
 from taciturn.renewal.allocation import Allocation, Sharer, allocate
 from taciturn.simulation.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
-from taciturn.simulation.channel import ERROR, Channel, Group, Stretch
+from taciturn.simulation.channel import ERROR, Group, SharedChannel, Stretch
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.kinds import Kind
@@ -95,13 +95,13 @@ class Game:
         few = int(np.sum(looks < self.capacity))
         return few if np.any(looks > self.capacity) else 0, self.cycle
 
-    def play(self, plan: Plan, channels: int) -> Channel:
+    def play(self, plan: Plan, channels: int) -> SharedChannel:
         """Return channels that a plan is played on, the errors still 0."""
         groups = [
             Group(kind.F, kind.noise, kind.Gamma, urgency, kind.count, kind.every)
             for kind, urgency in zip(self.kinds, plan.urgencies, strict=True)
         ]
-        return Channel(groups, plan.access(), channels, self.seed)
+        return SharedChannel(groups, plan.access(), channels, self.seed)
 
     @property
     def channels(self) -> int:

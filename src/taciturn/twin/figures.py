@@ -15,7 +15,7 @@ from taciturn.twin.robot import Robot
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-BLUE, RED, BLACK = 0, 3, 7
+RED, BLACK = 3, 7
 
 
 def figure_of(robot: Robot, trials: Mapping[str, Trial], run: int = 0) -> Figure:

@@ -42,7 +42,6 @@ class Eye:
     def __init__(self, robot: Robot, calibration: Calibration) -> None:
         """Keep both."""
         self.robot, self._calibration = robot, calibration
-        self._low, self._high = np.array(robot.low), np.array(robot.high)
 
     def see(self, picture: bytes) -> Array | None:
         """Return what a picture (JPEG) shows of the robot.
