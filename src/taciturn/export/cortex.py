@@ -75,7 +75,7 @@ class Main(NamedTuple):
     own: Mapping[str, str] = {}
 
 
-_WRAPPED = ("main", "tac_receive", "tac_step", "tac_send")
+_WRAPPED = ("tac_receive", "tac_step", "tac_send")
 
 
 def self_check(folder: CFolder) -> Main:
@@ -85,7 +85,7 @@ def self_check(folder: CFolder) -> Main:
 
 def measurement(folder: CFolder) -> Main:
     """Return the self-check that counts instructions as well; it runs where QEMU counts them."""
-    wrapped = tuple(f"-Wl,--wrap={name}" for name in _WRAPPED)
+    wrapped = tuple(f"-Wl,--wrap={name}" for name in ("main", *(f"{one}_{folder.sizes}" for one in _WRAPPED)))
     return Main((*self_check(folder).files, "measure.c"), wrapped)
 
 

@@ -44,6 +44,7 @@ class CFolder:
         vector: what the self-check compares.
         files: text of each file, by name.
         single: whether numbers have single precision.
+        sizes: end of the names by which a linker knows the functions.
     """
 
     name: str
@@ -53,6 +54,7 @@ class CFolder:
     vector: Vector
     files: dict[str, str]
     single: bool
+    sizes: str
 
     @property
     def precision(self) -> str:
@@ -147,11 +149,12 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
     shapes = packet_shapes(policy, network).values()
     payload = max(_BYTES[CODES[encoding.name]] * entries for encoding, entries in shapes)
     values, datagram = max(1, *(entries for _, entries in shapes)), HEADER_SIZE + payload + CRC_SIZE + TAG_SIZE
+    sizes = f"{precision}_{values}_{datagram}_{WAITING}"
     sources = [file for file in (*texts, "selfcheck_data.c") if file.endswith(".c")]
     texts |= {
         "taciturn_config.h": _CONFIG.format(
             mark=_title("the core's sizes"), single=int(precision == "float32"), waiting=WAITING,
-            values=values, datagram=datagram, guard=f"{precision}_{values}_{datagram}_{WAITING}",
+            values=values, datagram=datagram, sizes=sizes,
         ),
         "selfcheck_data.c": _print_check(name, found, vector, loop),
         "CMakeLists.txt": _CMAKE.format(
@@ -160,7 +163,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), loop, " ".join(sorted(sources))),
     }  # fmt: skip
-    return CFolder(name, policy.kind, chosen, peers, vector, texts, precision == "float32")
+    return CFolder(name, policy.kind, chosen, peers, vector, texts, precision == "float32", sizes)
 
 
 def _title(what: str) -> str:
@@ -239,8 +242,8 @@ _CONFIG = """{mark}
 #define TAC_DATAGRAM {datagram}   /* bytes of the largest datagram, with its tag */
 #define TAC_WAITING {waiting}    /* packets that came early, for each link: a power of two */
 
-/* Files that are compiled with other sizes are not linked with these. */
-#define tac_start tac_start_{guard}
+/* The linker's name of a function. */
+#define TAC_SIZED(name) name##_{sizes}
 
 #endif
 """
