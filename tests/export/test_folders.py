@@ -35,6 +35,7 @@ SOME = (
     "lqg joint model", "stochastic", "rollout", "self-triggered", "remote", "lossy tcp, delayed", "lossy udp, 30 steps",
     "near-optimal", "variance", "integral",
 )  # fmt: skip
+DELTA = {"kind": "send-on-delta", "theta": None, "delta": 0.2}
 BUILDS = [(compiler, level) for compiler in ("gcc", "clang") for level in ("-O0", "-O2")]
 
 
@@ -208,6 +209,33 @@ def test_the_end_of_a_mission_is_told() -> None:
     problem = taciturn.load("rover")
     assert "a mission of 60 ticks" in print_folder(problem.close(problem.design()), "rover").files["README.md"]
     assert "mission" not in print_folder(two_mass(), "two_mass", rows=1).files["README.md"]
+
+
+@pytest.mark.parametrize(
+    ("file", "changes", "titles"),
+    [
+        ("two-mass", {}, ["controller (at the sensor)", "actuator"]),
+        (
+            "two-mass",
+            {"kind": "send-on-delta", "theta": None, "delta": 0.2},
+            ["sensor", "controller (at the actuator)"],
+        ),
+        ("remote-double-integrator", {}, ["sensor", "controller", "actuator"]),
+    ],
+)
+def test_what_a_device_does_is_compiled_as_the_instructions_have_it(
+    file: str, changes: dict[str, object], titles: list[str], tmp_path: Path
+) -> None:
+    """A piece for each node, headed by where it is."""
+    problem = taciturn.load(file).changed(changes)
+    folder = write(tmp_path, print_folder(problem.close(problem.design()), "policy", rows=1))
+    text = (folder / "README.md").read_text(encoding="utf-8")
+    assert re.findall(r"^### The (.*)$", text, re.MULTILINE) == titles
+    pieces = re.findall(r"```c\n(.*?)```", text, re.DOTALL)
+    assert len(pieces) == len(titles)
+    for piece in pieces:
+        (folder / "mine.c").write_text(piece, encoding="utf-8")
+        subprocess.run([needs_compiler(), *STRICT, "-c", "mine.c", "-o", "mine.o"], cwd=folder, check=True)
 
 
 @pytest.fixture(scope="module")

@@ -209,7 +209,7 @@ def _print_readme(
     return _README.format(
         name=name, kind=loop.policy.kind, version=__version__, flags=FLAGS, rows=rows, sources=sources,
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
-        snippets="\n".join(_SNIPPET.format(node=one.name, role=one.role, **_uses(loop, one)) for one in nodes),
+        snippets="\n".join(_snippet(loop, one) for one in nodes),
         precision="single precision (float)" if single else "double precision (double)",
         nodes=table(
             [["node", "files", "operations per tick", "numbers that are constant"]]
@@ -221,16 +221,19 @@ def _print_readme(
     )  # fmt: skip
 
 
-def _uses(loop: Loop, node: CNode) -> dict[str, str]:
-    """Return what a node is given in a tick, and what it gives."""
+def _snippet(loop: Loop, node: CNode) -> str:
+    """Return what a device does with a node, to be compiled as it stands."""
     site, p, m = loop.policy.site(node.role), loop.policy.model.outputs, loop.policy.model.inputs
-    given = f"const tac_real measurement[{p}] = {{…}};" if "sensor" in site else "/* this node measures nothing */"
-    applied = f"const tac_real *u = tac_input(node); /* {m} of them: apply them */"
-    return {
-        "given": given,
-        "measurement": "measurement" if "sensor" in site else "NULL",
-        "applied": applied if "actuator" in site else "/* this node has no actuator */",
-    }
+    shared = "".join(f" (at the {other})" for other in sorted(site - {node.role}))
+    measures, applies = "sensor" in site, "actuator" in site
+    return _SNIPPET.format(
+        node=node.name,
+        title=f"{node.role}{shared}",
+        apply=f"void apply(const tac_real *input); /* {m} of them */\n" if applies else "",
+        given=f", const tac_real *measurement /* {p} of them */" if measures else "",
+        measurement="measurement" if measures else "NULL",
+        applied="  apply(tac_input(node));\n" if applies else "",
+    )
 
 
 _CONFIG = """{mark}
@@ -264,24 +267,32 @@ add_executable({name}_selfcheck
 target_link_libraries({name}_selfcheck {name}_nodes)
 add_test(NAME {name}_selfcheck COMMAND {name}_selfcheck)
 """
-_SNIPPET = """### The {role}
+_SNIPPET = """### The {title}
 
 ```c
 #include "{node}.h"
 
-static {node} memory;                                    /* all that it remembers */
+size_t receive(uint8_t *datagram);
+void send(const uint8_t *datagram, size_t size);
+{apply}
+static {node} memory; /* all that it remembers */
 static uint8_t datagram[TAC_DATAGRAM];
+static tac_node *node;
 
-const tac_key key = {{NULL, 0}};                            /* or a secret of 16 to 32 bytes */
-tac_node *node = {node}_start(&memory, epoch, 0, key);   /* 0: which of many such loops */
+void begin(uint32_t epoch)
+{{
+  const tac_key key = {{NULL, 0}}; /* or a secret of 16 to 32 bytes */
+  node = {node}_start(&memory, epoch, 0, key); /* 0: which of many such loops */
+}}
 
-/* in each tick */
-{given}
-size_t size;
-while ((size = receive(datagram)) > 0) tac_receive(node, datagram, size);
-bool done = tac_step(node, tick, {measurement}, NULL);          /* NULL: its draws are its own */
-while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
-{applied}
+bool step(uint64_t tick{given})
+{{
+  size_t size;
+  while ((size = receive(datagram)) > 0) (void)tac_receive(node, datagram, size);
+  const bool done = tac_step(node, tick, {measurement}, NULL); /* NULL: its draws are its own */
+  while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
+{applied}  return done;
+}}
 ```
 """
 _MISSION = """\
@@ -312,6 +323,7 @@ export replaces these. From C++ include the headers as they are, and compile the
 What you write is `receive`, which returns the size of the next datagram that has come, or 0, and `send`, which sends to
 the node that listens: byte 6 of a datagram tells its link (0: from the sensor to the controller, 1: from the controller
 to the actuator), byte 5 whether it is data (0) or an acknowledgement (1), which goes back to the sender of the data.
+`apply` gives the plant its input. Call `begin` once, and `step` in each tick.
 
 * **Ticks** count alike at all nodes. A node steps when the packets of its tick have had time to come: the sensor first,
   then the controller, then the actuator. One that starts while the loop runs waits for a packet, and begins in the tick
