@@ -84,6 +84,15 @@ def test_the_index_lists_every_page() -> None:
     assert sorted([name for tree in trees for name in tree.split()] + ["index"]) == sorted(names)
 
 
+def test_the_table_of_commands_has_every_command() -> None:
+    """And no other."""
+    from taciturn.cli import app
+
+    text = (ROOT / "docs" / "command-line.md").read_text(encoding="utf-8")
+    table = text.partition("| command | result |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"`taciturn ([a-z]+)", table)) == set(typer.main.get_command(app).commands)
+
+
 def typed(text: str) -> list[list[str]]:
     """Return the words behind each ``taciturn`` that the shell blocks of a page type."""
     blocks = re.findall(r"```(?:sh|console)\n(.*?)```", text, re.DOTALL)

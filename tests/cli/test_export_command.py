@@ -31,6 +31,25 @@ def test_two_masses_are_exported_compiled_and_compared(run: Run, tmp_path: Path)
     assert done.stdout.startswith(f"two_mass: {document['ticks']} ticks compared")
 
 
+@pytest.mark.skipif(shutil.which("cc") is None, reason="NOT SHOWN: what is C needs a compiler, and there is no `cc`")
+def test_the_next_command_passes_beside_files_of_one_s_own(run: Run, tmp_path: Path) -> None:
+    """A program in the folder is no part of the self-check."""
+    folder = tmp_path / "my nodes"
+    folder.mkdir()
+    (folder / "main.c").write_text("int main(void) { return 1; }\n")
+    lines = run("export", "two-mass", "--c", str(folder)).out.splitlines()
+    command = next(line.split(maxsplit=1)[1] for line in lines if line.startswith("next "))
+    done = subprocess.run(command, shell=True, check=True, capture_output=True, text=True)
+    assert "every bit of the input agrees" in done.stdout
+
+
+def test_what_double_precision_is_on_a_cortex_is_told(run: Run, tmp_path: Path) -> None:
+    """Where single precision was not asked for."""
+    told = "a Cortex-M computes float64 in software"
+    assert told in run("export", "double-integrator", "--c", str(tmp_path)).out
+    assert told not in run("export", "double-integrator", "--c", str(tmp_path), "--precision", "float32").out
+
+
 def test_an_export_is_told(run: Run, tmp_path: Path) -> None:
     """A line for each node."""
     answer = run("export", "rover", "--c", str(tmp_path), "--node", "sensor")

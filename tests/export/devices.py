@@ -56,6 +56,7 @@ def write_sizes(folder: Path, entries: int, precision: Precision = "float64") ->
         "TAC_VALUES": max(1, entries),
         "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
         "TAC_WAITING": WAITING,
+        "TAC_SIZED(name)": "name",
     }
     text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
     (folder / "taciturn_config.h").write_text(text, encoding="ascii")

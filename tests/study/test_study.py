@@ -154,8 +154,21 @@ def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
     path = taciturn.simulate(problem.close(problem.design()), 50)
     assert [axis.get_ylabel() for axis in path.plot().axes] == ["state", "input", "trigger", "sends"]
     table = path.to_pandas()
-    assert table.shape == (50, 4 + 4 + 1 + 2 + 1)
+    assert table.shape == (50, 4 + 4 + 1 + 2 + 2 + 1)
     assert table.index.name == "time"
+    assert (table[["y1", "y2"]] == path.measurement).all(axis=None)
+
+
+@pytest.mark.parametrize("name", ["two-mass", "double-integrator"])
+def test_what_was_measured_brings_nodes_to_the_same_decisions(name: str) -> None:
+    """The nodes are given nothing but the path's measurements; noise stands in these."""
+    problem = taciturn.load(name)
+    loop = problem.close(problem.design())
+    path, nodes = taciturn.simulate(loop, 200, seed=2), taciturn.Nodes(loop.policy)
+    for y, u, sent in zip(path.measurement, path.input, *path.sends.values(), strict=True):
+        assert np.allclose(nodes.step(y), u, rtol=0, atol=1e-12)
+        assert list(nodes.sent.values()) == [sent]
+    assert 0 < sum(map(np.sum, path.sends.values())) < 200
 
 
 @pytest.mark.evidence

@@ -22,7 +22,12 @@ def export(
     fmu: Annotated[Path | None, typer.Option("--fmu", metavar="OUT.fmu", help="Write a co-simulation unit.")] = None,
     nodes: Annotated[
         list[str] | None,
-        typer.Option("--node", metavar="sensor|controller|actuator", help="With --c: this node alone. Default: all."),
+        typer.Option(
+            "--node",
+            metavar="sensor|controller|actuator",
+            help="With --c: this node alone; a place that the controller shares, as the sensor's of `lqg`, is "
+            "`controller`. Default: all.",
+        ),
     ] = None,
     precision: Annotated[str, typer.Option(help="Of their numbers: float64 or float32.")] = "float64",
     fmi: Annotated[str | None, typer.Option(metavar="3.0|2.0", help="With --fmu: version. Default: 3.0.")] = None,
@@ -60,7 +65,10 @@ def export(
         measured = measure_somewhere(found)
         sizes = {} if measured is None else {name: one._asdict() for name, one in measured[1].items()}
         document["sizes"] = None if measured is None else {"processor": measured[0], **sizes}
-        lines += [("next", f"cc {quote(str(c))}/*.c -lm -o selfcheck && ./selfcheck"), *_lines(measured)]
+        if not found.single:
+            lines.append(("precision", "a Cortex-M computes float64 in software; --precision float32 is native to M4F"))
+        sources = " ".join(sorted(file for file in found.files if file.endswith(".c")))
+        lines += [("next", f"cd {quote(str(c))} && cc {sources} -lm -o selfcheck && ./selfcheck"), *_lines(measured)]
     if as_json:
         print_json(document)
     else:

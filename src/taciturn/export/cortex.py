@@ -74,7 +74,7 @@ class Main(NamedTuple):
     own: Mapping[str, str] = {}
 
 
-_WRAPPED = ("main", "tac_receive", "tac_step", "tac_send")
+_WRAPPED = ("tac_receive", "tac_step", "tac_send")
 
 
 def self_check(folder: CFolder) -> Main:
@@ -84,7 +84,7 @@ def self_check(folder: CFolder) -> Main:
 
 def measurement(folder: CFolder) -> Main:
     """Return the self-check that counts instructions as well; it runs where QEMU counts them."""
-    wrapped = tuple(f"-Wl,--wrap={name}" for name in _WRAPPED)
+    wrapped = tuple(f"-Wl,--wrap={name}" for name in ("main", *(f"{one}_{folder.sizes}" for one in _WRAPPED)))
     return Main((*self_check(folder).files, "measure.c"), wrapped)
 
 
@@ -339,6 +339,8 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
         raise ProblemError(f"{tool} has not ended after {patience:g} s; expected it to be faster") from None
     if done.returncode != 0:
         said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
+        if "will not fit in region" in said:
+            raise ProblemError("the program is larger than the board's 4 MiB of memory; expected fewer rows of self-check")
         if "rdimon.specs" in said:
             said = f"the C library is missing, apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
         raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected it to succeed")

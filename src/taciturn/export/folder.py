@@ -44,6 +44,7 @@ class CFolder:
         vector: what the self-check compares.
         files: text of each file, by name.
         single: whether numbers have single precision.
+        sizes: end of the names by which a linker knows the functions.
     """
 
     name: str
@@ -53,6 +54,7 @@ class CFolder:
     vector: Vector
     files: dict[str, str]
     single: bool
+    sizes: str
 
     @property
     def precision(self) -> str:
@@ -147,11 +149,12 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
     shapes = packet_shapes(policy, network).values()
     payload = max(_BYTES[CODES[encoding.name]] * entries for encoding, entries in shapes)
     values, datagram = max(1, *(entries for _, entries in shapes)), HEADER_SIZE + payload + CRC_SIZE + TAG_SIZE
+    sizes = f"{precision}_{values}_{datagram}_{WAITING}"
     sources = [file for file in (*texts, "selfcheck_data.c") if file.endswith(".c")]
     texts |= {
         "taciturn_config.h": _CONFIG.format(
             mark=_title("the core's sizes"), single=int(precision == "float32"), waiting=WAITING,
-            values=values, datagram=datagram, guard=f"{precision}_{values}_{datagram}_{WAITING}",
+            values=values, datagram=datagram, sizes=sizes,
         ),
         "selfcheck_data.c": _print_check(name, found, vector, loop),
         "CMakeLists.txt": _CMAKE.format(
@@ -160,7 +163,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), loop, " ".join(sorted(sources))),
     }  # fmt: skip
-    return CFolder(name, policy.kind, chosen, peers, vector, texts, precision == "float32")
+    return CFolder(name, policy.kind, chosen, peers, vector, texts, precision == "float32", sizes)
 
 
 def _title(what: str) -> str:
@@ -206,7 +209,7 @@ def _print_readme(
     return _README.format(
         name=name, kind=loop.policy.kind, version=__version__, flags=FLAGS, rows=rows, sources=sources,
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
-        snippets="\n".join(_SNIPPET.format(node=one.name, role=one.role, **_uses(loop, one)) for one in nodes),
+        snippets="\n".join(_snippet(loop, one) for one in nodes),
         precision="single precision (float)" if single else "double precision (double)",
         nodes=table(
             [["node", "files", "operations per tick", "numbers that are constant"]]
@@ -218,16 +221,19 @@ def _print_readme(
     )  # fmt: skip
 
 
-def _uses(loop: Loop, node: CNode) -> dict[str, str]:
-    """Return what a node is given in a tick, and what it gives."""
+def _snippet(loop: Loop, node: CNode) -> str:
+    """Return what a device does with a node, to be compiled as it stands."""
     site, p, m = loop.policy.site(node.role), loop.policy.model.outputs, loop.policy.model.inputs
-    given = f"const tac_real measurement[{p}] = {{…}};" if "sensor" in site else "/* this node measures nothing */"
-    applied = f"const tac_real *u = tac_input(node); /* {m} of them: apply them */"
-    return {
-        "given": given,
-        "measurement": "measurement" if "sensor" in site else "NULL",
-        "applied": applied if "actuator" in site else "/* this node has no actuator */",
-    }
+    shared = "".join(f" (at the {other})" for other in sorted(site - {node.role}))
+    measures, applies = "sensor" in site, "actuator" in site
+    return _SNIPPET.format(
+        node=node.name,
+        title=f"{node.role}{shared}",
+        apply=f"void apply(const tac_real *input); /* {m} of them */\n" if applies else "",
+        given=f", const tac_real *measurement /* {p} of them */" if measures else "",
+        measurement="measurement" if measures else "NULL",
+        applied="  apply(tac_input(node));\n" if applies else "",
+    )
 
 
 _CONFIG = """{mark}
@@ -239,8 +245,8 @@ _CONFIG = """{mark}
 #define TAC_DATAGRAM {datagram}   /* bytes of the largest datagram, with its tag */
 #define TAC_WAITING {waiting}    /* packets that came early, for each link: a power of two */
 
-/* Files that are compiled with other sizes are not linked with these. */
-#define tac_start tac_start_{guard}
+/* The linker's name of a function. */
+#define TAC_SIZED(name) name##_{sizes}
 
 #endif
 """
@@ -261,24 +267,32 @@ add_executable({name}_selfcheck
 target_link_libraries({name}_selfcheck {name}_nodes)
 add_test(NAME {name}_selfcheck COMMAND {name}_selfcheck)
 """
-_SNIPPET = """### The {role}
+_SNIPPET = """### The {title}
 
 ```c
 #include "{node}.h"
 
-static {node} memory;                                    /* all that it remembers */
+size_t receive(uint8_t *datagram);
+void send(const uint8_t *datagram, size_t size);
+{apply}
+static {node} memory; /* all that it remembers */
 static uint8_t datagram[TAC_DATAGRAM];
+static tac_node *node;
 
-const tac_key key = {{NULL, 0}};                            /* or a secret of 16 to 32 bytes */
-tac_node *node = {node}_start(&memory, epoch, 0, key);   /* 0: which of many such loops */
+void begin(uint32_t epoch)
+{{
+  const tac_key key = {{NULL, 0}}; /* or a secret of 16 to 32 bytes */
+  node = {node}_start(&memory, epoch, 0, key); /* 0: which of many such loops */
+}}
 
-/* in each tick */
-{given}
-size_t size;
-while ((size = receive(datagram)) > 0) tac_receive(node, datagram, size);
-bool done = tac_step(node, tick, {measurement}, NULL);          /* NULL: its draws are its own */
-while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
-{applied}
+bool step(uint64_t tick{given})
+{{
+  size_t size;
+  while ((size = receive(datagram)) > 0) (void)tac_receive(node, datagram, size);
+  const bool done = tac_step(node, tick, {measurement}, NULL); /* NULL: its draws are its own */
+  while ((size = tac_send(node, datagram)) > 0) send(datagram, size);
+{applied}  return done;
+}}
 ```
 """
 _MISSION = """\
@@ -309,6 +323,7 @@ export replaces these. From C++ include the headers as they are, and compile the
 What you write is `receive`, which returns the size of the next datagram that has come, or 0, and `send`, which sends to
 the node that listens: byte 6 of a datagram tells its link (0: from the sensor to the controller, 1: from the controller
 to the actuator), byte 5 whether it is data (0) or an acknowledgement (1), which goes back to the sender of the data.
+`apply` gives the plant its input. Call `begin` once, and `step` in each tick.
 
 * **Ticks** count alike at all nodes. A node steps when the packets of its tick have had time to come: the sensor first,
   then the controller, then the actuator. One that starts while the loop runs waits for a packet, and begins in the tick

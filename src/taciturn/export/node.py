@@ -241,6 +241,8 @@ _HEADER = """#ifndef {guard}
 
 #include "taciturn.h"
 
+#define {name}_start TAC_SIZED({name}_start)
+
 #ifdef __cplusplus
 extern "C" {{
 #endif

@@ -36,6 +36,7 @@ class Trajectory:
             first.
         threshold: least value of sending in that decision; silence is kept while trigger_value ≤ threshold.
         sends: whether a packet was sent, by link, (ticks,).
+        measurement: y, (ticks, p).
     """
 
     time: Array
@@ -45,6 +46,7 @@ class Trajectory:
     trigger_value: Array
     threshold: Array
     sends: dict[str, npt.NDArray[np.bool_]]
+    measurement: Array
 
     def plot(self) -> Figure:
         """Return a figure: states (estimates dotted), input, trigger against threshold, and every send."""
@@ -79,7 +81,7 @@ class Trajectory:
             ProblemError: pandas is not installed.
         """
         columns: dict[str, object] = {}
-        for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input)):
+        for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input), ("y", self.measurement)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
         if self.trigger_value.size:
             columns |= {"trigger": self.trigger_value, "threshold": self.threshold}
@@ -125,7 +127,8 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
     silent, others = _weighed(loop.policy, records)
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
     time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)
-    return Trajectory(time, states, stacked("estimate"), stacked("applied"), silent, others, sends)
+    estimate, applied, measured = map(stacked, ("estimate", "applied", "y"))
+    return Trajectory(time, states, estimate, applied, silent, others, sends, measured)
 
 
 def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:

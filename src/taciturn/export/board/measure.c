@@ -8,6 +8,13 @@
 #include "board.h"
 #include "selfcheck.h"
 
+#define __real_tac_receive TAC_SIZED(__real_tac_receive)
+#define __real_tac_step TAC_SIZED(__real_tac_step)
+#define __real_tac_send TAC_SIZED(__real_tac_send)
+#define __wrap_tac_receive TAC_SIZED(__wrap_tac_receive)
+#define __wrap_tac_step TAC_SIZED(__wrap_tac_step)
+#define __wrap_tac_send TAC_SIZED(__wrap_tac_send)
+
 enum { NODES = 3, TURNS = 1000, PER_TURN = 2 }; /* of a loop of known length */
 
 extern int __real_main(int count, char **arguments);

@@ -19,7 +19,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING */
+#include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING, TAC_SIZED */
 
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: _Float16 is one of its own */
 #error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
@@ -36,6 +36,18 @@
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off")
 #endif
+
+/* The linker knows every function by a name with the sizes in it: files that were compiled with others do not link. */
+#define tac_encode TAC_SIZED(tac_encode)
+#define tac_decode TAC_SIZED(tac_decode)
+#define tac_start TAC_SIZED(tac_start)
+#define tac_watch TAC_SIZED(tac_watch)
+#define tac_receive TAC_SIZED(tac_receive)
+#define tac_step TAC_SIZED(tac_step)
+#define tac_heard TAC_SIZED(tac_heard)
+#define tac_send TAC_SIZED(tac_send)
+#define tac_input TAC_SIZED(tac_input)
+#define tac_degraded TAC_SIZED(tac_degraded)
 
 #ifdef __cplusplus
 extern "C" {
