@@ -284,7 +284,7 @@ def own(text: str, into: Path) -> Path:
 
 def test_a_self_check_of_too_many_rows_is_refused_in_a_sentence(tmp_path: Path) -> None:
     """What the linker says of it is not quoted."""
-    with pytest.raises(ProblemError, match=r"^the program is larger than the board's 4 MiB of memory; expected fewer"):
+    with pytest.raises(ProblemError, match=r"^the program is larger than the board's 4 MiB; expected fewer"):
         own("extern const char rows[]; const char rows[5L << 20] = {1}; int main(void) { return rows[0]; }", tmp_path)
 
 
