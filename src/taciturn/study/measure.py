@@ -34,7 +34,7 @@ def measure(
             if method == "exact":
                 raise ProblemError(f"method is 'exact', and {error}") from None
             found = _sampled(loop, standard_error, seed) if decides_alone(policy) else None
-            notes += (f"simulated: {error}",) if decides_alone(policy) and found is None else ()
+            notes += (f"simulated, because {error.reason}",) if decides_alone(policy) and found is None else ()
     if found is not None and not found.steps:
         found = replace(found, reached=found.cost.error <= _wanted(found.cost, standard_error))
     if found is None or (method == "auto" and not found.reached):
