@@ -169,7 +169,8 @@ def evaluate(
         progress: called with the fraction done.
 
     Returns:
-        The evaluation; ``reached`` is False where the budget ended before the asked standard error.
+        The evaluation, with rates per second of a continuous plant; ``reached`` is False where the budget ended before
+        the asked standard error.
 
     Raises:
         ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, or a lower bound is asked for

@@ -39,7 +39,7 @@ def measure(
         found = replace(found, reached=found.cost.error <= _wanted(found.cost, standard_error))
     if found is None or (method == "auto" and not found.reached):
         found = _clocked(loop, average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress))
-    return found, notes
+    return found, notes + found.notes
 
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
