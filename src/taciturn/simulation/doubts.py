@@ -19,7 +19,8 @@ def expect_arrivals(loop: Loop) -> None:
     Raises:
         UnstableError: such a link.
     """
-    for link in dict.fromkeys(step.link for step in loop.policy.steps if isinstance(step, Send)):
+    links: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    for link in sorted(links):
         if _loss(loop, link) == 1 and _grows(loop):
             raise UnstableError(
                 f"the loop of {loop.policy.kind} diverges: the {link} link loses every packet, and the plant does not "
