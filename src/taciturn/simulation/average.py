@@ -185,11 +185,12 @@ def _sampled(
     if threads is not None:
         count("threads", threads)
     sampling, horizon = Sampling(parts, seed, progress, threads), parts[0].loop.horizon
+    used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
     if horizon is not None:
-        return sampling.missions(horizon, standard_error, steps)
+        return replace(sampling.missions(horizon, standard_error, steps), estimator=used)
     for part in parts:
         expect_arrivals(part.loop)
-    found = sampling.stationary(standard_error, steps)
+    found = replace(sampling.stationary(standard_error, steps), estimator=used)
     if len(parts) > 1:
         return found
     return replace(found, notes=find_doubts(parts[0].loop, found.cost, found.rates, found.steps))

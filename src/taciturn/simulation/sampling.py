@@ -51,6 +51,7 @@ class Averages:
         burn_in: ticks dropped at the start of each path.
         reached: whether the asked standard error was met.
         notes: what makes the numbers doubtful.
+        estimator: what was averaged: "completed squares", "plain average" or "never-die paths"; or "".
     """
 
     cost: Estimate
@@ -59,6 +60,7 @@ class Averages:
     burn_in: int
     reached: bool
     notes: tuple[str, ...] = ()
+    estimator: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,7 +60,7 @@ def _sampled(loop: Loop, standard_error: float | None, seed: int) -> Averages | 
         return None
     cost = found.excess.scaled(1.0, policy.identity.constant)
     reached = cost.standard_error <= _wanted(cost, standard_error)
-    return Averages(cost, {policy.scheduled[0]: found.rate}, found.steps, 0, reached)
+    return Averages(cost, {policy.scheduled[0]: found.rate}, found.steps, 0, reached, estimator="never-die paths")
 
 
 def measure_optimum(loop: Loop, price: float, method: str, steps: int | None) -> Averages:
