@@ -59,7 +59,8 @@ def pairs(lines: Sequence[tuple[str, str]]) -> None:
 
 def evaluation(found: Evaluation) -> None:
     """Print one answer."""
-    lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({found.cost.method})")]
+    method = ", ".join(filter(None, (found.cost.method, found.estimator)))
+    lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({method})")]
     lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
         above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""

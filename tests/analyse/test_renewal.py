@@ -123,11 +123,15 @@ def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
     plain = taciturn.evaluate(problem, standard_error=0.05, method="simulation")
     spread = np.hypot(paths.cost.standard_error, plain.cost.standard_error)
     assert abs(paths.cost.value - plain.cost.value) <= 4 * spread
-    assert (paths.cost.method, paths.notes) == ("simulation", ())
+    assert (paths.cost.method, paths.estimator, paths.notes) == ("simulation", "never-die paths", ())
+    assert plain.estimator == "completed squares"
     assert paths.steps != plain.steps
     seldom = taciturn.evaluate(problem.changed({"delta": 20.0}), standard_error=0.05)
     assert seldom.cost.method == "simulation"
-    assert any(note.startswith("simulated: ") for note in seldom.notes)
+    (told,) = [note for note in seldom.notes if note.startswith("simulated, because ")]
+    assert "directions of the error" in told
+    assert "instead" not in told
+    assert "expected" not in told
     with pytest.raises(ProblemError, match=r"method is 'exact', and .*simulate"):
         taciturn.evaluate(problem, method="exact")
 

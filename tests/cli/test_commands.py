@@ -35,6 +35,7 @@ def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
     assert (done.returncode, done.stderr) == (0, "")
     names = [line[:14].strip() for line in done.stdout.splitlines()]
     assert names == ["policy", "cost", "rate, actuator", "all-time cost", "guaranteed"]
+    assert "(simulation, completed squares)" in done.stdout
 
 
 def test_evaluate_json_is_one_document_with_the_promised_keys() -> None:

@@ -9,10 +9,11 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from systems import System, systems
 
-from taciturn import Loop, Policy, close, design
+from taciturn import ContinuousPlant, Cost, Loop, Policy, close, design
 from taciturn.design.certainty import Actuation
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
+from taciturn.lqg.sampling import sample
 from taciturn.model.policy import Decide
 from taciturn.simulation.average import Averages, Estimator, average, completed_squares, plain_average
 
@@ -40,6 +41,37 @@ def no_policy_exceeds_its_guarantee(system: System, name: str) -> None:
     if sharper is not None:
         slack = 8 * rate.standard_error * policy.guarantee.per_silence
         assert found.cost.value - 4 * found.cost.standard_error <= sharper * (1 + 1e-9) + slack
+
+
+def test_the_statement_of_a_sampled_plant_leaves_out_what_noise_costs_between_samples() -> None:
+    """θ and β multiply only what control changes, and the number is that of the statement."""
+    plant = ContinuousPlant([[0.0, 1.0], [3.0, -0.1]], [[0.0], [1.0]], [[0.1, 0.0], [0.0, 0.2]])
+    cost, h = Cost(np.eye(2), [[0.5]]), 0.2
+    best = design.all_time(plant, cost, period=h).cost_all_time
+    noise = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, h).noise_cost / h
+    plain = "c the inter-sample noise cost in the same unit, mean-square stable"
+    proved = {
+        f"J ≤ (1+θ) J_all − θc, {plain}": (design.lqg(plant, cost, theta=0.1, period=h), 1.1 * best - 0.1 * noise),
+        f"J ≤ β J_all − (β−1)c, {plain}": (
+            design.self_triggered(plant, cost, beta=1.5, max_interval=3, period=h),
+            1.5 * best - 0.5 * noise,
+        ),
+        f"J ≤ (1+θ)(J_all + ζ) − θc, {plain}": (
+            design.remote_lqg(plant, cost, theta=0.1, zeta=0.2, period=h),
+            1.1 * (design.remote_lqg(plant, cost, theta=0.0, zeta=0.0, period=h).cost_all_time + 0.2 / h) - 0.1 * noise,
+        ),
+    }
+    assert noise > 0.005 * best
+    for statement, (policy, value) in proved.items():
+        assert policy.guarantee is not None
+        assert policy.guarantee.statement == statement
+        assert policy.guarantee.cost == pytest.approx(value, rel=1e-9)
+    excess = design.excess(plant, cost, theta=0.5, period=h)
+    assert excess.guarantee is not None
+    assert excess.guarantee.cost == pytest.approx(best + 0.5 * (best - noise), rel=1e-9)
+    relative = design.relative(plant, cost, sigma=0.01, period=h)
+    assert relative.guarantee is not None
+    assert "s (tr(QΣ) + c)" in relative.guarantee.statement
 
 
 def both_estimators_agree(system: System, name: str, steps: int = STEPS) -> None:

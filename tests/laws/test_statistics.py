@@ -7,9 +7,9 @@ import pytest
 from laws.test_estimates import COST, PLANT, coverage
 
 import taciturn
-from taciturn import ContinuousPlant, Cost, Plant, close, design
+from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
 from taciturn.analyse.renewal import solve_renewal
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.program.controls import CONTROL, MOST
 from taciturn.program.engine import prepare
@@ -180,3 +180,35 @@ def test_records_that_give_no_mean_are_refused(call: object, message: str) -> No
     assert callable(call)
     with pytest.raises(ProblemError, match=message):
         call()
+
+
+def walk(A: float = 1.0, theta: float = 0.1, loss: float = 0.0) -> Loop:
+    """Return x⁺ = Ax + u + w under the excess trigger, over a link that loses packets."""
+    plant, cost = Plant([[A]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+    return close(plant, design.excess(plant, cost, theta=theta), Network("udp", actuator_loss=loss), cost)
+
+
+def test_a_loop_that_hardly_ever_sends_is_no_average() -> None:
+    """A random walk below a threshold of a thousand deviations, which a stable plant never reaches either."""
+    (told,) = average(walk(theta=1e6), steps=500_000).notes
+    assert "hardly ever sends: nothing on the actuator link" in told
+    assert average(walk(theta=1e6, A=0.9), steps=500_000).notes == ()
+    assert average(walk(), steps=500_000).notes == ()
+
+
+def test_an_average_that_a_few_paths_decide_is_told() -> None:
+    """Half of the packets of x⁺ = 1.3 x + u + w are lost, and an input is held that does not fit."""
+    found = average(walk(A=1.3, loss=0.5), steps=1_000_000)
+    assert found.cost.standard_error > found.cost.value / 3
+    (told,) = found.notes
+    assert "the mean square may not exist" in told
+    assert average(walk(A=1.3, loss=0.05), steps=1_000_000).notes == ()
+
+
+@pytest.mark.parametrize("A", [1.0, 1.05])
+def test_a_link_that_loses_every_packet_leaves_no_average(A: float) -> None:
+    """All paths grow alike, so that none is ahead of the others; a stable plant comes to rest by itself."""
+    with pytest.raises(UnstableError, match="the actuator link loses every packet"):
+        average(walk(A=A, loss=1.0), steps=100_000)
+    stable = average(walk(A=0.5, loss=1.0), steps=1_000_000)
+    assert abs(stable.cost.value - 1 / (1 - 0.5**2)) <= 4 * stable.cost.standard_error

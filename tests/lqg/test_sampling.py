@@ -3,6 +3,8 @@
 # ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import scipy.integrate
@@ -10,8 +12,10 @@ import scipy.linalg
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from taciturn import ContinuousPlant, Cost
 from taciturn._modes import accumulate
-from taciturn.errors import ProblemError
+from taciturn.design import excess
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import lift
 from taciturn.lqg.riccati import regulate, regulate_continuous
@@ -238,6 +242,23 @@ def test_a_period_over_which_the_state_overflows_is_refused():
         sample([[10.0]], [[1]], [[1]], [[1]], [[0]], [[1]], 200.0)
     with pytest.raises(ProblemError, match="shorten the period"):
         sample([[1e200]], [[1]], [[1]], [[1]], [[0]], [[1]], 1e200)
+
+
+@pytest.mark.parametrize(("period", "told"), [(5.0, "e^22"), (20.0, "e^88"), (1000.0, "e^4400")])
+def test_a_period_that_is_too_long_for_an_unstable_mode_is_told_as_such(period, told):
+    """A pendulum that falls at 4.4/s, and not a mode that no input moves, which rounding made of it."""
+    pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
+    words = re.escape(f"grows by {told}; expected at most 1e+08, so a period below about 4.19")
+    with pytest.raises(ProblemError, match=words):
+        excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=period)
+
+
+def test_what_is_refused_names_the_quantity_that_failed():
+    """At 4 s the residual meets its limit and the solution does not: only that is told, with the period as remedy."""
+    pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
+    with pytest.raises(UnstableError, match=r"uncertain by .*shorter period, as the plant grows by 4\.4e") as told:
+        excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=4.0)
+    assert "residual" not in str(told.value)
 
 
 @pytest.mark.parametrize("period", [0.0, -1.0, np.inf])

@@ -228,3 +228,11 @@ def test_a_discount_too_near_to_1_for_its_paths_is_told() -> None:
         taciturn.evaluate(problem)
     with pytest.raises(taciturn.ProblemError, match="expected more steps"):
         taciturn.evaluate(taciturn.load("remote-scalar").changed({"cost.discount": 0.999}), steps=10_000)
+
+
+def test_a_problem_without_its_network_is_one_sentence() -> None:
+    """It stands before the kind; a kind without parameters needs none."""
+    plant, cost = taciturn.Plant([[0.9]], [[1.0]], [[1.0]]), taciturn.Cost([[1.0]], [[1.0]])
+    with pytest.raises(taciturn.ProblemError, match="network is 'excess'; expected a Network"):
+        taciturn.Problem(plant, cost, "excess", {"theta": 0.1})  # type: ignore[arg-type]
+    assert taciturn.Problem(plant, cost, taciturn.Network(), "all-time").design().kind == "all-time"

@@ -145,7 +145,8 @@ def expect_affordable(loop: Loop) -> None:
     """
     if loop.problem.jumps is not None and loop.problem.plant.states > 1:
         raise NoQuadratureError(
-            "the equations of jumps in more than one dimension take up to minutes; method 'exact' solves those in two"
+            "the equations of jumps in more than one dimension take up to minutes, and method 'exact' solves those of "
+            "two"
         )
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn.design.certainty import Certainty
+from taciturn.lqg.discrete import Discrete
 from taciturn.model.policy import Guarantee
 
 LARGEST = 1e100  # threshold, factor or share that a rule may have: its square is still a number
@@ -27,6 +28,11 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
     return float(np.linalg.eigvalsh(turned.T @ M @ turned)[-1]) if seen.any() else 0.0
 
 
+def less_noise(problem: Discrete, share: str) -> str:
+    """Return the end of a bound whose share is only of what control changes: of a sampled plant, not of c."""
+    return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
+
+
 def bound_by_silence(certainty: Certainty, per_silence: float, source: str) -> Guarantee:
     """Return J ≤ J_all + c(1 − R), where a tick in silence costs at most c beyond J_all."""
     problem, all_time = certainty.problem, certainty.cost_all_time
@@ -45,7 +51,8 @@ def bound_by_state(
     """Return the bound for an error kept at E|e|² ≤ σ²E|x̂|² + Y²(1−R), or why there is none.
 
     With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1−R)), and the stage cost is at least q|x̂|² + tr(QΣ) with
-    q = λ_min(Q − NR^{-1}N'). So with s = σ²μ/q < 1: J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1 − s).
+    q = λ_min(Q − NR^{-1}N'). So with s = σ²μ/q < 1: J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1 − s), where of a sampled
+    plant the inter-sample noise cost c is in tr(QΣ) as it is in J and J_all.
 
     Args:
         certainty: filter and regulator.
@@ -68,9 +75,12 @@ def bound_by_state(
         return None, (f"no bound is known: sigma is {sigma:g}, and its proof ends at {limit:.4g}",)
     base = (certainty.cost_all_time - share * certainty.unseen) / (1 - share)
     per_silence = mu * threshold**2 / (1 - share)
+    unseen, noise = "tr(QΣ)", ""
+    if problem.noise_cost:
+        unseen, noise = "(tr(QΣ) + c)", ", c the inter-sample noise cost of a tick"
     guarantee = Guarantee(
         problem.per_unit(base + per_silence),
-        "J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N'); "
+        f"J ≤ (J_all − s {unseen} + μY²(1−R))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), q = λ_min(Q − NR^{{-1}}N'){noise}; "
         "mean-square stable",
         source,
         problem.per_unit(base),

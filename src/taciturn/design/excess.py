@@ -32,12 +32,13 @@ def excess(
         plant: the plant.
         cost: the average cost.
         delta: δ ≥ 0, a cost per step, or per second times seconds; or
-        theta: θ ≥ 0, for δ = θ J_all (of a tick).
+        theta: θ ≥ 0, for δ = θ(J_all − c) of a tick, c the inter-sample noise cost, which no control changes: 0 of a
+            discrete plant.
         period: seconds between ticks; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + δ(1 − R), at most (1 + θ) J_all.
+        The policy, with J ≤ J_all + δ(1 − R), at most J_all + θ(J_all − c).
 
     Raises:
         ProblemError: none or both of δ and θ, one that is negative, period missing or out of place.

@@ -9,6 +9,7 @@ import numpy as np
 from taciturn._arrays import choice, number, symmetrised
 from taciturn._modes import least_eigenvalue
 from taciturn._scipy import block_diagonal
+from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     Actuation,
     Certainty,
@@ -55,7 +56,8 @@ def lqg(
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ (1+θ) J_all and mean-square stability.
+        The policy, with J ≤ (1+θ) J_all − θc and mean-square stability; c is the inter-sample noise cost, which no
+        control changes: 0 of a discrete plant.
 
     Raises:
         ProblemError: θ < 0, ε outside its interval or without use, period missing or out of place.
@@ -92,7 +94,7 @@ def lqg(
         identity=certainty.completed_square(),
         guarantee=Guarantee(
             problem.per_unit((1 + theta) * certainty.cost_all_time),
-            "J ≤ (1+θ) J_all, mean-square stable",
+            f"J ≤ (1+θ) J_all{less_noise(problem, 'θ')}, mean-square stable",
             "khashooei2017",
         ),
         reset=certainty.reset(actuation),

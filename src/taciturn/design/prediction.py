@@ -106,7 +106,7 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
     if isinstance(plant, Plant):
         raise ProblemError(
             f"the plant is discrete in time, and {kind} predicts in continuous time; "
-            "expected a continuous plant: remove plant.dt, and give A, B and W per second"
+            "expected a continuous plant: without dt (plant.dt in a file), with A, B and W per second"
         )
     if not plant.full_state:
         raise ProblemError(f"C or V is given, and {kind} measures the full state; expected neither: remove them")

@@ -31,7 +31,8 @@ def relative(
 
     Returns:
         The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
-        J ≤ (J_all − s tr(QΣ))/(1−s); no bound is known for a larger σ.
+        J ≤ (J_all − s(tr(QΣ) + c))/(1−s), c the inter-sample noise cost, 0 of a discrete plant; no bound is known for a
+        larger σ.
 
     Raises:
         ProblemError: σ < 0, period missing or out of place.

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
+from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     CLOCK,
     COLLOCATED,
@@ -85,7 +86,8 @@ def remote_lqg(
 
     Returns:
         The policy with its schedule, and J ≤ (1+θ)(J_all + ζ) for an average, (1+θ)(J_all + ζ/(1−α)) discounted,
-        (1+θ)(J_all + (N−1)ζ) for N steps; mean-square stable.
+        (1+θ)(J_all + (N−1)ζ) for N steps; mean-square stable. Of a sampled plant θ times the inter-sample noise cost
+        is taken off, as no control changes it.
 
     Raises:
         ProblemError: θ or ζ negative, missing or of no use; period missing or out of place.
@@ -206,6 +208,8 @@ def _statement(prices: Prices, controller: Controller) -> str:
     else:
         paid = "ζ" if prices.average else "ζ/(1−α)" if prices.problem.cost.horizon is None else "(N−1)ζ"
         bound = f"J_all + {paid}" if controller == "actuator" else f"(1+θ)(J_all + {paid})"
+    if controller != "actuator":
+        bound += less_noise(prices.problem, "θ")
     return f"J ≤ {bound}" + (", mean-square stable" if prices.average else "")
 
 

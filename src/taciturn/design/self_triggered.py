@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number, symmetrised
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.periodic_schedule import Stretches, step_back
@@ -40,7 +40,8 @@ def self_triggered(
         period: seconds between ticks; only with a continuous plant.
 
     Returns:
-        The policy, with J ≤ β J_all and mean-square stability.
+        The policy, with J ≤ β J_all − (β−1)c and mean-square stability; c is the inter-sample noise cost, which no
+        control changes: 0 of a discrete plant.
 
     Raises:
         ProblemError: β < 1, an interval out of range, period missing or out of place.
@@ -92,6 +93,10 @@ def self_triggered(
         steps,
         initial,
         identity=identity,
-        guarantee=Guarantee(problem.per_unit(beta * all_time), "J ≤ β J_all, mean-square stable", "gommans2014"),
+        guarantee=Guarantee(
+            problem.per_unit(beta * all_time),
+            f"J ≤ β J_all{less_noise(problem, '(β−1)')}, mean-square stable",
+            "gommans2014",
+        ),
         slower=max_interval,
     )

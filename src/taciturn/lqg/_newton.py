@@ -15,6 +15,7 @@ from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_o
 
 ENOUGH = 1e-11  # relative error from which on other coordinates are tried
 TURNS = 100
+FAST = 1e3  # growth of a mode within a step that a shorter period would mend
 RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
 
 
@@ -50,24 +51,33 @@ class Solution:
         return float(self.relative.mean()) if len(self.K) else 0.0
 
 
-def refuse_doubtful(found: Solution, what: str, remedy: str) -> None:
+def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0) -> None:
     """Refuse a solution whose residual or error is too large.
 
     Args:
         found: the solution.
         what: of whom the equation is.
         remedy: modes that would do better.
+        growth: of the fastest mode in a step.
 
     Raises:
-        UnstableError: with the residual and the error, and the state whose cost is least certain.
+        UnstableError: with what is too large, the residual or the error, and the state whose cost is least certain.
     """
     if found.residual <= RESIDUAL and found.doubt <= TOLERANCE:
         return
-    worst = int(np.argmax(found.relative))
+    failed: list[str] = []
+    if not found.residual <= RESIDUAL:
+        failed.append(f"its residual is {found.residual:.1e} of its terms (at most {RESIDUAL:.0e})")
+    if not found.doubt <= TOLERANCE:
+        worst = int(np.argmax(found.relative))
+        failed.append(
+            f"its solution is uncertain by {found.doubt:.1e} of its size (at most {TOLERANCE:.0e}), most in state "
+            f"{worst + 1}"
+        )
+    step = f"a shorter period, as the plant grows by {growth:.1e} within a step, or " if growth > FAST else ""
     raise UnstableError(
-        f"the Riccati equation of the {what} is too badly conditioned: its residual is {found.residual:.1e} of its "
-        f"terms (at most {RESIDUAL:.0e}), and its solution is uncertain by {found.doubt:.1e} of its size (at most "
-        f"{TOLERANCE:.0e}), most in state {worst + 1}; units do not matter here: expected modes {remedy}"
+        f"the Riccati equation of the {what} is too badly conditioned: {', and '.join(failed)}; units do not matter "
+        f"here: expected {step}modes {remedy}"
     )
 
 

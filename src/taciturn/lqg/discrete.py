@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from taciturn._arrays import Array, instance, number
+from taciturn._modes import eigenvalues
 from taciturn.errors import ProblemError
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
+
+GROWTH = 1e8  # of an unstable mode within a period: half of the digits of a double
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +58,8 @@ def discretise(
         The discrete plant with the weights of one tick.
 
     Raises:
-        ProblemError: no plant or no cost, their sizes differ, period missing or out of place, or a clipped input that
-            changes between ticks.
+        ProblemError: no plant or no cost, their sizes differ, period missing, out of place or too long for an unstable
+            mode, or a clipped input that changes between ticks.
 
     Source: vanloan1978
     """
@@ -69,7 +74,7 @@ def discretise(
         if period is not None:
             raise ProblemError(
                 f"period is {period:g} with a discrete-time plant; expected none: its ticks are its steps "
-                "(remove plant.dt if the plant is continuous)"
+                "(if it is continuous, give it without dt, which is plant.dt in a file)"
             )
         return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
     if period is None:
@@ -78,6 +83,12 @@ def discretise(
             "(give plant.dt if A and B are those of a step)"
         )
     number("period", period, 0.0)
+    rate = float(eigenvalues(plant.A).real.max())
+    if rate * period > np.log(GROWTH):
+        raise ProblemError(
+            f"period is {period:g}, within which the plant's fastest mode grows by e^{rate * period:.4g}; expected at "
+            f"most {GROWTH:.0e}, so a period below about {np.log(GROWTH) / rate:.3g}"
+        )
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
     else:

@@ -227,7 +227,7 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
     if found is None:
         return None
-    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them")
+    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them", radius(A))
     L = found.L
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)

@@ -8,7 +8,17 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
-from taciturn._modes import TOLERANCE, Modes, eigenvalues, mode_text, pace, persistent, root, uncontrollable_modes
+from taciturn._modes import (
+    TOLERANCE,
+    Modes,
+    eigenvalues,
+    mode_text,
+    pace,
+    persistent,
+    radius,
+    root,
+    uncontrollable_modes,
+)
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
@@ -236,20 +246,20 @@ def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> 
     if is_definite(R):
         unseen = _unseen_modes(A, B, Q, R, N)
         _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
-    found = _checked_solution(_dare.solve(A, B, Q, R, N))
+    found = _checked_solution(_dare.solve(A, B, Q, R, N), radius(A) / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
     return Regulator(*(_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error)))
 
 
-def _checked_solution(found: Solution | None) -> Solution:
+def _checked_solution(found: Solution | None, growth: float = 1.0) -> Solution:
     if found is None:
         raise UnstableError(
             "the Riccati equation of the regulator has no solution that stabilises clear of rounding: from no gain "
             "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and "
             "R on every state and input"
         )
-    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them")
+    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them", growth)
     return found
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, cast, get_type_hints
@@ -13,7 +13,7 @@ from typing import Any, cast, get_type_hints
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from taciturn._arrays import Array, ArrayLike, quoted
+from taciturn._arrays import Array, ArrayLike, instance, quoted
 from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -52,22 +52,29 @@ class Problem:
     Args:
         plant: the plant of the design.
         cost: the cost.
-        network: the network.
+        network: the network, ``Network()`` for ideal links.
         kind: key of the policy in the catalogue.
-        parameters: its parameters.
+        parameters: its parameters; omitted: none.
         actual: the plant that is simulated, where it differs.
         reference: what is tracked.
         source: the tables of the file, for changing single keys.
+
+    Raises:
+        ProblemError: the network is none.
     """
 
     plant: Plant | ContinuousPlant
     cost: Cost
     network: Network
     kind: str
-    parameters: Mapping[str, Any]
+    parameters: Mapping[str, Any] = field(default_factory=lambda: {})
     actual: Plant | ContinuousPlant | None = None
     reference: Reference | None = None
     source: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        """Check that the network is not left out."""
+        instance("network", self.network, Network)
 
     def design(self) -> Policy:
         """Design the policy, as nodes that exchange packets.

@@ -108,14 +108,14 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
     n = len(data.F)
     if n > MOST_STATES:
         raise NoQuadratureError(
-            f"{n} directions of the error are reached by noise and count; expected at most {MOST_STATES} for a "
-            f"quadrature; {otherwise}"
+            f"{n} directions of the error are reached by noise and count, and a quadrature takes at most "
+            f"{MOST_STATES} of them; {otherwise}"
         )
     half = root(data.noise)
     if half.shape[1] < n:
         raise NoQuadratureError(
-            f"the noise of one check fills {half.shape[1]} of the {n} directions of the error that count; expected "
-            f"all of them for a quadrature; {otherwise}"
+            f"the noise of one check fills {half.shape[1]} of the {n} directions of the error that count, and a "
+            f"quadrature needs all of them; {otherwise}"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
     inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)

@@ -12,7 +12,12 @@ from taciturn.model.plant import JumpNoise
 
 
 class NoQuadratureError(ProblemError):
-    """A chain that no quadrature of this library serves: the sentence says why; simulate instead."""
+    """A chain that no quadrature of this library serves: the sentence says why, and after a semicolon what to do."""
+
+    @property
+    def reason(self) -> str:
+        """Why, without what is expected or to be done."""
+        return str(self).split("; ", 1)[0]
 
 
 @dataclass(frozen=True, eq=False)

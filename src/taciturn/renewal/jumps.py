@@ -53,7 +53,7 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):
-        raise NoQuadratureError("the noise is no jumps; this quadrature takes jumps alone")
+        raise NoQuadratureError("the noise is no jumps, and this quadrature takes jumps alone")
     if noise.jumps.distribution != "normal":
         raise NoQuadratureError(
             f"jumps of the law '{noise.jumps.distribution}' have no smooth density; expected 'normal'; simulate instead"
@@ -63,7 +63,8 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
         raise NoQuadratureError("Ψ sees no error that the jumps reach, so nothing is ever sent")
     if len(A) > 2:
         raise NoQuadratureError(
-            f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see; this quadrature takes two; simulate instead"
+            f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see, and this quadrature takes two; "
+            "simulate instead"
         )
     rate, period = noise.jumps.rate, noise.period
     checks = _followed(rate * period, LONGEST[len(A)])

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from taciturn._arrays import count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
+from taciturn.simulation.doubts import expect_arrivals, find_doubts
 from taciturn.simulation.sampling import Averages, Estimator, Part, Progress, Sampling, sends
 
 LEAST_STEPS = 1024
@@ -79,12 +81,13 @@ def average(
         threads: at least 1; omitted: all processors.
 
     Returns:
-        Cost and rates; ``reached`` is False where the budget ended first: before the asked standard error, or before
-        the loop had time to settle.
+        Cost and rates; rates are sends per tick, also of a sampled plant, whose cost is per second (``evaluate`` has
+        both per second). ``reached`` is False where the budget ended first: before the asked standard error, or before
+        the loop had time to settle; ``notes`` say where the number may be no average.
 
     Raises:
         ProblemError: a budget, precision or number of threads that is not positive.
-        UnstableError: the loop diverges.
+        UnstableError: the loop diverges, or a link loses every packet and the plant does not come to rest by itself.
     """
     instance("loop", loop, Loop)
     if estimator is not None:
@@ -182,6 +185,12 @@ def _sampled(
     if threads is not None:
         count("threads", threads)
     sampling, horizon = Sampling(parts, seed, progress, threads), parts[0].loop.horizon
+    used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
     if horizon is not None:
-        return sampling.missions(horizon, standard_error, steps)
-    return sampling.stationary(standard_error, steps)
+        return replace(sampling.missions(horizon, standard_error, steps), estimator=used)
+    for part in parts:
+        expect_arrivals(part.loop)
+    found = replace(sampling.stationary(standard_error, steps), estimator=used)
+    if len(parts) > 1:
+        return found
+    return replace(found, notes=find_doubts(parts[0].loop, found.cost, found.rates, found.steps))

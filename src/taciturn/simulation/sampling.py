@@ -50,6 +50,8 @@ class Averages:
         steps: simulated steps of all paths together, burn-in included.
         burn_in: ticks dropped at the start of each path.
         reached: whether the asked standard error was met.
+        notes: what makes the numbers doubtful.
+        estimator: what was averaged: "completed squares", "plain average" or "never-die paths"; or "".
     """
 
     cost: Estimate
@@ -57,6 +59,8 @@ class Averages:
     steps: int
     burn_in: int
     reached: bool
+    notes: tuple[str, ...] = ()
+    estimator: str = ""
 
 
 @dataclass(frozen=True, eq=False)

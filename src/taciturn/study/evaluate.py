@@ -73,6 +73,7 @@ class Evaluation:
             these numbers and their errors (4 standard errors), or ``"not verified"``; None where it is not asked for.
         notes: what the reader must know.
         linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
+        estimator: of a simulation, what was averaged (as ``Averages``).
     """
 
     policy: str
@@ -96,6 +97,7 @@ class Evaluation:
     consistency: Consistency | None
     notes: tuple[str, ...]
     linearisation: Linearisation | None = None
+    estimator: str = ""
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -167,7 +169,8 @@ def evaluate(
         progress: called with the fraction done.
 
     Returns:
-        The evaluation; ``reached`` is False where the budget ended before the asked standard error.
+        The evaluation, with rates per second of a continuous plant; ``reached`` is False where the budget ended before
+        the asked standard error.
 
     Raises:
         ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, or a lower bound is asked for
@@ -235,6 +238,7 @@ def evaluate(
         consistency=_consistency(found.cost, periodic, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
+        estimator=found.estimator,
     )
 
 

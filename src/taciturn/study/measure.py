@@ -34,12 +34,12 @@ def measure(
             if method == "exact":
                 raise ProblemError(f"method is 'exact', and {error}") from None
             found = _sampled(loop, standard_error, seed) if decides_alone(policy) else None
-            notes += (f"simulated: {error}",) if decides_alone(policy) and found is None else ()
+            notes += (f"simulated, because {error.reason}",) if decides_alone(policy) and found is None else ()
     if found is not None and not found.steps:
         found = replace(found, reached=found.cost.error <= _wanted(found.cost, standard_error))
     if found is None or (method == "auto" and not found.reached):
         found = _clocked(loop, average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress))
-    return found, notes
+    return found, notes + found.notes
 
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
@@ -60,7 +60,7 @@ def _sampled(loop: Loop, standard_error: float | None, seed: int) -> Averages | 
         return None
     cost = found.excess.scaled(1.0, policy.identity.constant)
     reached = cost.standard_error <= _wanted(cost, standard_error)
-    return Averages(cost, {policy.scheduled[0]: found.rate}, found.steps, 0, reached)
+    return Averages(cost, {policy.scheduled[0]: found.rate}, found.steps, 0, reached, estimator="never-die paths")
 
 
 def measure_optimum(loop: Loop, price: float, method: str, steps: int | None) -> Averages:

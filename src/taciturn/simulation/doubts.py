@@ -1,0 +1,73 @@
+"""Where an average over paths is none: packets that never come, and errors as large as what they are of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from taciturn._modes import eigenvalues, persistent, root, uncontrollable_modes
+from taciturn.errors import UnstableError
+from taciturn.loop import Loop
+from taciturn.model.estimate import Estimate
+from taciturn.model.policy import LinkName, Send
+
+LARGE = 1 / 3  # of the cost: a standard error above it is told
+
+
+def expect_arrivals(loop: Loop) -> None:
+    """Refuse a loop on one of whose links nothing ever arrives, where the plant left alone costs ever more.
+
+    Raises:
+        UnstableError: such a link.
+    """
+    links: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    for link in sorted(links):
+        if _loss(loop, link) == 1 and _grows(loop):
+            raise UnstableError(
+                f"the loop of {loop.policy.kind} diverges: the {link} link loses every packet, and the plant does not "
+                "come to rest by itself; expected a loss below 1"
+            )
+
+
+def find_doubts(loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int) -> tuple[str, ...]:
+    """Return what makes a simulated average doubtful, for the reader of its numbers.
+
+    Args:
+        loop: the closed loop.
+        cost: the average.
+        rates: sends per tick, by link.
+        steps: simulated steps of all paths together.
+    """
+    silent = [link for link, rate in rates.items() if rate.value == 0]
+    notes: tuple[str, ...] = ()
+    if silent and _grows(loop):
+        notes += (
+            f"hardly ever sends: nothing on the {silent[0]} link in the {steps} steps simulated, and the plant does "
+            "not come to rest by itself: the cost is how far it got, not an average",
+        )
+    if cost.standard_error > LARGE * abs(cost.value):
+        share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
+        notes += (
+            f"the standard error is {share:.2g} of the cost after {steps} steps: a few paths cost more than all "
+            "others, and the mean square may not exist",
+        )
+    return notes
+
+
+def _loss(loop: Loop, link: LinkName) -> float:
+    """Return the share of a link's packets that is lost."""
+    burst = loop.network.actuator_burst if link == "actuator" else loop.network.sensor_burst
+    if burst is not None:
+        return burst.loss
+    return loop.network.actuator_loss if link == "actuator" else loop.network.sensor_loss
+
+
+def _grows(loop: Loop) -> bool:
+    """Tell whether noise moves a mode that does not decay, in a linear plant of which the cost sees all such modes."""
+    plant = loop.problem.plant
+    if plant.function is not None:
+        return False
+    A = plant.A
+    all_modes = persistent(eigenvalues(A), A, False)
+    still = persistent(uncontrollable_modes(A, root(plant.W)), A, False)
+    unseen = persistent(uncontrollable_modes(A.T, loop.problem.Q), A, False)
+    return len(all_modes) > len(still) and not len(unseen)
