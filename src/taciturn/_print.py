@@ -345,7 +345,8 @@ def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
     printed = [name for name in columns if any(name in row.printed for row in table.rows)]
     header = list(table.rows[0].setting)
     for name in columns:
-        header += [f"{name}, printed", "computed"] if name in printed else [name]
+        heading = table.headings.get(name, name)
+        header += [f"{heading}, printed", "computed"] if name in printed else [heading]
     rows: list[list[str]] = []
     for row in table.rows:
         cells = [str(value) for value in row.setting.values()]
