@@ -36,7 +36,10 @@ def evaluate(
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
     confidence: Confidence = None,
 ) -> None:
-    """Cost, rate and guarantee of one policy."""
+    """Cost, rate and guarantee of one policy.
+
+    With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
+    """
     import taciturn
     from taciturn.study.evaluate import choose_confidence
 
