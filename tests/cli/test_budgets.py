@@ -31,6 +31,17 @@ def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
     assert any(line.startswith("rate, actuator 0.3") or line.startswith("rate, actuator 0.29") for line in lines)
 
 
+def test_python_prints_what_the_commands_print(run: Run, tmp_path: Path) -> None:
+    """Of an evaluation, and of the parameter that meets a budget, here within a jump; a repr still has all of it."""
+    file = with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2')
+    problem = taciturn.load(file)
+    found, tuned = taciturn.evaluate(problem), taciturn.tune(problem, rate=0.3)
+    assert f"{found}\n" == run("evaluate", file).out
+    assert f"{tuned}\n" == run("tune", file, "--rate", "0.3").out
+    assert "beyond " in str(tuned)
+    assert repr(found).startswith("Evaluation(policy='periodic', unit='step',")
+
+
 def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
     """Exact numbers, and the other side of the jump."""
     answer = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3", "--json")

@@ -59,7 +59,7 @@ def evaluate(
     if as_json:
         print_json(found.document())
     else:
-        _print.evaluation(found)
+        typer.echo(found)
     if not found.reached and steps is not None:
         refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
     if not found.reached and standard_error is not None and found.cost.standard_error <= standard_error:
@@ -145,7 +145,7 @@ def tune(
     else:
         if isinstance(found, TunedPeriod):
             _print.periods(found)
-        _print.tuned(best)
+        typer.echo(best)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Never
+from typing import Never
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.looks import look_at
+from taciturn.study.tuned import Parameter, Tuned
 
 EFFORT = 2_000_000  # steps of a look; all looks see the same draws
 LONGER = 8  # times as many where a loop has not settled, and for the last look
@@ -31,48 +32,6 @@ ROUNDS = 3  # of corrections at full precision
 PASSED = 20  # whole numbers on either side that are passed over where nothing can be designed
 SURE = 3.0  # standard errors by which the answer may miss the budget
 EXACT = 1e-9  # relative
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter and how well it is known; ``standard_error`` is None where the budget does not depend on it here."""
-
-    name: str
-    value: float
-    standard_error: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Tuned:
-    """The policy that meets a budget.
-
-    Args:
-        parameter: that was sought.
-        problem: with this parameter.
-        evaluation: of it.
-        beyond: where rate and cost jump across the budget, the policy on the other side of the jump.
-        slope: change of the cost with the rate at the budget, along the parameter; None at a jump.
-    """
-
-    parameter: Parameter
-    problem: Problem
-    evaluation: Evaluation
-    beyond: Tuned | None
-    slope: float | None
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn tune --json``."""
-        parameter = {
-            "name": self.parameter.name,
-            "value": self.parameter.value,
-            "standard_error": self.parameter.standard_error,
-        }
-        found = {"parameter": parameter} | self.evaluation.document()
-        if self.beyond is not None:
-            rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
-            jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
-            found["beyond"] = jump
-        return found
 
 
 def tune(
