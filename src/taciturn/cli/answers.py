@@ -106,8 +106,13 @@ def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
 @app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
-    rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
-    cost: Annotated[float | None, typer.Option(help="Cost that is to be met.")] = None,
+    rate: Annotated[
+        str | None,
+        typer.Option(metavar="X|P%", help="Sends per step or per second that are to be met, or 50% of sending always."),
+    ] = None,
+    cost: Annotated[
+        str | None, typer.Option(metavar="X|+P%", help="Cost that is to be met, or +5% above sending always.")
+    ] = None,
     link: Link = None,
     least_period: Annotated[
         float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
@@ -121,18 +126,21 @@ def tune(
     from taciturn.study.periods import TunedPeriod, tune_period
 
     check_effort(standard_error)
+    allowed, spent = _budget("rate", rate), _budget("cost", cost)
     problem, on = taciturn.load(file), cast("Any", link)
     with progress_bar("searching") as progress:
         if least_period is None:
             found = taciturn.tune(
-                problem, rate=rate, cost=cost, link=on, seed=seed, standard_error=standard_error, progress=progress
+                problem, rate=allowed, cost=spent, link=on, seed=seed, standard_error=standard_error, progress=progress
             )
         else:
-            if rate is None or cost is not None:
-                raise taciturn.ProblemError("--least-period is given; expected --rate alone beside it, the budget")
+            if not isinstance(allowed, float) or spent is not None:
+                raise taciturn.ProblemError(
+                    "--least-period is given; expected --rate alone beside it, the budget, as a number"
+                )
             found = tune_period(
                 problem,
-                rate=rate,
+                rate=allowed,
                 least=least_period,
                 link=on,
                 seed=seed,
@@ -148,6 +156,17 @@ def tune(
         typer.echo(best)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
+
+
+def _budget(name: str, text: str | None) -> float | str | None:
+    """Return what --rate or --cost asks for."""
+    from taciturn.errors import ProblemError
+    from taciturn.study.budget import parse_budget
+
+    try:
+        return None if text is None else parse_budget(name, text)
+    except ProblemError as error:
+        raise typer.BadParameter(str(error), param_hint=f"'--{name}'") from None
 
 
 @app.command(epilog="Example: taciturn certify two-mass")

@@ -8,7 +8,6 @@ from typing import Never
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import number
 from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
@@ -17,6 +16,7 @@ from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
+from taciturn.study.budget import budget_of
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.looks import look_at
 from taciturn.study.tuned import Parameter, Tuned
@@ -37,8 +37,8 @@ EXACT = 1e-9  # relative
 def tune(
     problem: Problem,
     *,
-    rate: float | None = None,
-    cost: float | None = None,
+    rate: float | str | None = None,
+    cost: float | str | None = None,
     link: LinkName | None = None,
     seed: int = 0,
     standard_error: float | None = None,
@@ -52,8 +52,10 @@ def tune(
 
     Args:
         problem: its policy; the value that its parameter has is where the search starts.
-        rate: sends per step or per second; the answer sends that often, or as little less as it can.
-        cost: per step, per second or per mission; the answer costs so much, or as little less as it can.
+        rate: sends per step or per second, or ``"50%"`` of the rate of sending always; the answer sends that often, or
+            as little less as it can.
+        cost: per step, per second or per mission, or ``"+5%"`` above the cost of sending always; the answer costs so
+            much, or as little less as it can.
         link: whose rate; omitted where the policy decides one only.
         seed: of the draws.
         standard_error: absolute, of the cost of the answer; omitted: 1e-4 of it.
@@ -79,7 +81,7 @@ def tune(
         raise ProblemError(f"of rate and cost {got} is given; expected one of them, the budget: --rate or --cost")
     name, budget = ("rate", rate) if rate is not None else ("cost", cost)
     knob = _knob(problem, link)
-    goal = _Goal(name, number(name, budget, 0.0), link or knob.link)
+    goal = _Goal(name, budget_of(problem, knob, name, budget), link or knob.link)
     search = _Search(problem, knob, goal, seed, progress)
     low, high = search.bracket()
     if not knob.whole:
