@@ -81,6 +81,8 @@ def tradeoff(found: Tradeoff) -> None:
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
         typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
+    for note in found.notes:
+        typer.echo(note)
 
 
 def sweep(found: xarray.Dataset, path: Path) -> None:

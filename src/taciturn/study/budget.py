@@ -32,7 +32,7 @@ def parse_budget(name: str, text: str) -> float | str:
         return text
 
 
-def budget_of(problem: Problem, knob: Knob, name: str, budget: float | str) -> float:
+def budget_of(problem: Problem, knob: Knob, name: str, budget: object) -> float:
     """Return a budget as a number; percent are of what the problem's policy has when it sends at every tick.
 
     Args:

@@ -61,6 +61,23 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
     return share * faster.cost + (1 - share) * slower.cost
 
 
+def why_no_periodic(problem: Problem, actuation: Actuation) -> str | None:
+    """Return why there is no periodic control whose actuator predicts, or None where that is not the reason."""
+    plant = problem.plant
+    if (
+        actuation == "hold"
+        or problem.network != Network()
+        or not isinstance(plant, ContinuousPlant)
+        or plant.full_state
+    ):
+        return None
+    remedy = "; actuation=hold has one" if "actuation" in problem.parameters else ""
+    return (
+        "no periodic control of this actuation to compare with: of a continuous plant a prediction wants the full "
+        f"state, and C or V is given{remedy}"
+    )
+
+
 def periodic_curve(problem: Problem, fastest: float, slowest: float, actuation: Actuation) -> tuple[PeriodicPoint, ...]:
     """Return optimal periodic control from one rate down to another; unstable rates are left out."""
     if isinstance(problem.plant, ContinuousPlant):
