@@ -173,7 +173,7 @@ def tradeoff(
         rate = next(iter(evaluation.rates.values())).value
         same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
         points.append(Point(cell, evaluation, actuation, same))
-    reasons = [why_no_periodic(*pair) for pair in zip(problems, (point.actuation for point in points), strict=True)]
+    reasons = [why_no_periodic(one, point.actuation) for one, point in zip(problems, points, strict=True)]
     notes = tuple(dict.fromkeys(reason for reason in reasons if reason is not None))
     unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
     return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement, notes)
