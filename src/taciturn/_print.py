@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import typer
 
 from taciturn.model.estimate import Estimate
+from taciturn.study.lines import Lines, above_all_time, rounded, text_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     import xarray
 
-    from taciturn.model.schedule import Schedule
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
     from taciturn.study.channel import Sharing
     from taciturn.study.compare import Comparison
-    from taciturn.study.evaluate import Evaluation
     from taciturn.study.network import NetworkRun
     from taciturn.study.periods import TunedPeriod
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
-    from taciturn.study.tune import Tuned
 
 RATES = ("rate_actuator", "rate_sensor")
 
@@ -50,100 +46,9 @@ def network(found: NetworkRun) -> None:
     pairs(lines)
 
 
-def pairs(lines: Sequence[tuple[str, str]]) -> None:
+def pairs(lines: Lines) -> None:
     """Print names and what stands behind them, one under the other."""
-    width = max(14, *(len(name) for name, _ in lines))
-    for name, text in lines:
-        typer.echo(f"{name:{width}s} {text}")
-
-
-def evaluation(found: Evaluation) -> None:
-    """Print one answer."""
-    method = ", ".join(filter(None, (found.cost.method, found.estimator)))
-    lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({method})")]
-    lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
-    if found.cost_all_time is not None:
-        above = f"   (this policy: {_above(found)} %)" if found.cost_all_time else ""
-        lines.append(("all-time cost", f"{found.cost_all_time:.6g}{above}"))
-    if found.cost_bound is not None:
-        lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
-    if found.cost_bound_at_rate is not None:
-        lines.append(("at this rate", f"at most {found.cost_bound_at_rate:.6g}"))
-    if found.linearisation is not None:
-        lines.append(("linearisation", _promised(found)))
-    if found.lower_bound is not None:
-        text = f"{_rounded(found.lower_bound.cost, 6, -1)} at this rate ({100 * found.lower_bound.confidence:g} %)"
-        lines.append(("no less than", text))
-    if found.rate_bounds is not None:
-        low, high = found.rate_bounds
-        text = f"{_rounded(low, 4, -1)} to {_rounded(high, 4, 1)} per {found.rate_unit}"
-        lines.append(("certified rate", text))
-    if found.mean_interval is not None:
-        lines.append(("mean interval", f"{found.mean_interval} s"))
-    if found.cost_periodic_same_rate is not None:
-        lines.append(("periodic", f"{found.cost_periodic_same_rate:.6g} at this rate"))
-    if found.consistency is not None:
-        lines.append(("consistent", found.consistency))
-    if found.schedule is not None:
-        lines.append(("sensor queries", _queries(found.schedule)))
-    lines += [("verdict", text) for text in _verdict(found)]
-    lines += [("note", note) for note in found.notes]
-    for name, text in lines:
-        typer.echo(f"{name:14s} {text}")
-
-
-def _verdict(found: Evaluation) -> list[str]:
-    """Say how often a policy sends, what that costs, and how far it is from what is proved on both sides."""
-    base, bound, lower = found.cost_all_time, found.cost_bound_at_rate, found.lower_bound
-    if lower is None or not base or found.base_rate is None:
-        return []
-    shares = [f"{100 * rate.value / found.base_rate:.3g} %" for rate in found.rates.values()]
-    above, least = 100 * (found.cost.value / base - 1), 100 * (lower.cost / base - 1)
-    decimals = max(_decimals(above - least, 1), _decimals(above, 2))  # that tell them from each other
-    text = f"sends {shares[0]} of the time, costs {above:.{decimals}f} % above all-time control"
-    if bound is not None:
-        text += f", at most {_rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
-    least = math.floor(least * 10**decimals) / 10**decimals
-    return [f"{text}; no scheduling of this controller at this rate can cost less than {least:.{decimals}f} % above"]
-
-
-def _promised(found: Evaluation) -> str:
-    """Say what the theory of the linearisation says, and how the plant's cost compares; nothing of it is claimed."""
-    promised, cost = found.linearisation, found.cost.value
-    assert promised is not None
-    text = f"all-time cost {promised.cost_all_time:.6g}"
-    if promised.cost_all_time:
-        text += f" (measured: {cost / promised.cost_all_time:.4g} times that)"
-    if promised.cost_bound is not None:
-        over, margin = cost - promised.cost_bound, 4 * found.cost.standard_error
-        seen = "kept here" if over + margin <= 0 else "broken here" if over > margin else "kept or broken, by chance"
-        text += f", its bound {promised.cost_bound:.6g} ({seen})"
-    return f"{text}; none of this is claimed of the plant"
-
-
-def _decimals(value: float, digits: int) -> int:
-    """Return the decimals that show so many digits of a positive number, at most four."""
-    return min(max(digits - 1 - math.floor(math.log10(value)), 0), 4) if value > 0 else 0
-
-
-def _rounded(value: float, digits: int, up: int) -> str:
-    """Return a bound with so many digits, rounded so that it still holds: up (1) or down (−1)."""
-    nearest = float(f"{value:.{digits}g}")
-    if up * (nearest - value) < 0:
-        nearest += up * 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
-    return f"{nearest:.{digits}g}" if abs(nearest) < 1e4 else f"{nearest:,.0f}"
-
-
-def _queries(schedule: Schedule) -> str:
-    """Say when the sensor is queried."""
-    ticks = schedule.ticks
-    if schedule.period == 1:
-        return "at every tick" if ticks else "never"
-    listed = ", ".join(map(str, ticks[:12])) + (", …" if len(ticks) > 12 else "")
-    if schedule.start is None:
-        return f"{len(ticks)} of {len(schedule.queries)} ticks" + (f": {listed}" if ticks else "")
-    once = f"{schedule.queries[schedule.start :].sum()} of {schedule.period} ticks, again and again"
-    return once if schedule.start == 0 else f"{once} from tick {schedule.start} on: {listed}"
+    typer.echo(text_of(lines))
 
 
 def tradeoff(found: Tradeoff) -> None:
@@ -163,7 +68,7 @@ def tradeoff(found: Tradeoff) -> None:
                 *(f"{rate.value:.4f} ± {rate.standard_error:.4f}" for rate in rates),
                 " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates) if e.base_rate else "",
                 str(e.cost),
-                _above(e) if e.cost_all_time else "",
+                above_all_time(e) if e.cost_all_time else "",
                 "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
                 "none" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
             ]
@@ -176,6 +81,8 @@ def tradeoff(found: Tradeoff) -> None:
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
         typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
+    for note in found.notes:
+        typer.echo(note)
 
 
 def sweep(found: xarray.Dataset, path: Path) -> None:
@@ -190,19 +97,6 @@ def sweep(found: xarray.Dataset, path: Path) -> None:
         rates = [f"{at[name].item():.4g} {at[name].units} ({name[5:]})" for name in RATES if name in found]
         typer.echo(f"{what} cost {cost} at {where}; {', '.join(rates)}")
     typer.echo(f"result: {path}")
-
-
-def tuned(found: Tuned) -> None:
-    """Print the parameter that meets a budget, and the answer at it."""
-    parameter = found.parameter
-    value = Estimate(parameter.value, parameter.standard_error or 0.0, "simulation")
-    typer.echo(f"{parameter.name:14s} {value}")
-    evaluation(found.evaluation)
-    if found.beyond is not None:
-        other = found.beyond
-        rates = ", ".join(f"{rate}" for rate in other.evaluation.rates.values())
-        text = f"{other.parameter.value:.6g}: rate {rates}, cost {other.evaluation.cost}"
-        typer.echo(f"{'beyond':14s} the budget lies in a jump, on whose other side is {parameter.name} = {text}")
 
 
 def periods(found: TunedPeriod) -> None:
@@ -273,7 +167,7 @@ def sharing(found: Sharing) -> None:
     ]
     if bound is not None:
         sure = "by quadrature" if bound.confidence is None else f"{100 * bound.confidence:g} %"
-        text = f"{_rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
+        text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
     lines += [
         ("best clock", f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
@@ -324,13 +218,6 @@ def _shown(value: float | None) -> str:
     return "none" if value is None else f"{value:.6g}"
 
 
-def _above(found: Evaluation) -> str:
-    """By how many percent the cost exceeds that of sending at every tick."""
-    assert found.cost_all_time
-    percent = 100 * (found.cost.value / found.cost_all_time - 1)
-    return f"{percent:+.2f}" if abs(percent) < 1e6 else f"{percent:+.3g}"
-
-
 def reproduction(found: Reproduction) -> None:
     """Print what is printed elsewhere beside what is computed."""
     for table in found.tables:
@@ -346,7 +233,8 @@ def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
     printed = [name for name in columns if any(name in row.printed for row in table.rows)]
     header = list(table.rows[0].setting)
     for name in columns:
-        header += [f"{name}, printed", "computed"] if name in printed else [name]
+        heading = table.headings.get(name, name)
+        header += [f"{heading}, printed", "computed"] if name in printed else [heading]
     rows: list[list[str]] = []
     for row in table.rows:
         cells = [str(value) for value in row.setting.values()]

@@ -31,6 +31,27 @@ def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
     assert any(line.startswith("rate, actuator 0.3") or line.startswith("rate, actuator 0.29") for line in lines)
 
 
+def test_budgets_in_percent_are_of_sending_always(run: Run, tmp_path: Path) -> None:
+    """A quarter of the steps; at most 12.5 % more."""
+    file = with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2')
+    by_rate = json.loads(run("tune", file, "--rate", "25%", "--json").out)
+    assert (by_rate["parameter"]["value"], by_rate["rates"]["actuator"]["value"]) == (4, 0.25)
+    by_cost = json.loads(run("tune", file, "--cost", "+12.5%", "--json").out)
+    costs = by_cost["cost"]["value"], by_cost["beyond"]["cost"]
+    assert costs[0] <= 1.125 * by_cost["cost_all_time"] < costs[1]
+
+
+def test_python_prints_what_the_commands_print(run: Run, tmp_path: Path) -> None:
+    """Of an evaluation, and of the parameter that meets a budget, here within a jump; a repr still has all of it."""
+    file = with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2')
+    problem = taciturn.load(file)
+    found, tuned = taciturn.evaluate(problem), taciturn.tune(problem, rate=0.3)
+    assert f"{found}\n" == run("evaluate", file).out
+    assert f"{tuned}\n" == run("tune", file, "--rate", "0.3").out
+    assert "beyond " in str(tuned)
+    assert repr(found).startswith("Evaluation(policy='periodic', unit='step',")
+
+
 def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
     """Exact numbers, and the other side of the jump."""
     answer = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3", "--json")
@@ -53,6 +74,9 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
         (["--rate", "x"], "Invalid value for '--rate'"),
+        (["--rate", "+5%"], "Invalid value for '--rate': rate is '+5%'; expected a number, or percent as 50%"),
+        (["--cost", "5%"], "Invalid value for '--cost': cost is '5%'; expected a number, or percent as +5%"),
+        (["--rate", "5%", "--least-period", "0.1"], "expected --rate alone beside it, the budget, as a number"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
         (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period here"),

@@ -181,6 +181,19 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
             ("tradeoff", "two-mass", "--over", "theta=1", "--standard-error", "-1"),
             "--standard-error is -1; expected 0 < --standard-error",
         ),
+        (
+            ("evaluate", "two-mass", "--over", "theta=2"),
+            "No such option: --over; evaluate takes no parameters: taciturn tradeoff FILE --over NAME=v1,v2,… does",
+        ),
+        (
+            ("reproduce", "chapter2", "--theta", "1"),
+            "No such option: --theta (Possible options: --help); reproduce takes",
+        ),
+        (
+            ("reproduce", "Chapter 2"),
+            "there is nothing to reproduce by the name 'Chapter 2'; expected one of chapter2, chapter3, chapter4, "
+            "chapter5, chapter6, chapter7, or all. Did you mean 'chapter2'?",
+        ),
         (("reproduce", "chapter99"), "there is nothing to reproduce by the name 'chapter99'; expected one of chapter"),
         (
             ("reproduce", "chapter2", "--out", "/dev/null"),

@@ -151,3 +151,16 @@ def test_none_takes_a_key_away() -> None:
     burst = {"to_bad": 0.1, "to_good": 0.5, "loss_good": 0.0, "loss_bad": 1.0}
     problem = parse(tables, "here").changed({"network.actuator_loss": None, "network.actuator_burst": burst})
     assert problem.network.loss("actuator") == pytest.approx(1 / 6)
+
+
+def test_a_tradeoff_without_a_clock_says_why(run: Run) -> None:
+    """A prediction between samples wants the full state; a plant that is discrete, or holds, has its clock."""
+    reason = "of a continuous plant a prediction wants the full state, and C or V is given; actuation=hold has one"
+    rough = ("--standard-error", "1e-2", "--confidence", "0")
+    for name, actuation, told in (
+        ("two-mass-continuous", "model", True),
+        ("two-mass-continuous", "hold", False),
+        ("two-mass", "model", False),
+    ):
+        out = run("tradeoff", name, "--over", "theta=1", "--over", f"actuation={actuation}", *rough).out
+        assert (out.splitlines()[1].endswith(" none"), reason in out) == (told, told)

@@ -264,7 +264,8 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ({"policy": LQG + "theta = nan"}, "theta is nan; expected a finite number"),
         (
             {"policy": LQG + "theta = 1\nepsilon = 1"},
-            "epsilon is given with the joint trigger, which has none; expected",
+            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon; "
+            "to compare both, take a run for each",
         ),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 0"}, "epsilon is 0; expected 0 < epsilon < "),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 99"}, "epsilon is 99; expected 0 < epsilon < "),

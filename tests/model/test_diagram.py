@@ -198,3 +198,13 @@ def test_the_document_holds_what_the_text_shows() -> None:
     )
     assert query["ticks"] == load("rover").design().schedule.ticks
     assert re.fullmatch(r"\w+", query["decision"])
+
+
+def test_a_policy_prints_itself_in_short() -> None:
+    """What is proved, and the diagram; a repr still has all of it."""
+    policy = load("two-mass").design()
+    first, _, rest = str(policy).partition("\n")
+    assert first == "lqg: J_all = 0.733478; J ≤ (1+θ) J_all, mean-square stable: at most 0.806826"
+    assert rest == policy.diagram().text()
+    assert str(load("lossy-double-integrator").design()).startswith("lossy-lqg: J_all = ")
+    assert repr(policy).startswith("Policy(kind='lqg', steps=(")

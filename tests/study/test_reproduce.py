@@ -11,8 +11,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 import taciturn
+from taciturn import _print
 from taciturn.simulation.course import course
-from taciturn.study import chapter7
+from taciturn.study import chapter2, chapter7
 from taciturn.study.chapter7 import two_circles
 from taciturn.study.reproduce import CHAPTERS, reproduce
 
@@ -129,6 +130,31 @@ def test_a_chapter_is_a_document_with_a_report_of_its_progress(name: str) -> Non
     with pytest.raises(taciturn.ProblemError, match=f"expected one of {listed}, or all"):
         reproduce("chapter8")
     assert set(EXPECTED) | {"chapter2"} == set(CHAPTERS)
+
+
+def test_chapter_2_names_its_triggers_and_the_epsilon_of_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One row of each table: what is printed says ε, which is no default; the keys of the document are as ever."""
+    for name in ("TABLE_2_1", "TABLE_2_2"):
+        monkeypatch.setattr(chapter2, name, dict(list(getattr(chapter2, name).items())[:1]))
+    monkeypatch.setattr(chapter2, "FIGURE_2_2", (0.1,))
+    monkeypatch.setattr(chapter2, "PRECISION", 1e-2)
+    found = reproduce("chapter2")
+    _print.reproduction(found)
+    told = capsys.readouterr().out.split("\n\n")
+    for table in told[:2]:
+        assert all(f"{what}, separate (2.12)" in table for what in ("cost", "rate"))
+        assert all(f"{what}, joint (2.13)" in table for what in ("cost", "rate"))
+        assert "--over trigger=separate --over epsilon=0.009 (omitted, ε is half its limit, here 0.05)" in table
+    assert {"cost (2.12)", "rate (2.13) %"} <= set(found.document()["tables"][0]["rows"][0]["computed"])
+    separate = taciturn.load("two-mass").changed({"trigger": "separate"})
+    forms = [
+        one.design().decisions["send"].options["silent"].Psi
+        for one in (separate, separate.changed({"epsilon": 0.05}), separate.changed(dict(chapter2.TRIGGERS[0])))
+    ]
+    assert np.allclose(forms[0], forms[1], rtol=1e-9)
+    assert not np.allclose(forms[0], forms[2], rtol=0.1)
 
 
 def test_progress_only_grows_and_ends_at_one() -> None:

@@ -11,8 +11,9 @@ import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE, KNOBS
 from taciturn.problem import check_parameters
+from taciturn.study.budget import budget_of
 
-MASSES = taciturn.load("two-mass")
+MASSES, JUMPS = taciturn.load("two-mass"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
 SETTINGS: dict[str, dict[str, Any]] = {
     "lqg": {"theta": 3.0},
@@ -69,6 +70,50 @@ def test_a_cost_is_met() -> None:
     assert abs(back.value - by_cost.parameter.value) <= 5 * np.hypot(
         back.standard_error, by_cost.parameter.standard_error
     )
+
+
+def test_percent_are_of_sending_always() -> None:
+    """The same answers as of the numbers, whatever a rate counts per; where the parameter is not yet given, too."""
+    integrator = with_policy("consistent", taciturn.load("wiener-double-integrator"))
+    for problem, percent, number in (
+        (with_policy("periodic", every=2), {"rate": "25%"}, {"rate": 0.25}),
+        (with_policy("periodic", every=2), {"cost": "+12.5 %"}, {"cost": 1.125 * MASSES.design().cost_all_time}),
+        (integrator, {"rate": "30%"}, {"rate": 3.0}),  # ten looks a second
+    ):
+        found, same = tune(problem, **percent), tune(problem, **number)
+        assert found.parameter.value == pytest.approx(same.parameter.value, rel=1e-9)
+    excess = with_policy("excess", integrator, delta=None)
+    assert budget_of(excess, KNOBS["excess"][0], "rate", "50%") == pytest.approx(5.0)
+    mission = taciturn.load("rover")
+    assert budget_of(mission, KNOBS["remote-lqg"][0], "rate", "50%") == 0.5
+
+
+@pytest.mark.parametrize(
+    ("problem", "budget", "words"),
+    [
+        (MASSES, {"rate": "+5%"}, "rate is '+5%'; expected a number, or percent as 50%"),
+        (MASSES, {"cost": "5%"}, "cost is '5%'; expected a number, or percent as +5%"),
+        (MASSES, {"cost": "-5%"}, "cost is '-5%'; expected"),
+        (MASSES, {"rate": "0%"}, "rate is 0; expected 0 < rate"),
+        (MASSES, {"rate": "0.3"}, "rate is '0.3'; expected a number"),
+        (
+            with_policy("periodic", taciturn.load("two-mass-continuous"), theta=None),
+            {"rate": "50%"},
+            "sending always has another one at every period, which is sought; expected a number",
+        ),
+        (
+            taciturn.load("pendulum-on-a-cart"),
+            {"cost": "+5%"},
+            "the cost of sending always is not known, as the plant is not linear",
+        ),
+        (with_policy("integral", JUMPS, period=None, slope=5.0), {"rate": "5%"}, "integral has no ticks"),
+    ],
+)
+def test_percent_of_what_is_not_known_are_refused(problem: Problem, budget: dict[str, Any], words: str) -> None:
+    """With what is expected instead."""
+    with pytest.raises(ProblemError) as caught:
+        tune(problem, **budget)
+    assert words in str(caught.value)
 
 
 def test_exact_rates_are_met_exactly() -> None:

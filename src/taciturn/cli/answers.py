@@ -36,7 +36,10 @@ def evaluate(
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
     confidence: Confidence = None,
 ) -> None:
-    """Cost, rate and guarantee of one policy."""
+    """Cost, rate and guarantee of one policy.
+
+    With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
+    """
     import taciturn
     from taciturn.study.evaluate import choose_confidence
 
@@ -56,7 +59,7 @@ def evaluate(
     if as_json:
         print_json(found.document())
     else:
-        _print.evaluation(found)
+        typer.echo(found)
     if not found.reached and steps is not None:
         refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
     if not found.reached and standard_error is not None and found.cost.standard_error <= standard_error:
@@ -103,8 +106,13 @@ def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
 @app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
-    rate: Annotated[float | None, typer.Option(help="Sends per step or per second that are to be met.")] = None,
-    cost: Annotated[float | None, typer.Option(help="Cost that is to be met.")] = None,
+    rate: Annotated[
+        str | None,
+        typer.Option(metavar="X|P%", help="Sends per step or per second that are to be met, or 50% of sending always."),
+    ] = None,
+    cost: Annotated[
+        str | None, typer.Option(metavar="X|+P%", help="Cost that is to be met, or +5% above sending always.")
+    ] = None,
     link: Link = None,
     least_period: Annotated[
         float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
@@ -118,18 +126,21 @@ def tune(
     from taciturn.study.periods import TunedPeriod, tune_period
 
     check_effort(standard_error)
+    allowed, spent = _budget("rate", rate), _budget("cost", cost)
     problem, on = taciturn.load(file), cast("Any", link)
     with progress_bar("searching") as progress:
         if least_period is None:
             found = taciturn.tune(
-                problem, rate=rate, cost=cost, link=on, seed=seed, standard_error=standard_error, progress=progress
+                problem, rate=allowed, cost=spent, link=on, seed=seed, standard_error=standard_error, progress=progress
             )
         else:
-            if rate is None or cost is not None:
-                raise taciturn.ProblemError("--least-period is given; expected --rate alone beside it, the budget")
+            if not isinstance(allowed, float) or spent is not None:
+                raise taciturn.ProblemError(
+                    "--least-period is given; expected --rate alone beside it, the budget, as a number"
+                )
             found = tune_period(
                 problem,
-                rate=rate,
+                rate=allowed,
                 least=least_period,
                 link=on,
                 seed=seed,
@@ -142,9 +153,20 @@ def tune(
     else:
         if isinstance(found, TunedPeriod):
             _print.periods(found)
-        _print.tuned(best)
+        typer.echo(best)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
+
+
+def _budget(name: str, text: str | None) -> float | str | None:
+    """Return what --rate or --cost asks for."""
+    from taciturn.errors import ProblemError
+    from taciturn.study.budget import parse_budget
+
+    try:
+        return None if text is None else parse_budget(name, text)
+    except ProblemError as error:
+        raise typer.BadParameter(str(error), param_hint=f"'--{name}'") from None
 
 
 @app.command(epilog="Example: taciturn certify two-mass")

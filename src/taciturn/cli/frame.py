@@ -119,7 +119,7 @@ def main() -> None:
     except TaciturnError as error:
         refuse(str(error))
     except typer.TyperException as error:
-        refuse(error.format_message())
+        refuse(error.format_message() + _elsewhere(error))
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(130)
     except BrokenPipeError:
@@ -135,6 +135,14 @@ def main() -> None:
         )
     else:
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _elsewhere(error: Exception) -> str:
+    """Say where other values of a parameter are asked for, to whom typed them as options of these commands."""
+    command = getattr(getattr(error, "ctx", None), "info_name", None)
+    if not hasattr(error, "option_name") or command not in ("evaluate", "reproduce"):
+        return ""
+    return f"; {command} takes no parameters: taciturn tradeoff FILE --over NAME=v1,v2,… does"
 
 
 def _as_sentence(

@@ -291,10 +291,13 @@ def reproduce(
     seed: Seed = 0,
     twin: Annotated[bool, typer.Option("--twin", help="The experiments of chapters 6 and 7, with twins.")] = False,
 ) -> None:
-    """The thesis's tables and figures, printed beside computed."""
+    """The thesis's tables and figures, printed beside computed.
+
+    With other parameters: taciturn tradeoff FILE --over NAME=v1,v2,…
+    """
     from taciturn._figure import save
     from taciturn.errors import ProblemError
-    from taciturn.study.reproduce import CHAPTERS
+    from taciturn.study.reproduce import CHAPTERS, no_chapter
     from taciturn.study.reproduce import reproduce as compute
 
     known, make = list(CHAPTERS), compute
@@ -305,9 +308,7 @@ def reproduce(
     chosen = known if not names or "all" in names else names
     unknown = [name for name in chosen if name not in known]
     if unknown:
-        raise ProblemError(
-            f"there is nothing to reproduce by the name {unknown[0]!r}; expected one of {', '.join(known)}, or all"
-        )
+        raise no_chapter(unknown[0], known)
     folder = out or Path()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -74,7 +74,8 @@ def lqg(
     choice("trigger", trigger, ("joint", "separate"))
     if epsilon is not None and trigger != "separate":
         raise ProblemError(
-            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon"
+            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon; "
+            "to compare both, take a run for each"
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)

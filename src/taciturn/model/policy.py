@@ -281,6 +281,11 @@ class Policy:
                     f"expected a label of its decision ({step.on})"
                 )
 
+    def __str__(self) -> str:
+        """Return its kind, what sending always costs, what is proved, and who sends what to whom."""
+        proved = "" if self.guarantee is None else f"; {self.guarantee.statement}: at most {self.guarantee.cost:.6g}"
+        return f"{self.kind}: J_all = {self.cost_all_time:.6g}{proved}\n{self.diagram().text()}"
+
     def _check_form(self, form: Form) -> None:
         self._check_schedule(form.Psi)
         self._check_schedule(form.constant)

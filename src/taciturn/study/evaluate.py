@@ -22,6 +22,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
 from taciturn.simulation.sampling import Progress
+from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.measure import measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
@@ -103,6 +104,10 @@ class Evaluation:
     def rate_unit(self) -> TimeUnit:
         """What a rate counts per."""
         return rate_unit(self.unit)
+
+    def __str__(self) -> str:
+        """Return what ``taciturn evaluate`` prints."""
+        return text_of(evaluation_lines(self))
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn evaluate --json``."""

@@ -10,6 +10,7 @@ import numpy as np
 from taciturn.design.certainty import Actuation
 from taciturn.design.periodic import periodic
 from taciturn.errors import TaciturnError
+from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 
@@ -59,6 +60,23 @@ def periodic_cost_at(problem: Problem, rate: float, actuation: Actuation) -> flo
         return None
     share = (rate - slower.rate) / (faster.rate - slower.rate)
     return share * faster.cost + (1 - share) * slower.cost
+
+
+def why_no_periodic(problem: Problem, actuation: Actuation) -> str | None:
+    """Return why there is no periodic control whose actuator predicts, or None where that is not the reason."""
+    plant = problem.plant
+    if (
+        actuation == "hold"
+        or problem.network != Network()
+        or not isinstance(plant, ContinuousPlant)
+        or plant.full_state
+    ):
+        return None
+    remedy = "; actuation=hold has one" if "actuation" in problem.parameters else ""
+    return (
+        "no periodic control of this actuation to compare with: of a continuous plant a prediction wants the full "
+        f"state, and C or V is given{remedy}"
+    )
 
 
 def periodic_curve(problem: Problem, fastest: float, slowest: float, actuation: Actuation) -> tuple[PeriodicPoint, ...]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from taciturn.errors import ProblemError
+from taciturn.problem.tables import suggest
 from taciturn.simulation.sampling import Progress
 from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
@@ -41,7 +42,13 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
     Source: khashooei2017
     """
     if name not in CHAPTERS:
-        raise ProblemError(
-            f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(CHAPTERS)}, or all"
-        )
+        raise no_chapter(name, list(CHAPTERS))
     return CHAPTERS[name](seed, progress or (lambda fraction: None))
+
+
+def no_chapter(name: str, known: Sequence[str]) -> ProblemError:
+    """Return the refusal of a name that is none of these chapters."""
+    return ProblemError(
+        f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(known)}, or all"
+        f"{suggest(name, known)}"
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from taciturn.model.estimate import Estimate
@@ -35,11 +35,13 @@ class Table:
         name: as in the thesis.
         rows: its lines, or the points of a figure.
         notes: what explains the differences.
+        headings: of columns that are shown by another name.
     """
 
     name: str
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
+    headings: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
 @dataclass(frozen=True)

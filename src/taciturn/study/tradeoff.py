@@ -17,7 +17,7 @@ from taciturn.problem import Problem
 from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve
+from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve, why_no_periodic
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import Unit
@@ -55,12 +55,14 @@ class Tradeoff:
         periodic: the curve of optimal periodic control, by actuation; none where plant or cost differ between points.
         unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
         guarantee: the theorem behind the bounds, or None.
+        notes: what is missing, and why.
     """
 
     points: tuple[Point, ...]
     periodic: Mapping[Actuation, tuple[PeriodicPoint, ...]]
     unit: Unit
     guarantee: str | None
+    notes: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tradeoff --json``."""
@@ -171,9 +173,10 @@ def tradeoff(
         rate = next(iter(evaluation.rates.values())).value
         same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
         points.append(Point(cell, evaluation, actuation, same))
-    return Tradeoff(
-        tuple(points), _curves(problems, points, over), points[0].evaluation.unit, points[0].evaluation.statement
-    )
+    reasons = [why_no_periodic(one, point.actuation) for one, point in zip(problems, points, strict=True)]
+    notes = tuple(dict.fromkeys(reason for reason in reasons if reason is not None))
+    unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
+    return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement, notes)
 
 
 def _curves(

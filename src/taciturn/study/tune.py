@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
-from taciturn._arrays import number
 from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
@@ -13,57 +11,16 @@ from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.budget import budget_of
 from taciturn.study.search import Goal, Look, Search
-
-
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter and how well it is known; ``standard_error`` is None where the budget does not depend on it here."""
-
-    name: str
-    value: float
-    standard_error: float | None
-
-
-@dataclass(frozen=True, eq=False)
-class Tuned:
-    """The policy that meets a budget.
-
-    Args:
-        parameter: that was sought.
-        problem: with this parameter.
-        evaluation: of it.
-        beyond: where rate and cost jump across the budget, the policy on the other side of the jump.
-        slope: change of the cost with the rate at the budget, along the parameter; None at a jump.
-    """
-
-    parameter: Parameter
-    problem: Problem
-    evaluation: Evaluation
-    beyond: Tuned | None
-    slope: float | None
-
-    def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn tune --json``."""
-        parameter = {
-            "name": self.parameter.name,
-            "value": self.parameter.value,
-            "standard_error": self.parameter.standard_error,
-        }
-        found = {"parameter": parameter} | self.evaluation.document()
-        if self.beyond is not None:
-            rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
-            jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
-            found["beyond"] = jump
-        return found
+from taciturn.study.tuned import Parameter, Tuned
 
 
 def tune(
     problem: Problem,
     *,
-    rate: float | None = None,
-    cost: float | None = None,
+    rate: float | str | None = None,
+    cost: float | str | None = None,
     link: LinkName | None = None,
     seed: int = 0,
     standard_error: float | None = None,
@@ -77,8 +34,10 @@ def tune(
 
     Args:
         problem: its policy; the value that its parameter has is where the search starts.
-        rate: sends per step or per second; the answer sends that often, or as little less as it can.
-        cost: per step, per second or per mission; the answer costs so much, or as little less as it can.
+        rate: sends per step or per second, or ``"50%"`` of the rate of sending always; the answer sends that often, or
+            as little less as it can.
+        cost: per step, per second or per mission, or ``"+5%"`` above the cost of sending always; the answer costs so
+            much, or as little less as it can.
         link: whose rate; omitted where the policy decides one only.
         seed: of the draws.
         standard_error: absolute, of the cost of the answer; omitted: 1e-4 of it.
@@ -104,7 +63,7 @@ def tune(
         raise ProblemError(f"of rate and cost {got} is given; expected one of them, the budget: --rate or --cost")
     name, budget = ("rate", rate) if rate is not None else ("cost", cost)
     knob = _knob(problem, link)
-    goal = Goal(name, number(name, budget, 0.0), link or knob.link)
+    goal = Goal(name, budget_of(problem, knob, name, budget), link or knob.link)
     search = Search(problem, knob, goal, seed, progress)
     low, high = search.bracket()
     if not knob.whole:
