@@ -238,6 +238,36 @@ def test_what_a_device_does_is_compiled_as_the_instructions_have_it(
         subprocess.run([needs_compiler(), *STRICT, "-c", "mine.c", "-o", "mine.o"], cwd=folder, check=True)
 
 
+@pytest.mark.parametrize("option", ["-ffast-math", "-fassociative-math -fno-signed-zeros -fno-trapping-math"])
+def test_options_that_change_bits_are_refused(option: str, tmp_path: Path) -> None:
+    """What a compiler tells of itself; the rest is found by the self-check."""
+    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
+    command = [needs_compiler(), "-std=c99", "-O2", *option.split(), "-c", "taciturn_node.c", "-o", "node.o"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode != 0
+    assert "numbers are rounded as the compiler likes" in done.stderr
+
+
+def test_a_node_is_called_from_cpp(tmp_path: Path) -> None:
+    """Sources as C, a main in C++."""
+    if shutil.which("c++") is None:
+        pytest.skip("NOT SHOWN: nodes called from C++; there is no `c++`")
+    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
+    sources = ["taciturn_node.c", "taciturn_packet.c", "two_mass_actuator.c"]
+    subprocess.run([needs_compiler(), "-std=c99", "-c", *sources], cwd=folder, check=True)
+    (folder / "main.cpp").write_text(
+        '#include "two_mass_actuator.h"\n'
+        "static two_mass_actuator memory;\n"
+        "int main() {\n"
+        "  tac_node *node = two_mass_actuator_start(&memory, 1, 0, tac_key{nullptr, 0});\n"
+        "  return tac_step(node, 0, nullptr, nullptr) && tac_heard(node) == 0 ? 0 : 1;\n"
+        "}\n"
+    )
+    objects = [name.replace(".c", ".o") for name in sources]
+    subprocess.run(["c++", "-Wall", "-Wextra", "-Werror", "main.cpp", *objects, "-o", "main"], cwd=folder, check=True)
+    assert subprocess.run([str(folder / "main")], check=False).returncode == 0
+
+
 def test_the_same_problem_gives_the_same_files() -> None:
     """No date, no path, no order that changes."""
     assert print_folder(two_mass(), "same").files == print_folder(two_mass(), "same").files

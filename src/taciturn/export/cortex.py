@@ -340,7 +340,7 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
     if done.returncode != 0:
         said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
         if "will not fit in region" in said:
-            raise ProblemError("the program is larger than the board's 4 MiB; expected fewer rows of self-check")
+            raise ProblemError("the program is larger than the board's 4 MiB; expected fewer rows to check")
         if "rdimon.specs" in said:
             said = f"the C library is missing, apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
         raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected it to succeed")

@@ -1,9 +1,8 @@
-"""Exported nodes in programs of others: what links and what must not, by C and C++."""
+"""Exported C of one precision and sizes does not link with that of others, whoever calls whom."""
 
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from collections.abc import Sequence
 from dataclasses import replace
@@ -80,33 +79,3 @@ def test_every_function_of_the_core_has_the_sizes_in_its_name(precisions: dict[s
     shown = [line.split()[-1] for line in listed if " T " in line]
     assert len(shown) == 11
     assert all(re.search(r"_float64_\d+_\d+_4$", name) for name in shown), shown
-
-
-@pytest.mark.parametrize("option", ["-ffast-math", "-fassociative-math -fno-signed-zeros -fno-trapping-math"])
-def test_options_that_change_bits_are_refused(option: str, tmp_path: Path) -> None:
-    """What a compiler tells of itself; the rest is found by the self-check."""
-    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
-    command = [needs_compiler(), "-std=c99", "-O2", *option.split(), "-c", "taciturn_node.c", "-o", "node.o"]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode != 0
-    assert "numbers are rounded as the compiler likes" in done.stderr
-
-
-def test_a_node_is_called_from_cpp(tmp_path: Path) -> None:
-    """Sources as C, a main in C++."""
-    if shutil.which("c++") is None:
-        pytest.skip("NOT SHOWN: nodes called from C++; there is no `c++`")
-    folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
-    sources = ["taciturn_node.c", "taciturn_packet.c", "two_mass_actuator.c"]
-    subprocess.run([needs_compiler(), "-std=c99", "-c", *sources], cwd=folder, check=True)
-    (folder / "main.cpp").write_text(
-        '#include "two_mass_actuator.h"\n'
-        "static two_mass_actuator memory;\n"
-        "int main() {\n"
-        "  tac_node *node = two_mass_actuator_start(&memory, 1, 0, tac_key{nullptr, 0});\n"
-        "  return tac_step(node, 0, nullptr, nullptr) && tac_heard(node) == 0 ? 0 : 1;\n"
-        "}\n"
-    )
-    objects = [name.replace(".c", ".o") for name in sources]
-    subprocess.run(["c++", "-Wall", "-Wextra", "-Werror", "main.cpp", *objects, "-o", "main"], cwd=folder, check=True)
-    assert subprocess.run([str(folder / "main")], check=False).returncode == 0
