@@ -256,6 +256,53 @@ def outer(scale: float) -> Callable[..., Any]:
     return inner
 
 
+def same_array(x: Any, u: Any) -> Any:
+    """Write through np.asarray, and not through np.array; dtypes by every name; an array of one number."""
+    found, copied = np.zeros(4), np.array(x, np.double)
+    np.asarray(found, dtype="d")[:] = np.asarray(x)
+    np.array(found, order="C", ndmin=2)[:] = copied[0] = 5.0
+    return np.sin(np.asarray(found)) + np.exp(np.asarray(x[1])) + copied + np.cos(np.array(0.5))
+
+
+class Methods:
+    """A function whose methods NumPy's own arrays reach."""
+
+    def __call__(self, x: Any, u: Any) -> Any:
+        """Return what they make."""
+        return self.plain(x, u) + self.stacked(x, u)
+
+    def plain(self, x: Any, u: Any) -> Any:
+        """Compute with arrays that are not recorded."""
+        return np.sin(np.asarray(x)) * np.arctan2(np.array(x), u[0]) + np.sqrt(np.array([x[0] ** 2, u[1] ** 2])).sum()
+
+    def stacked(self, x: Any, u: Any) -> Any:
+        """Compute with arrays that are."""
+        return np.maximum(np.copy(x), np.exp(np.stack([x[0], 1.0, u[0], 2.0])))
+
+    def mixed(self, x: Any, u: Any) -> Any:
+        """Call a method that puts a number among symbols."""
+        return self.mix(x)
+
+    def mix(self, x: Any) -> Any:
+        """Return what NumPy cannot compute."""
+        return np.exp(np.array([x[0], 1.0, x[2], x[3]]))
+
+    def solved(self, x: Any, u: Any) -> Any:
+        """Call a method that solves."""
+        return self.solve(x)
+
+    def solve(self, x: Any) -> Any:
+        """Return what NumPy cannot solve."""
+        return np.linalg.solve(A, np.asarray(x))
+
+
+@pytest.mark.parametrize("function", [same_array, Methods()])
+def test_arrays_of_symbols_are_those_of_numpy(function: Callable[..., Any]) -> None:
+    """What shares memory does so when it is traced; a plain array of symbols computes entry by entry."""
+    values = numbers(7)
+    np.testing.assert_allclose(evaluate(traced(function), values), by_floats(function, values), rtol=1e-12)
+
+
 @pytest.mark.parametrize(
     "function", [Scaled(), Scaled().method, outer(1.5), partial(outer(0.5), times=1), lambda x, u: helper(x) + u[0]]
 )
@@ -304,7 +351,7 @@ def branches(x: Any, u: Any) -> Any:
 BAD: dict[str, tuple[Callable[..., Any], str]] = {
     "branch": (branches, "branches asks whether something is true, as by if, .* expected np.where"),
     "builtin max": (lambda x, u: x * max(x[0], 1.0), "asks whether something is true, as by if, and, or, max"),
-    "sine of floats": (lambda x, u: x * math.sin(x[0]), "asks for a number as a float, as by math.sin.* np.array"),
+    "sine of floats": (lambda x, u: x * math.sin(x[0]), "asks for a number as a float, as by math.sin.* np.stack"),
     "float": (lambda x, u: x * float(x[0]), "asks for a number as a float"),
     "range": (lambda x, u: x * len(range(x[0])), "asks for a number as a whole one"),
     "transform": (lambda x, u: np.fft.fft(x), "uses np.fft, which cannot be traced; expected one of absolute"),
@@ -327,6 +374,8 @@ BAD: dict[str, tuple[Callable[..., Any], str]] = {
     "parameters": (lambda x: x, "fails when it is traced: TypeError: .* expected a function of the vectors x, u"),
     "raises": (lambda x, u: [][0], "fails when it is traced: IndexError: list index out of range; expected"),
     "system": (lambda x, u: np.linalg.solve(A, u), r"a system of shapes \(4, 4\) and \(2,\) is solved; expected a"),
+    "number among symbols": (Methods().mixed, "computes with traced numbers in an array that .*; expected .* np.stack"),
+    "system of a method": (Methods().solved, "computes with traced numbers in an array that does not tell so"),
     "filled": (lambda x, u: np.zeros(4, dtype=int).__setitem__(0, x[0]), "asks for a number as a whole one"),
 }
 

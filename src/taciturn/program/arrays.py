@@ -130,10 +130,16 @@ FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
 FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
 
 
-def _array(value: Any, dtype: Any = None, copy: bool = True) -> Any:
-    if dtype in _FLOATS and symbols_in(value):
-        return seen(np.array(value, dtype=object))
-    return held(np.array(_plain(value), dtype if dtype is not object else None))
+def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
+    if dtype is not None and np.dtype(dtype) == object:
+        dtype = None
+    if (isinstance(value, Vector) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
+        return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
+    return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
+
+
+def _as_array(a: Any, dtype: Any = None, order: Any = None, *, copy: bool | None = None) -> Any:
+    return _array(a, dtype, copy=copy, order=order)
 
 
 def _filled(value: float) -> Callable[..., Any]:
@@ -183,9 +189,8 @@ def _block(arrays: Any) -> Any:
     return held(np.block(_plain(arrays)))
 
 
-_FLOATS = (None, float, np.float64, "float", "float64", "f8", object)
 STAND_INS: Mapping[Any, Callable[..., Any]] = {  # functions whose arrays are to hold symbols, which they do not see
-    np.array: _array, np.asarray: _array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
+    np.array: _array, np.asarray: _as_array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
     np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
     np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),
     np.column_stack: _joined(np.column_stack), np.diag: _diagonal, np.block: _block,

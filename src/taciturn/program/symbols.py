@@ -21,7 +21,7 @@ from taciturn.program.ir import Builder, Coefficient
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
 FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # what functions of whole arrays do with their arguments
-_ARRAYS = "functions of NumPy, and arrays made by np.array([…]) or np.zeros_like(x)"
+_ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
 
 
 class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
@@ -63,13 +63,21 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
             raise recorder_of(given).refused(function.__name__)
         return FUNCTIONS[function](args, kwargs)
 
+    def __getattr__(self, name: str) -> Callable[..., Any]:
+        """Return what NumPy asks of the entries of plain arrays of objects, as functions that are not copied make."""
+        if name not in NUMBERS:
+            raise AttributeError(f"{self!r} has no {name}")
+        return lambda *others: self.recorder.entry(getattr(np, name), self, *others)
+
     def __repr__(self) -> str:
         """Say that it is traced."""
         return f"a traced {type(self).__name__.lower()}"
 
     def __bool__(self) -> bool:
         """Refuse: it is not known."""
-        raise self._asked("whether something is true, as by if, and, or, max", "np.where, & and |, np.maximum")
+        raise self._asked(
+            "whether something is true, as by if, and, or, max", f"np.where, & and |, np.maximum: {_ARRAYS}"
+        )
 
     def __float__(self) -> float:
         """Refuse: it is not known."""
@@ -199,6 +207,13 @@ class Recorder:
         total = self.builder.combine([weight for weight, _ in pairs], [value for _, value in pairs])
         return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
 
+    def lost(self) -> ProblemError:
+        """Return that symbols stand in a plain array of objects, of which NumPy knows nothing."""
+        return ProblemError(
+            f"{self.name} computes with traced numbers in an array that does not tell so, as np.array and np.asarray "
+            f"make them in methods of objects; expected {_ARRAYS}"
+        )
+
     def refused(self, name: str) -> ProblemError:
         """Return that a function of NumPy cannot be traced."""
         known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
@@ -253,7 +268,7 @@ def seen(value: Any) -> Any:
     """Return arrays of objects as ones whose functions are recorded; anything else as it is."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
-    return value.view(Vector) if is_array(value) and value.dtype == object and value.ndim else value
+    return value.view(Vector) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:

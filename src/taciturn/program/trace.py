@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -15,6 +16,8 @@ from taciturn.program.ir import Builder, Coefficient
 from taciturn.program.rebound import rebind
 from taciturn.program.symbols import Recorder, is_list, objects
 
+_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy of what plain arrays of objects cannot do
+
 
 def trace(
     builder: Builder,
@@ -26,7 +29,7 @@ def trace(
 
     The function is NumPy code that runs on floats as well. Its numbers are not known while it is traced: a choice is
     ``np.where`` and no ``if``. What does not depend on its arguments is computed now. Functions that it calls by name
-    may fill an array of ``np.zeros``; methods of objects make theirs by ``np.zeros_like(x)`` or ``np.array([…])``.
+    may fill an array of ``np.zeros``; methods of objects make theirs by ``np.zeros_like(x)`` or ``np.stack([…])``.
 
     Args:
         builder: where the operations go.
@@ -50,6 +53,8 @@ def trace(
     except ProblemError:
         raise
     except Exception as error:
+        if isinstance(error, TypeError | AttributeError) and _OF_OBJECTS.search(str(error)):
+            raise recorder.lost() from error
         raise ProblemError(
             f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
             f"expected a function of the vectors {', '.join(arguments)} that NumPy code makes of them"
