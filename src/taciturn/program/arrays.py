@@ -130,16 +130,16 @@ FUNCTIONS |= {function: _called(rule) for function, rule in _RULES.items()}
 FUNCTIONS |= {function: _plainly(function) for function in _PLAIN}
 
 
-def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, **more: Any) -> Any:
+def _array(value: Any, /, dtype: Any = None, *, copy: bool | None = True, order: Any = None, ndmin: int = 0) -> Any:
     if dtype is not None and np.dtype(dtype) == object:
         dtype = None
     if (isinstance(value, Vector) or symbols_in(value)) and (dtype is None or np.dtype(dtype) == float):
-        return seen(np.array(value, object, copy=copy, **more))
-    return held(np.array(_plain(value), dtype, copy=copy, **more))
+        return seen(np.array(value, object, copy=copy, order=order, ndmin=ndmin))
+    return held(np.array(_plain(value), dtype, copy=copy, order=order, ndmin=ndmin))
 
 
-def _as_array(a: Any, dtype: Any = None, *, copy: bool | None = None, **more: Any) -> Any:
-    return _array(a, dtype, copy=copy, **more)
+def _as_array(a: Any, dtype: Any = None, order: Any = None, *, copy: bool | None = None) -> Any:
+    return _array(a, dtype, copy=copy, order=order)
 
 
 def _filled(value: float) -> Callable[..., Any]:
