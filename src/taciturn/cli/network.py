@@ -115,7 +115,7 @@ def node(
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import NodeServer
-    from taciturn.runtime.service import logged, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where, until_stopped
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
     check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
@@ -143,7 +143,7 @@ def node(
     ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
-            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
+            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told, say=say,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:
@@ -168,7 +168,7 @@ def plant(
     import taciturn
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.plant import SimulatedPlant
-    from taciturn.runtime.service import logged, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where, until_stopped
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
 
@@ -179,7 +179,7 @@ def plant(
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
     with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
-        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told)
+        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told, say=say)
         say_where("plant", endpoint.address)
         typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
 
