@@ -17,7 +17,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
@@ -181,6 +181,7 @@ def evaluate(
         >>> evaluate(load("two-mass"), steps=100_000).policy
         'lqg'
     """
+    expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")

@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
-from taciturn.model.policy import LinkName
+from taciturn.model.policy import LinkName, Policy, Send
 from taciturn.problem import load
 from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import KEY, Wire, read_key
@@ -127,7 +127,7 @@ class NetworkRun:
 
 
 def run_network(
-    file: str,
+    file: str | Path,
     *,
     ticks: int | None = None,
     tick: float | None = None,
@@ -157,6 +157,7 @@ def run_network(
         ProblemError: data that do not fit, nodes that cannot be separated, a process that has ended; with namespaces,
             fates, losses in bursts or not in permille, or missing rights or programs.
     """
+    instance("file, which the processes read,", file, str, Path)
     problem = load(file)
     policy = problem.design()
     loop = problem.close(policy)
@@ -166,6 +167,8 @@ def run_network(
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
         raise ProblemError("fates are given with namespaces, where no relay runs; expected one of them")
+    if fates is not None:
+        _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
     chosen = fates if fates is not None else losses(problem.network, seed)
     began = time.monotonic()
@@ -175,9 +178,9 @@ def run_network(
     ):
         folder = Path(name)
         processes = Processes(
-            file, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder, keeps=meanwhile is not None,
-            options=["--seed", str(seed)], environment={KEY: "" if key is None else key.hex()},
-            namespaces=spaces,
+            str(file), policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
+            keeps=meanwhile is not None, options=["--seed", str(seed)],
+            environment={KEY: "" if key is None else key.hex()}, namespaces=spaces,
         )  # fmt: skip
         with nullcontext() if spaces is None else spaces.visit("plant"):
             plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
@@ -243,6 +246,16 @@ def losses(
         )
         for i, link in enumerate(links)
     }
+
+
+def _check_fates(fates: Mapping[LinkName, Fate], policy: Policy) -> None:
+    """Refuse fates of links that a policy does not have, and what is no fate."""
+    instance("fates", fates, Mapping)
+    links = [step.link for step in policy.steps if isinstance(step, Send)]
+    for link, fate in fates.items():
+        if link not in links:
+            raise ProblemError(f"fates has the link {link!r}; expected of {policy.kind}: {', '.join(links)}")
+        instance(f"fates[{link!r}]", fate, Fate)
 
 
 def _other_links(fates: Mapping[LinkName, Fate], stated: Mapping[LinkName, Fate]) -> tuple[str, ...]:
