@@ -32,14 +32,13 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
-from taciturn.study.evaluate import unit_of
+from taciturn.study.ticks import cost_of_ticks, measured, settled, unit_of_run
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
 
 USUAL = 5000  # ticks
-SETTLED = 5.0  # time constants that are left out of an average
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +209,10 @@ def run_network(
     for link, counts in seen.items():
         found = predict_drops(drops[link].seed, drops[link].permille, range(datagrams[link]["sent"]))
         datagrams[link] |= {"predicted": int(found.sum()), "nft_seen": counts.seen, "nft_dropped": counts.dropped}
-    unit = "mission" if loop.horizon is not None else unit_of(problem)
-    cost, notes = _cost(loop, costs, simulated.final_cost())
+    unit = unit_of_run(problem, loop)
+    cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = 1.0 if unit == "mission" else 1 / policy.tick
-    skipped = _settled(loop)
+    skipped = settled(loop)
     departures = loop.departures + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
@@ -289,25 +288,6 @@ def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile:
         disturbance.result()
 
 
-def _settled(loop: Loop) -> int:
-    """Return the ticks that an average leaves out."""
-    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.settling))
-
-
-def _cost(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
-    """Return the cost: a mean over the ticks in the units of the problem, or the total of one mission."""
-    if loop.horizon is not None:
-        discount = loop.problem.cost.discount
-        total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
-        return Estimate(total, 0.0, "exact"), ("one mission: its cost is that of these draws, and no mean",)
-    kept = costs[_settled(loop) :]
-    if len(kept) < 10 * BATCHES:
-        needed = _settled(loop) + 10 * BATCHES
-        return None, (f"{len(costs)} ticks are too few for a mean cost with its error: expected at least {needed}",)
-    found = batch_means(kept)
-    return found.scaled(1 / loop.problem.tick, loop.problem.noise_cost / loop.problem.tick), ()
-
-
 def _rate(sends: Array, skipped: int) -> Estimate:
     """Return the share of ticks with a send; where none or all have one, it may still be as rare as one in them."""
     kept = sends[skipped:]
@@ -367,9 +347,3 @@ def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict
 
 def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None]:
     return lambda line: progress((line["tick"] + 1) / ticks)
-
-
-def measured(estimate: Estimate) -> dict[str, Any]:
-    """Return what a JSON document says of a number that was measured: without a standard error where it was once."""
-    error = None if estimate.method == "exact" else estimate.standard_error
-    return {"value": estimate.value, "standard_error": error, "method": "simulation"}
