@@ -36,8 +36,9 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
         link, named, chance = text.rpartition("=")
         if named and link not in fates:
             raise ProblemError(f"--loss names the link {link!r}; expected of {policy.kind}: {', '.join(fates)}")
-        for one in [one for one in fates if one == link or not named]:
-            fates[one] = replace(fates[one], loss=read_probability("--loss", chance), burst=None)
+        for one, fate in fates.items():
+            if not named or one == link:
+                fates[one] = replace(fate, loss=read_probability("--loss", chance), burst=None)
     return fates
 
 
