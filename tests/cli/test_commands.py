@@ -242,7 +242,10 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("plant.A.0=1", "plant.A.0 is no key: A is [[1.2]]; expected a key, as plant.dt"),
         ("cost.R=1,2", "the changed problem: cost.R is 1; expected a list"),
         ("cost.discount=0.9", "cost.discount is 0.9, which lqg does not use; expected an average cost: remove it"),
-        ("network.actuator_loss=0.1", "the changed problem: network.actuator_loss is given for an ideal network;"),
+        (
+            "network.actuator_loss=0.1",
+            "the changed problem: network.actuator_loss is given, which lqg does not use; expected ideal links",
+        ),
         ("network.delay=1", "network.delay is given, which lqg does not use; expected ideal links: remove it"),
     ],
 )

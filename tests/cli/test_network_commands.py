@@ -47,6 +47,11 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["node", "controller", "two-mass", "--loops", "70000"], "--loops is 70000"),
         (["plant", "two-mass", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
         (["relay", "--peer", ":9", "--loss", "1.5"], "loss is 1.5; expected 0 ≤"),
+        (["relay", "--peer", ":9", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, as 0.2"),
+        (["relay", "--peer", ":9", "--corrupt", "x"], "--corrupt is 'x'; expected a number from 0 to 1"),
+        (["network", "two-mass", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, as 0.2"),
+        (["network", "two-mass", "--loss", "sensor=0.2"], "--loss names the link 'sensor'; expected of lqg: actuator"),
+        (["network", "two-mass", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
         (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),
     ],
@@ -98,6 +103,25 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     assert "one mission" in text
 
 
+def test_losses_are_those_of_the_command_line(run: Run) -> None:
+    """A link that is named loses so much, and others what the file says; without a name each does."""
+    lossy = ("network", "lossy-double-integrator", "--seed", "1", "--json")
+    links = json.loads(run(*lossy).out)["datagrams"]
+    for given, lost in (
+        (["--loss", "sensor=1"], {"sensor": 1.0}),
+        (["--loss", "0", "--loss", "actuator=1"], {"sensor": 0.0, "actuator": 1.0}),
+    ):
+        document = json.loads(run(*lossy, *given).out)
+        found = document["datagrams"]
+        for link, share in lost.items():
+            assert found[link]["lost"] == share * found[link]["sent"], given
+        assert any("treats packets otherwise than the network" in note for note in document["notes"])
+        if "actuator" not in lost:
+            share = found["actuator"]["lost"] / found["actuator"]["sent"]
+            assert 0 < share < 1
+    assert 0 < links["sensor"]["lost"] < links["sensor"]["sent"]
+
+
 def terminals() -> list[list[list[str]]]:
     """Return the groups of commands that the page shows, a terminal each."""
     blocks = re.findall(r"```console\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
@@ -127,10 +151,16 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool) -> None:
         reports = [process.stop() for process in processes]
         assert done.returncode == 0, done.stderr
         ticks = int(plant[plant.index("--ticks") + 1])
-        assert json.loads(done.stdout)["tick"] == ticks - 1
+        report = json.loads(done.stdout)
+        assert report["tick"] == ticks - 1
+        assert report["cost"]["value"] > 0
         assert all(report["tick"] == ticks - 1 for report in reports if report["role"] != "relay")
         if "--log" in plant:
-            assert len((tmp_path / "plant.jsonl").read_text().splitlines()) == ticks
+            lines = (tmp_path / "plant.jsonl").read_text().splitlines()
+            assert len(lines) == ticks
+            running = sum(json.loads(line)["cost"] for line in lines)
+            assert report["unit"] == "mission"
+            assert report["cost"]["value"] >= running > 0  # and what the last state costs
 
 
 def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:

@@ -289,7 +289,11 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
             {"cost": continuous()["cost"]},
             "Q is (2, 2) and R is (1, 1); expected (1, 1) and (1, 1) = the states and inputs",
         ),
-        ({"more": UDP}, "network.protocol is given, which lqg does not use; expected ideal links: remove it"),
+        (
+            {"more": UDP},
+            "network.protocol is given, which lqg does not use; expected ideal links: remove it, or take "
+            "the kind lossy-lqg, a design for lossy links; `taciturn network FILE --loss P` loses packets of any kind",
+        ),
         (
             {"more": UDP + "actuator_loss = 0.1"},
             "network.protocol is given, which lqg does not use; expected ideal links",

@@ -126,3 +126,42 @@ def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> 
     assert server.costs[0] == costs
     assert seen == [(0.75,)]
     assert report["refused"] == {"ahead": 2, "replayed": 1}
+
+
+@pytest.mark.parametrize(
+    ("other", "told"),
+    [(Wire(PROBLEM.changed({"theta": 0.7}).design()), "of another policy"), (Wire(POLICY, key=b"k" * 32), "a key")],
+    ids=["policy", "key"],
+)
+def test_who_refuses_packets_of_another_policy_says_so_once(here: Endpoint, other: Wire, told: str) -> None:
+    """Node and plant name the sender; what comes later is only counted."""
+    said: list[str] = []
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        nodes = NodeServer([Node(POLICY, "actuator")], WIRE, endpoint, plant=here.address, say=said.append)
+        plants = PlantServer([SimulatedPlant(PROBLEM.close(POLICY))], WIRE, endpoint, here.address, say=said.append)
+        for server, name in ((nodes, "actuator"), (plants, "plant")):
+            for k in range(5):
+                here.send(other.encode(Packet("data", "actuator", k, k, (0.5,))), endpoint.address)
+            server.run(1, soon(0.3))
+            assert server.refused == {"foreign": 5}
+            sentence = said.pop()
+            assert sentence.startswith(f"the {name} refuses packets")
+            assert told in sentence
+            assert f" from {here.address[0]}:{here.address[1]}: same problem file" in sentence
+            assert not said
+
+
+def test_a_plant_without_inputs_says_whom_it_waits_for(here: Endpoint, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a while and again after a longer one; not where the input comes."""
+    monkeypatch.setattr("taciturn.runtime.world.WAITED", 0.6)
+    monkeypatch.setattr("taciturn.runtime.world.WAITED_AGAIN", 0.4)
+    said: list[str] = []
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        plants = [SimulatedPlant(PROBLEM.close(POLICY))]
+        server = PlantServer(plants, WIRE, endpoint, here.address, say=said.append)
+        here.send(given(0, 0.5), endpoint.address)
+        server.run(1, soon(10.0))
+        assert said == []
+        server.run(1, soon(1.5))
+    assert 2 <= len(said) <= 3
+    assert f"tick 0 from the nodes behind {here.address[0]}:{here.address[1]}: do all of them run" in said[0]

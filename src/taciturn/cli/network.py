@@ -15,6 +15,7 @@ import typer
 
 from taciturn import _print
 from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
+from taciturn.cli.links import read_burst, read_fates, read_outage, read_probability
 
 if TYPE_CHECKING:
     from taciturn.model.network import Network
@@ -43,7 +44,7 @@ Loops = Annotated[int, typer.Option(help="How many such loops this process serve
 WAIT = {"controller": 0.3, "actuator": 0.55}  # the actuator waits for what the controller sends at its own deadline
 
 
-@app.command(epilog="Example: taciturn network two-mass --ticks 1000")
+@app.command(epilog="Example: taciturn network two-mass --ticks 1000 --loss 0.2")
 def network(
     file: File,
     ticks: Annotated[int | None, typer.Option(help="Default: the mission, or 5000.")] = None,
@@ -51,6 +52,10 @@ def network(
     tick: TickLength = None,
     seed: Seed = 0,
     key: Key = None,
+    loss: Annotated[
+        list[str] | None,
+        typer.Option("--loss", metavar="[LINK=]P", help="Lose a packet with probability P, on a link or on each."),
+    ] = None,
     namespaces: Annotated[
         bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
     ] = False,
@@ -62,11 +67,17 @@ def network(
     from taciturn.study.network import run_network
 
     check_counts({"--ticks": ticks})
-    length = tick_length(taciturn.load(file).design().model.dt, real_time, tick)
+    problem = taciturn.load(file)
+    policy = problem.design()
+    length = tick_length(policy.model.dt, real_time, tick)
+    if loss is not None and namespaces:
+        raise taciturn.ProblemError("--loss is given with --namespaces, where no relay runs; expected one of them")
+    fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress, ended_as_interrupted():
         found = run_network(
-            file, ticks=ticks, tick=length, seed=seed, key=read_key(key), namespaces=namespaces, progress=progress
-        )
+            file, ticks=ticks, tick=length, seed=seed, key=read_key(key), fates=fates, namespaces=namespaces,
+            progress=progress,
+        )  # fmt: skip
     if as_json:
         print_json(found.document())
     else:
@@ -115,7 +126,7 @@ def node(
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import NodeServer
-    from taciturn.runtime.service import logged, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where, until_stopped
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
     check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
@@ -143,7 +154,7 @@ def node(
     ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
-            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told,
+            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told, say=say,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:
@@ -168,9 +179,10 @@ def plant(
     import taciturn
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.plant import SimulatedPlant
-    from taciturn.runtime.service import logged, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where, until_stopped
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
+    from taciturn.study.ticks import plant_cost
 
     check_counts({"--ticks": ticks, "--loops": loops})
     problem = taciturn.load(file)
@@ -179,25 +191,27 @@ def plant(
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     wire = Wire(loop.policy, problem.network, read_key(key))
     with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
-        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told)
+        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told, say=say)
         say_where("plant", endpoint.address)
-        typer.echo(json.dumps(server.run(loop.ticks(ticks), stopped)))
+        report = server.run(loop.ticks(ticks), stopped)
+        final = sum(one.final_cost() for one in plants) / loops
+        typer.echo(json.dumps(report | plant_cost(problem, loop, server.costs, final)))
 
 
 @app.command(epilog="Example: taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where the link ends.")],
     bind: Bind = "127.0.0.1:0",
-    loss: Annotated[float, typer.Option(help="Probability that a packet is lost.")] = 0.0,
+    loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is lost.")] = "0",
     burst: Annotated[
         str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Losses in bursts instead.")
     ] = None,
     delay: Annotated[float, typer.Option(help="Seconds that every packet takes.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Up to so many seconds more.")] = 0.0,
     hold: Annotated[int, typer.Option(help="Ticks that every packet waits, in virtual time.")] = 0,
-    duplicate: Annotated[float, typer.Option(help="Probability that a packet comes twice.")] = 0.0,
-    reorder: Annotated[float, typer.Option(help="Probability that a packet comes after the next.")] = 0.0,
-    corrupt: Annotated[float, typer.Option(help="Probability that bits of a packet are turned.")] = 0.0,
+    duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet comes twice.")] = "0",
+    reorder: Annotated[str, typer.Option(metavar="P", help="Probability that a packet comes after the next.")] = "0",
+    corrupt: Annotated[str, typer.Option(metavar="P", help="Probability that bits of a packet are turned.")] = "0",
     outage: Annotated[
         str | None, typer.Option(metavar="FIRST,END", help="Ticks in which every packet is lost.")
     ] = None,
@@ -209,7 +223,11 @@ def relay(
     from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint, parse_address
     from taciturn.runtime.world import relay as carry
 
-    fate = Fate(seed, loss, _burst(burst), delay, jitter, hold, duplicate, reorder, corrupt, _outage(outage))
+    chances = {"loss": loss, "duplicate": duplicate, "reorder": reorder, "corrupt": corrupt}
+    fate = Fate(
+        seed, burst=read_burst(burst), delay=delay, jitter=jitter, hold=hold, outage=read_outage(outage),
+        **{name: read_probability(f"--{name}", text) for name, text in chances.items()},
+    )  # fmt: skip
     to = parse_address("--peer", peer)
     with until_stopped() as stopped, Endpoint(parse_address("--bind", bind), LARGEST_OF_ALL) as endpoint:
         say_where("relay", endpoint.address)
@@ -280,31 +298,6 @@ def _safe(text: str) -> Any:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
         raise ProblemError(f"--safe is {text!r}; expected hold, zero, or numbers as 0.5,-1") from None
-
-
-def _burst(text: str | None) -> Any:
-    from taciturn.errors import ProblemError
-    from taciturn.model.network import Burst
-
-    if text is None:
-        return None
-    try:
-        to_bad, to_good, loss_good, loss_bad = map(float, text.split(","))
-    except ValueError:
-        raise ProblemError(f"--burst is {text!r}; expected four probabilities, as 0.05,0.3,0.01,0.7") from None
-    return Burst(to_bad, to_good, loss_good, loss_bad)
-
-
-def _outage(text: str | None) -> tuple[int, int] | None:
-    from taciturn.errors import ProblemError
-
-    if text is None:
-        return None
-    try:
-        first, end = map(int, text.split(","))
-    except ValueError:
-        raise ProblemError(f"--outage is {text!r}; expected two ticks, as 20,40") from None
-    return first, end
 
 
 @contextmanager

@@ -25,6 +25,7 @@ from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function
 from taciturn.problem.tables import (
+    IDEAL,
     BurstTable,
     File,
     InitialTable,
@@ -155,6 +156,12 @@ class Problem:
         return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
 
 
+def expect_problem(name: str, value: object) -> None:
+    """Refuse what is no problem, with a ``ProblemError``."""
+    if not isinstance(value, Problem):
+        raise ProblemError(f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file")
+
+
 def load(path: str | Path) -> Problem:
     """Read a problem file, or a built-in problem by its name.
 
@@ -171,6 +178,7 @@ def load(path: str | Path) -> Problem:
         >>> load("two-mass").kind
         'lqg'
     """
+    instance("path", path, str, Path)
     file = Path(path)
     built_in = dict(sorted((found.stem, found) for found in BUILT_IN.glob("*.toml")))
     try:
@@ -212,12 +220,12 @@ def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | 
     kind, parameters = _policy(file.policy, name)
     try:
         if file.reference is not None:
-            _expect(kind, "reference", "[reference]", "no reference")
+            _expect(kind, "reference", "[reference]", "no reference: remove it")
         cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
         plant = _plant(file.plant, known or {})
         actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
         reference = None if file.reference is None else Reference(**file.reference.model_dump())
-        return Problem(plant, cost, _network(file.network), kind, parameters, actual, reference, _copied(tables))
+        return Problem(plant, cost, _network(file.network, kind), kind, parameters, actual, reference, _copied(tables))
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 
@@ -304,9 +312,9 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
     exact, usual = network.without_rounding(), Network()  # how packets are written concerns every policy
     unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        _expect(kind, "network", f"network.{unusual[0]}", "ideal links")
+        _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
     if reference is not None:
-        _expect(kind, "reference", "[reference]", "no reference")
+        _expect(kind, "reference", "[reference]", "no reference: remove it")
     offered = {"network": network, "reference": reference}
     return {key: value for key, value in offered.items() if key in _named(kind)}
 
@@ -314,7 +322,7 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
 def _expect(kind: str, name: str, given: str, expected: str) -> None:
     """Refuse what was given where the policy kind has no parameter of this name."""
     if name not in _named(kind):
-        raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}: remove it")
+        raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}")
 
 
 def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | ContinuousPlant:
@@ -365,9 +373,12 @@ def _jumps(table: JumpsTable) -> Jumps:
     return Jumps(table.rate, cast("Array", table.covariance), cast("Any", table.distribution))
 
 
-def _network(table: NetworkTable | None) -> Network:
+def _network(table: NetworkTable | None, kind: str) -> Network:
     if table is None:
         return Network()
+    lost = [key for key in table.model_fields_set if key.endswith(("_loss", "_burst")) and getattr(table, key)]
+    if lost and table.protocol == "ideal":
+        _expect(kind, "network", f"network.{lost[0]}", IDEAL)
     return Network(
         cast("Any", table.protocol),
         table.actuator_loss,

@@ -11,6 +11,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from taciturn._arrays import quoted
 
 Rows = list[list[float]]
+IDEAL = (
+    "ideal links: remove it, or take the kind lossy-lqg, a design for lossy links; "
+    "`taciturn network FILE --loss P` loses packets of any kind"
+)
 
 
 class Table(BaseModel):

@@ -22,7 +22,7 @@ from taciturn.runtime.clock import Phase
 from taciturn.runtime.inbox import AHEAD, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import IDLE, QUIET, Told, take_until
+from taciturn.runtime.service import DISAGREE, IDLE, QUIET, Say, Told, disagreement, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
@@ -46,6 +46,7 @@ class NodeServer:
         heartbeat: ticks between marks, in real time.
         keep: where the state is kept after every tick; one node only.
         told: called with what happened in each tick.
+        say: called with a sentence, once, where packets of another policy or key are refused.
 
     Raises:
         ProblemError: a peer or a plant is missing, or a kept state does not fit.
@@ -64,6 +65,7 @@ class NodeServer:
         heartbeat: int = 1,
         keep: Path | None = None,
         told: Told | None = None,
+        say: Say | None = None,
     ) -> None:
         """Check that everybody is there, and take up a kept state."""
         first = nodes[0]
@@ -78,7 +80,7 @@ class NodeServer:
                 "peer; expected a policy that acknowledges at its actuator only"
             )
         self.peer, self.plant, self._tick, self._wait = peer, plant, tick, wait
-        self._heartbeat, self._keep, self._told = heartbeat, keep, told
+        self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
         self.refused: Counter[str] = Counter()
         self.arrived: Counter[str] = Counter()  # new data, by link
@@ -141,10 +143,12 @@ class NodeServer:
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Sort datagrams in, and return the loops that they are of."""
         now, touched = time.monotonic(), set[int]()
-        for datagram in datagrams:
+        for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
                 self.refused[packet] += 1
+                if packet in DISAGREE and self.refused[packet] == 1 and self._say is not None:
+                    self._say(disagreement(self.nodes[0].role, packet, sender))
             elif packet.loop >= len(self.nodes):
                 self.refused["misdirected"] += 1
             else:

@@ -14,15 +14,28 @@ from typing import IO, Any, TypeAlias
 from taciturn.runtime.udp import Address, Endpoint, parse_address
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
+Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # who starts a process waits for this
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 IDLE = 0.25  # seconds after which it is seen whether to stop
+DISAGREE = ("foreign", "forged")  # refusals of packets that are whole
 QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 
 
 def say_where(name: str, address: Address) -> None:
     """Say on standard error that a process listens."""
-    print(f"taciturn: the {name} {LISTENS} {address[0]}:{address[1]}", file=sys.stderr, flush=True)
+    say(f"the {name} {LISTENS} {address[0]}:{address[1]}")
+
+
+def say(sentence: str) -> None:
+    """Say something on standard error."""
+    print(f"taciturn: {sentence}", file=sys.stderr, flush=True)
+
+
+def disagreement(name: str, why: str, sender: Address) -> str:
+    """Return the sentence of who refuses packets of a sender with which it has no policy or no key in common."""
+    other = "another key" if why == "forged" else "another policy, or with and without a key,"
+    return f"the {name} refuses packets of {other} from {sender[0]}:{sender[1]}: same problem file, same --key?"
 
 
 def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:

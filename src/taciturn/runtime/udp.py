@@ -64,6 +64,7 @@ class Endpoint:
             ) from None
         self._socket.setblocking(False)
         self.sent, self.received, self.unsent = 0, 0, 0
+        self.senders: list[Address] = []  # of the datagrams that were taken last, in their order
 
     @property
     def address(self) -> Address:
@@ -121,9 +122,12 @@ class Endpoint:
 
     def _take(self) -> list[bytes]:
         found: list[bytes] = []
+        self.senders = []
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # refused: a peer is not there yet
             while len(found) < MOST:
-                found.append(self._socket.recv(self._largest))
+                datagram, sender = self._socket.recvfrom(self._largest)
+                found.append(datagram)
+                self.senders.append(sender)
         self.received += len(found)
         return found
 

@@ -14,9 +14,11 @@ from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.relay import EmulatedLink
-from taciturn.runtime.service import IDLE, QUIET, Told
+from taciturn.runtime.service import DISAGREE, IDLE, QUIET, Say, Told, disagreement
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
+
+WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input after which the plant says that it waits, and says so again
 
 
 class Physical(Protocol):
@@ -57,6 +59,7 @@ class PlantServer:
         sensor: who gets the measurements.
         tick: real seconds per tick; omitted: lockstep.
         told: called with what happened in each tick.
+        say: called with a sentence where no input comes in lockstep, or packets of another policy or key are refused.
     """
 
     def __init__(
@@ -68,10 +71,11 @@ class PlantServer:
         *,
         tick: float | None = None,
         told: Told | None = None,
+        say: Say | None = None,
     ) -> None:
         """Nothing has happened."""
         self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
-        self._tick, self._told = tick, told
+        self._tick, self._told, self._say = tick, told, say
         self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
         self._given = [-1] * len(plants)  # tick of the last input
         self._waiting: list[dict[int, Values]] = [{} for _ in plants]  # inputs by tick: a node may be one ahead
@@ -144,12 +148,20 @@ class PlantServer:
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
         """Wait for the inputs of a tick; tell the measurement again where none comes."""
+        remind = time.monotonic() + WAITED
         while any(tick not in waiting for waiting in self._waiting) and not stopped():
             found = self.endpoint.receive(time.monotonic() + IDLE)
             self._take(found)
             if not found:
                 self.again += 1
                 self._measure(tick, again=True)
+            if self._say is not None and time.monotonic() >= remind:
+                remind += WAITED_AGAIN
+                host, port = self.sensor
+                self._say(
+                    f"the plant still waits for the input of tick {tick} from the nodes behind {host}:{port}: "
+                    "do all of them run, started after the last run ended, with the same problem file?"
+                )
 
     def _wait(self, until: float) -> None:
         """Take inputs until a time."""
@@ -157,10 +169,12 @@ class PlantServer:
             self._take(self.endpoint.receive(until))
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
-        for datagram in datagrams:
+        for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
                 self.refused[packet] += 1
+                if packet in DISAGREE and self.refused[packet] == 1 and self._say is not None:
+                    self._say(disagreement("plant", packet, sender))
             elif packet.kind != "input" or packet.loop >= len(self.plants):
                 self.refused["misdirected"] += 1
             else:

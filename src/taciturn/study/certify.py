@@ -9,7 +9,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from taciturn._arrays import instance
 from taciturn._cvxpy import expect_solver
 from taciturn._modes import accumulate, radius
 from taciturn.analyse.certificates import (
@@ -22,7 +21,7 @@ from taciturn.analyse.certificates import (
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.study.units import TimeUnit, time_unit
 
 Found = TypeVar("Found")
@@ -121,7 +120,7 @@ def certify(problem: Problem) -> Certificates:
         (0.97, 0.8)
     """
     began = time.perf_counter()
-    instance("problem", problem, Problem)
+    expect_problem("problem", problem)
     policy = problem.design()
     loop = problem.close(policy)
     matrices = switched(loop)

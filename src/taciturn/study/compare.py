@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from taciturn._arrays import number
+from taciturn._arrays import instance, number
 from taciturn._figure import Panel, Series, draw
 from taciturn.design.catalogue import CATALOGUE, KNOBS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName, Policy
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation
@@ -207,6 +207,9 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
 
 def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
     """Refuse what cannot be compared."""
+    instance("problems", problems, Mapping)
+    for name, problem in problems.items():
+        expect_problem(f"problems[{name!r}]", problem)
     if len(problems) < 2:
         raise ProblemError(f"the number of policies is {len(problems)}; expected at least two, to compare them")
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):

@@ -15,7 +15,7 @@ from taciturn.model.diagram import Diagram
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.units import cost_unit, time_unit
 
@@ -159,6 +159,7 @@ def describe(problem: Problem) -> Description:
         >>> describe(load("two-mass")).gains["L"].shape
         (1, 4)
     """
+    expect_problem("problem", problem)
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())

@@ -16,7 +16,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
@@ -187,6 +187,7 @@ def evaluate(
         >>> evaluate(load("two-mass"), steps=100_000).policy
         'lqg'
     """
+    expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in ("auto", "simulation", "exact"):
         raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")

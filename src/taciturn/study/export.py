@@ -15,7 +15,7 @@ from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
 from taciturn.model.policy import NodeName
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
 from taciturn.simulation.sampling import Progress
@@ -111,6 +111,7 @@ def export_fmu(
 
 
 def _prepared(problem: Problem, precision: Precision, seed: int, progress: Progress | None) -> Loop:
+    expect_problem("problem", problem)
     choice("precision", precision, ("float64", "float32"))
     count("seed", seed, 0)
     loop = problem.close(problem.design())

@@ -15,7 +15,7 @@ from taciturn.loop import close
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.trigger import Form
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.renewal.allocation import Clocked
 from taciturn.study.units import time_unit
 
@@ -65,6 +65,7 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
     Raises:
         ProblemError: no problems, other units of cost, no common tick, a problem that no send resets the error of.
     """
+    instance("problems", problems, Mapping)
     if not problems:
         raise ProblemError("problems is empty; expected at least one, whose loops share the channel")
     if len(copies) not in (1, len(problems)):
@@ -72,8 +73,8 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
             f"copies has {len(copies)} numbers for {len(problems)} problems; expected one for each, or one for all"
         )
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
-    for problem in problems.values():
-        instance("problems", problem, Problem)
+    for name, problem in problems.items():
+        expect_problem(f"problems[{name!r}]", problem)
     units = {name: time_unit(problem) for name, problem in problems.items()}
     for name, unit in units.items():
         first = next(iter(units))

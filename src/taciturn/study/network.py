@@ -14,14 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from taciturn._arrays import Array, count
+from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, draw
 from taciturn._table import data_frame
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
-from taciturn.model.policy import LinkName
+from taciturn.model.policy import LinkName, Policy, Send
 from taciturn.problem import load
 from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import KEY, Wire, read_key
@@ -32,6 +32,7 @@ from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
+from taciturn.study.ticks import cost_of_ticks, measured, settled
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
 if TYPE_CHECKING:
@@ -39,7 +40,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 USUAL = 5000  # ticks
-SETTLED = 5.0  # time constants that are left out of an average
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +132,7 @@ class NetworkRun:
 
 
 def run_network(
-    file: str,
+    file: str | Path,
     *,
     ticks: int | None = None,
     tick: float | None = None,
@@ -162,6 +162,7 @@ def run_network(
         ProblemError: data that do not fit, nodes that cannot be separated, a process that has ended; with namespaces,
             fates, losses in bursts or not in permille, or missing rights or programs.
     """
+    instance("file, which the processes read,", file, str, Path)
     problem = load(file)
     policy = problem.design()
     loop = problem.close(policy)
@@ -171,6 +172,8 @@ def run_network(
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
         raise ProblemError("fates are given with namespaces, where no relay runs; expected one of them")
+    if fates is not None:
+        _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
     chosen = fates if fates is not None else losses(problem.network, seed)
     began = time.monotonic()
@@ -180,9 +183,9 @@ def run_network(
     ):
         folder = Path(name)
         processes = Processes(
-            file, policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder, keeps=meanwhile is not None,
-            options=["--seed", str(seed)], environment={KEY: "" if key is None else key.hex()},
-            namespaces=spaces,
+            str(file), policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
+            keeps=meanwhile is not None, options=["--seed", str(seed)],
+            environment={KEY: "" if key is None else key.hex()}, namespaces=spaces,
         )  # fmt: skip
         with nullcontext() if spaces is None else spaces.visit("plant"):
             plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
@@ -212,9 +215,9 @@ def run_network(
     for link, counts in seen.items():
         found = predict_drops(drops[link].seed, drops[link].permille, range(datagrams[link]["sent"]))
         datagrams[link] |= {"predicted": int(found.sum()), "nft_seen": counts.seen, "nft_dropped": counts.dropped}
-    cost, notes = _cost(loop, costs, simulated.final_cost())
+    cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
-    skipped = _settled(loop)
+    skipped = settled(loop)
     departures = loop.departures + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
@@ -249,6 +252,16 @@ def losses(
     }
 
 
+def _check_fates(fates: Mapping[LinkName, Fate], policy: Policy) -> None:
+    """Refuse fates of links that a policy does not have, and what is no fate."""
+    instance("fates", fates, Mapping)
+    links = [step.link for step in policy.steps if isinstance(step, Send)]
+    for link, fate in fates.items():
+        if link not in links:
+            raise ProblemError(f"fates has the link {link!r}; expected of {policy.kind}: {', '.join(links)}")
+        instance(f"fates[{link!r}]", fate, Fate)
+
+
 def _other_links(fates: Mapping[LinkName, Fate], stated: Mapping[LinkName, Fate]) -> tuple[str, ...]:
     """Say which links lose, delay or change packets otherwise than the network says."""
     other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
@@ -278,25 +291,6 @@ def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile:
         disturbance = pool.submit(meanwhile, processes)
         server.run(ticks, lambda: disturbance.done() and (disturbance.exception() is not None or processes.ended()))
         disturbance.result()
-
-
-def _settled(loop: Loop) -> int:
-    """Return the ticks that an average leaves out."""
-    return 0 if loop.horizon is not None else int(np.ceil(SETTLED * loop.policy.settling))
-
-
-def _cost(loop: Loop, costs: Array, final: float) -> tuple[Estimate | None, tuple[str, ...]]:
-    """Return the cost: a mean over the ticks in the units of the problem, or the total of one mission."""
-    if loop.horizon is not None:
-        discount = loop.problem.cost.discount
-        total = float(costs @ discount ** np.arange(len(costs))) + (final if len(costs) == loop.horizon else 0.0)
-        return Estimate(total, 0.0, "exact"), ("one mission: its cost is that of these draws, and no mean",)
-    kept = costs[_settled(loop) :]
-    if len(kept) < 10 * BATCHES:
-        needed = _settled(loop) + 10 * BATCHES
-        return None, (f"{len(costs)} ticks are too few for a mean cost with its error: expected at least {needed}",)
-    found = batch_means(kept)
-    return found.scaled(1 / loop.problem.tick, loop.problem.noise_cost / loop.problem.tick), ()
 
 
 def _rate(sends: Array, skipped: int) -> Estimate:
@@ -358,9 +352,3 @@ def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict
 
 def _shown(progress: Progress, ticks: int) -> Callable[[Mapping[str, Any]], None]:
     return lambda line: progress((line["tick"] + 1) / ticks)
-
-
-def measured(estimate: Estimate) -> dict[str, Any]:
-    """Return what a JSON document says of a number that was measured: without a standard error where it was once."""
-    once = {"standard_error": None} if estimate.method == "exact" else {}
-    return estimate.document() | once | {"method": "simulation"}

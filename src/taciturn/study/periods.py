@@ -9,7 +9,7 @@ from taciturn._arrays import number
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.sampling import Progress
 from taciturn.study.tune import Tuned, tune
 
@@ -83,6 +83,7 @@ def tune_period(
         >>> found.best.problem.parameters["period"], found.best.evaluation.consistency
         (0.125, 'verified')
     """
+    expect_problem("problem", problem)
     period = problem.parameters.get("period")
     if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
         raise ProblemError(

@@ -19,7 +19,7 @@ from taciturn._arrays import instance, quoted
 from taciturn._files import write_whole
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
@@ -81,6 +81,7 @@ def sweep(
         >>> bool(found.cost.sel(period=0.25) < found.cost.sel(period=0.5))
         True
     """
+    expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     listed = check_grid(over)
     for name in listed:

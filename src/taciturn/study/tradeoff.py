@@ -13,7 +13,7 @@ import numpy as np
 from taciturn._figure import Panel, Series, draw
 from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.evaluate import Evaluation
@@ -157,6 +157,7 @@ def tradeoff(
     Raises:
         ProblemError: no values, an unknown key, or data that do not fit.
     """
+    expect_problem("problem", problem)
     grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:

@@ -8,7 +8,7 @@ from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
-from taciturn.problem import Problem
+from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import Progress
 from taciturn.study.budget import budget_of
@@ -57,6 +57,7 @@ def tune(
         >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
         (1.1, 0.3)
     """
+    expect_problem("problem", problem)
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
         got = "both" if rate is not None else "neither"

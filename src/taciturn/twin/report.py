@@ -8,7 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.study.network import measured
+from taciturn.study.ticks import measured
 from taciturn.twin.mission import THESIS
 from taciturn.twin.outcome import Trial
 from taciturn.twin.robot import Robot

@@ -1,0 +1,69 @@
+"""What links do to packets, as it is typed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from taciturn.model.network import Burst, Network
+    from taciturn.model.policy import LinkName, Policy
+    from taciturn.runtime.relay import Fate
+
+
+def read_probability(name: str, text: str) -> float:
+    """Return the probability that an option is given."""
+    from taciturn._arrays import number
+    from taciturn.errors import ProblemError
+
+    try:
+        found = float(text)
+    except ValueError:
+        raise ProblemError(f"{name} is {text!r}; expected a number from 0 to 1, as 0.2") from None
+    return number(name, found, 0.0, 1.0, closed=True)
+
+
+def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[LinkName, Fate]:
+    """Return the links of a policy with the losses that are given, and with those of the network on others."""
+    from taciturn.errors import ProblemError
+    from taciturn.model.policy import Send
+    from taciturn.study.network import losses
+
+    stated = losses(network, seed)
+    fates: dict[LinkName, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
+    for text in given:
+        link, named, chance = text.rpartition("=")
+        if named and link not in fates:
+            raise ProblemError(f"--loss names the link {link!r}; expected of {policy.kind}: {', '.join(fates)}")
+        for one, fate in fates.items():
+            if not named or one == link:
+                fates[one] = replace(fate, loss=read_probability("--loss", chance), burst=None)
+    return fates
+
+
+def read_burst(text: str | None) -> Burst | None:
+    """Return the bursts of a link as four probabilities, or None."""
+    from taciturn.errors import ProblemError
+    from taciturn.model.network import Burst
+
+    if text is None:
+        return None
+    try:
+        to_bad, to_good, loss_good, loss_bad = map(float, text.split(","))
+    except ValueError:
+        raise ProblemError(f"--burst is {text!r}; expected four probabilities, as 0.05,0.3,0.01,0.7") from None
+    return Burst(to_bad, to_good, loss_good, loss_bad)
+
+
+def read_outage(text: str | None) -> tuple[int, int] | None:
+    """Return the first tick of an outage and the one it ends at, or None."""
+    from taciturn.errors import ProblemError
+
+    if text is None:
+        return None
+    try:
+        first, end = map(int, text.split(","))
+    except ValueError:
+        raise ProblemError(f"--outage is {text!r}; expected two ticks, as 20,40") from None
+    return first, end

@@ -1,0 +1,78 @@
+"""Studies are given problems, and say so where they are given something else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import taciturn
+from taciturn.runtime.relay import Fate
+from taciturn.study.describe import describe
+from taciturn.study.periods import tune_period
+
+NAME: Any = "two-mass"
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        taciturn.evaluate,
+        taciturn.certify,
+        describe,
+        lambda name: taciturn.tune(name, rate=0.3),
+        lambda name: tune_period(name, rate=0.3, least=0.1),
+        lambda name: taciturn.tradeoff(name, {"theta": [0.1, 1.0]}),
+        lambda name: taciturn.sweep(name, {"theta": [0.1, 1.0]}),
+        lambda name: taciturn.export_c(name, "c"),
+        lambda name: taciturn.export_fmu(name, "a.fmu"),
+        lambda name: taciturn.compare({"a": name, "b": name}, 0.3),
+        lambda name: taciturn.share_channel({"a": name}, copies=2, capacity=1),
+    ],
+)
+def test_a_name_is_no_problem(study: Callable[[Any], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is read by ``load`` first."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(taciturn.ProblemError, match=r"is 'two-mass'; expected a Problem: taciturn\.load reads one"):
+        study(NAME)
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        lambda problems: taciturn.compare(problems, 0.3),
+        lambda problems: taciturn.share_channel(problems, copies=2, capacity=1),
+    ],
+)
+def test_problems_have_names(study: Callable[[Any], object]) -> None:
+    """Where several are given, each has one."""
+    with pytest.raises(taciturn.ProblemError, match=r"problems is .*; expected a Mapping"):
+        study([taciturn.load(NAME)])
+
+
+def test_files_are_read_by_their_name() -> None:
+    """A problem in memory is none that a process could read, and none that is still to be read."""
+    given: Any = taciturn.load(NAME)
+    with pytest.raises(
+        taciturn.ProblemError, match=r"^file, which the processes read, is Problem.*; expected a str or a Path"
+    ):
+        taciturn.run_network(given)
+    with pytest.raises(taciturn.ProblemError, match=r"^path is Problem.*; expected a str or a Path"):
+        taciturn.load(given)
+
+
+@pytest.mark.parametrize(
+    ("fates", "told"),
+    [
+        ({"motor": Fate()}, "fates has the link 'motor'; expected of lqg: actuator"),
+        ({"sensor": Fate(loss=0.2)}, "fates has the link 'sensor'; expected of lqg: actuator"),
+        ({"actuator": 0.2}, r"fates\['actuator'\] is 0.2; expected a Fate"),
+        ([Fate()], "fates is .*; expected a Mapping"),
+    ],
+)
+def test_fates_are_those_of_the_links(fates: Any, told: str) -> None:
+    """A link that the policy does not have, and a number in place of a fate."""
+    with pytest.raises(taciturn.ProblemError, match=told):
+        taciturn.run_network(NAME, ticks=5, fates=fates)

@@ -1,0 +1,34 @@
+"""What a plant reports of its costs: a mean with its error where it ran for long enough."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn.simulation.statistics import batch_means
+from taciturn.study.ticks import plant_cost, settled
+
+PROBLEM = taciturn.load("two-mass")
+LOOP = PROBLEM.close(PROBLEM.design())
+
+
+def test_a_long_run_has_a_mean_with_its_error() -> None:
+    """Over all loops, without the ticks in which the loop settles."""
+    skipped = settled(LOOP)
+    costs = np.random.default_rng(1).exponential(size=(2, skipped + 640))
+    costs[:, :skipped] = 1e6
+    found = plant_cost(PROBLEM, LOOP, costs.tolist(), 0.0)
+    expected = batch_means(costs[:, skipped:].mean(axis=0))
+    assert found["cost"]["value"] == pytest.approx(expected.value)
+    assert found["cost"]["standard_error"] == pytest.approx(expected.standard_error)
+    assert found["unit"] == "step"
+    assert found["notes"] == [f"means are without the first {skipped} ticks, in which the loop settles"]
+
+
+def test_a_short_run_has_a_mean_alone() -> None:
+    """Over all its ticks, and it says how many an error takes; a run of no tick has none."""
+    found = plant_cost(PROBLEM, LOOP, [[1.0, 2.0, 6.0]], 0.0)
+    assert found["cost"] == {"value": 3.0, "standard_error": None, "method": "simulation"}
+    assert found["notes"][0].startswith("3 ticks are too few for a mean cost with its error")
+    assert plant_cost(PROBLEM, LOOP, [[], []], 0.0)["cost"] is None
