@@ -156,7 +156,8 @@ def instance(name: str, value: object, *kinds: type) -> None:
         ProblemError: it is not.
     """
     if not isinstance(value, kinds):
-        raise ProblemError(f"{name} is {quoted(value)}; expected a {' or a '.join(kind.__name__ for kind in kinds)}")
+        nouns = " or ".join(f"{'an' if kind.__name__[0] in 'AEIOaeio' else 'a'} {kind.__name__}" for kind in kinds)
+        raise ProblemError(f"{name} is {quoted(value)}; expected {nouns}")
 
 
 def frozen(value: Array) -> Array:

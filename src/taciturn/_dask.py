@@ -31,7 +31,8 @@ def dask_workers(address: str) -> Generator[Executor]:
             "dask.distributed is not installed; expected it for --dask: pip install 'taciturn[dask]'"
         ) from None
     expected = "expected the address of a running one, as tcp://host:8786"
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what goes wrong is told in one sentence
+    for name in ["distributed", *filter(_is_dasks, logging.root.manager.loggerDict)]:  # some have levels of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one sentence
     try:
         addressing: Any = import_module("distributed.comm.addressing")
         scheme, place = addressing.parse_address(address)
@@ -44,3 +45,7 @@ def dask_workers(address: str) -> Generator[Executor]:
         if not client.nthreads():
             raise ProblemError(f"the dask scheduler at {address!r} has no workers; expected at least one: start it")
         yield client.get_executor()
+
+
+def _is_dasks(name: str) -> bool:
+    return name.startswith("distributed.")

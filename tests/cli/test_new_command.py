@@ -94,6 +94,7 @@ def test_matrices_are_taken_as_matlab_and_python_write_them(ask: Ask, A: str, W:
         ("3", "remote-lqg"),
         ("4", "send-on-delta"),
         ("5", "lossy-lqg"),
+        ("6", "excess"),
         ("excess", "excess"),
     ],
 )
@@ -103,6 +104,19 @@ def test_what_matters_picks_the_policy(ask: Ask, goal: str, kind: str) -> None:
     assert told.code == 0
     assert "consistent" not in told.out  # which wants a continuous plant
     assert tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))["policy"]["kind"] == kind
+
+
+def test_a_margin_with_less_traffic_is_written_as_the_guide_advises(ask: Ask) -> None:
+    """The actuator predicts."""
+    assert ask((*STEP, "", "excess", "0.3")).code == 0
+    assert taciturn.load("new.toml").parameters == {"theta": 0.3, "actuation": "model"}
+
+
+def test_help_lists_the_questions_in_their_order(run: Run) -> None:
+    """All of them, so that answers can be got ready."""
+    words = run("new", "--help").out.split()
+    places = [words.index(word) for word in ("dt;", "A;", "B;", "V;", "W;", "Q;", "R;", "network,", "matters,")]
+    assert places == sorted(places)
 
 
 def test_lossy_links_are_asked_for_and_have_their_policy(ask: Ask) -> None:
@@ -173,7 +187,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
         ((*WALK, "1", "1", "1", "udp"), "the network is udp, and losses are reckoned with where the model is discrete"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
-        ((*STEP, "", "9"), "what matters is 9; expected a number from 1 to 5, or a kind"),
+        ((*STEP, "", "9"), "what matters is 9; expected a number from 1 to 6, or a kind"),
         ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
         ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
         ((*STEP, "", "1", "-1"), "theta is -1; expected 0 ≤ theta"),
@@ -198,6 +212,7 @@ def test_from_a_pipe_the_first_answer_that_does_not_fit_ends_it(
     told = ask(answers)
     assert (told.code, told.err.count("\n")) == (2, 1)
     assert told.err.startswith(f"taciturn: {sentence}")
+    assert "nothing is written" in told.err
     assert list(Path().iterdir()) == []
 
 

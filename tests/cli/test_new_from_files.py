@@ -82,7 +82,7 @@ def test_names_of_papers_and_of_matlab_are_known(run: Run) -> None:
     written = tables(run, write("ss.mat", {**named, "Ts": 0.0, "D": [[0.0]]}), "--kind", "excess")
     assert "dt" not in written["plant"]
     assert (written["plant"]["W"], written["plant"]["V"]) == ([[0.1, 0], [0, 0.1]], [[0.01]])
-    assert set(written["policy"]) == {"kind", "period", "theta"}
+    assert set(written["policy"]) == {"kind", "period", "theta", "actuation"}
     Path("new.toml").unlink()
     assert tables(run, write("no.mat", named), "--dt", "0.2")["plant"]["dt"] == 0.2
     Path("new.toml").unlink()

@@ -67,9 +67,24 @@ def test_a_second_run_computes_nothing(tmp_path: Path, monkeypatch: pytest.Monke
     with pytest.warns(UserWarning, match=r"was filled by another problem [0-9a-f]{12}, now [0-9a-f]{12}: what"):
         sweep(problem, GRID, store=tmp_path, standard_error=EFFORT)
     assert len(seen) == before + 6
-    with pytest.warns(UserWarning, match="was filled by another problem"):
-        assert swept(tmp_path).identical(first)
+    assert swept(tmp_path).identical(first)  # without a warning, as its own cells are there
     assert len(seen) == before + 6
+
+
+def test_a_run_says_what_it_finds_in_its_store(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """How many of its cells, and how many others; of an empty one nothing."""
+    with caplog.at_level("INFO", logger="taciturn"):
+        swept(tmp_path)
+        swept(tmp_path, over={**GRID, "theta": [0.1, 2.0]})
+        swept(tmp_path, over={"theta": [0.1], "actuation": ["hold", "model"]}, standard_error=4e-3)
+        swept(tmp_path / "alone", over={"theta": [0.1]})
+        swept(tmp_path / "alone", over={"theta": [0.1]})
+    others = "more that it holds have other values, another precision, seed, problem or version: they stay, unused"
+    assert caplog.messages == [
+        f"2 of 4 cells are read from {tmp_path}; 4 {others}",
+        f"0 of 2 cells are read from {tmp_path}; 8 {others}",
+        f"1 of 1 cells are read from {tmp_path / 'alone'}",
+    ]
 
 
 def test_another_version_computes_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

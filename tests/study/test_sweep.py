@@ -244,6 +244,7 @@ def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> N
         ({"theta": [1j]}, "a value of theta is 1j; expected numbers, words, lists or arrays"),
         ({"theta": np.array(0.1)}, "the values of theta are .*; expected a list"),
         ([("theta", [0.1])], r"over is .*; expected a Mapping"),
+        ({"seed": [1, 2]}, r"seed is no key of a problem; expected a sweep for each seed \(--seed, seed=\)"),
         ({3: [0.1]}, "a name in over is 3; expected a str"),
     ],
 )
@@ -256,7 +257,7 @@ def test_what_cannot_be_swept_is_refused(over: dict[str, Any], sentence: str) ->
 def test_an_executor_is_one() -> None:
     """Not its class, and no word."""
     for wrong in ("processes", ThreadPoolExecutor):
-        with pytest.raises(ProblemError, match=r"executor is .*; expected an? Executor"):
+        with pytest.raises(ProblemError, match=r"executor is .*; expected an Executor"):
             sweep(load("two-mass"), {"theta": [0.1]}, executor=wrong, steps=2000)  # type: ignore[arg-type]
 
 

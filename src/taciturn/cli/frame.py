@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import sys
 import warnings
@@ -111,7 +112,7 @@ def main() -> None:
     if reconfigure is not None:  # a terminal that has no ≤ gets \u2264, not an error
         reconfigure(errors="backslashreplace")
     try:
-        with warnings.catch_warnings():
+        with _messages(), warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
             warnings.formatwarning = _as_sentence
             code: object = app(prog_name="taciturn", standalone_mode=False)
@@ -143,6 +144,27 @@ def _elsewhere(error: Exception) -> str:
     if not hasattr(error, "option_name") or command not in ("evaluate", "reproduce"):
         return ""
     return f"; {command} takes no parameters: taciturn tradeoff FILE --over NAME=v1,v2,… does"
+
+
+class _Sentences(logging.Handler):
+    """Says what is logged on standard error, whichever that is by then."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Say it."""
+        print(f"taciturn: {record.getMessage()}", file=sys.stderr)
+
+
+@contextmanager
+def _messages() -> Generator[None]:
+    """Say what the library logs while a command runs."""
+    logger, handler = logging.getLogger("taciturn"), _Sentences()
+    logger.addHandler(handler)
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.setLevel(logging.NOTSET)
 
 
 def _as_sentence(
@@ -192,8 +214,13 @@ def check_effort(standard_error: float | None, steps: int | None = None) -> None
 
 
 @contextmanager
-def progress_bar(what: str) -> Generator[Progress]:
-    """A bar on standard error with the time left, on a terminal only, once a run takes long enough to be seen."""
+def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
+    """A bar on standard error with the time left, on a terminal only, once a run takes long enough to be seen.
+
+    Args:
+        what: is done.
+        cells: are counted beside the bar, where there are so many.
+    """
     if not sys.stderr.isatty():
         yield lambda fraction: None
         return
@@ -202,4 +229,9 @@ def progress_bar(what: str) -> Generator[Progress]:
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=None)  # it moves to and fro until a fraction is known
-        yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
+
+        def move(fraction: float) -> None:
+            counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{cells} cells"
+            bar.update(task, total=1.0, completed=fraction, description=what + counted)
+
+        yield move

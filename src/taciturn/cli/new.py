@@ -14,7 +14,6 @@ from taciturn.cli.frame import Kind, app
 from taciturn.cli.questions import Questions
 
 if TYPE_CHECKING:
-    from taciturn.errors import TaciturnError
     from taciturn.problem.given import Given
 
 GOALS = {
@@ -24,6 +23,7 @@ GOALS = {
     "remote-lqg": "a sensor that is asked: queries by a schedule, inputs where needed",
     "send-on-delta": "a sensor as simple as can be: it sends when an output has moved by Δ",
     "lossy-lqg": "a link that loses packets: a price on every send, and what is lost is reckoned with",
+    "excess": "the margin of lqg with less traffic, the actuator predicting: in doubt, this one",
 }
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
@@ -38,7 +38,12 @@ def new(
     dt: Annotated[float | None, typer.Option(help="Seconds per step of the model; 0: continuous in time.")] = None,
     yes: Annotated[bool, typer.Option("--yes", help="With --from: ask nothing, take what is usual.")] = False,
 ) -> None:
-    """Write a problem file with comments, by asking what is needed, or from matrices in a file."""
+    """Write a problem file with comments, by asking what is needed, or from matrices in a file.
+
+    Asked for, in this order, where it is not given: continuous or discrete, and dt; A; B; whether the whole state is
+    measured, or C and V; W; Q; R; the network, where no kind is given, and what it loses; what matters, or a kind of
+    policy; its parameters. Answers from a pipe end at the first that does not fit: for scripts there is --from.
+    """
     from taciturn._arrays import number
     from taciturn._figure import check_format
     from taciturn._files import write_whole
@@ -100,7 +105,7 @@ class _Interview:
         try:
             self.draft.expect_fit(kind or "")
         except TaciturnError as error:
-            self._tell(error)
+            self.questions.tell(error)
             kind = None
         if kind == "lossy-lqg" or (kind is None and not questions.yes):
             self._ask_network("ideal" if kind is None else "udp")
@@ -109,16 +114,10 @@ class _Interview:
             try:
                 return self.draft.write(policy, self.name)
             except TaciturnError as error:
-                self._tell(error)
+                self.questions.tell(error)
                 kind = None
                 if self.draft.network:  # which may lose more than any policy bears
                     self._ask_network("ideal")
-
-    def _tell(self, error: TaciturnError) -> None:
-        """Tell why a kind of policy does not fit, so that another one is asked for; from a pipe that is the end."""
-        if not self.questions.patient or self.questions.yes:
-            raise error
-        self.questions.say(str(error))
 
     def _expect_all(self, dt: float | None) -> None:
         """Refuse a file that lacks what has no usual value."""
@@ -225,6 +224,8 @@ class _Interview:
 
             question = f"{name}: {notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
+        if chosen == "excess":  # which sends less where the actuator predicts than where it holds
+            policy["actuation"] = "model"
         return policy
 
     def _ask_kind(self) -> str:

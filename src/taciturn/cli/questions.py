@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import typer
+
+if TYPE_CHECKING:
+    from taciturn.errors import TaciturnError
 
 Answer = TypeVar("Answer")
 
@@ -43,9 +46,7 @@ class Questions:
                     raise ProblemError(f"{name} is missing; expected an answer, as there is no usual value")
                 return read(given)
             except TaciturnError as error:
-                if not self.patient or self.yes:
-                    raise
-                self.say(str(error))
+                self.tell(error)
 
     def choose(self, name: str, text: str, words: Sequence[str], default: str) -> str:
         """Return one of some words, which may be answered by its first letters.
@@ -62,6 +63,17 @@ class Questions:
             return meant[0]
 
         return self.ask(name, f"{text} ({', '.join(words)})", read, default)
+
+    def tell(self, error: TaciturnError) -> None:
+        """Tell what does not fit, so that it is asked for again; from a pipe, or where nothing is asked, end."""
+        from taciturn.errors import ProblemError
+
+        if self.yes:
+            raise error
+        if not self.patient:
+            remedy = "nothing is written: for scripts, give matrices with --from, or write the file itself"
+            raise ProblemError(f"{error}; {remedy}") from error
+        self.say(str(error))
 
     def say(self, text: str) -> None:
         """Tell whoever answers something."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -29,6 +30,7 @@ from taciturn.cli.frame import (
 from taciturn.cli.words import complete_file, complete_from
 
 if TYPE_CHECKING:
+    import xarray
     from matplotlib.figure import Figure
 
 
@@ -107,7 +109,11 @@ def sweep(
     file: File,
     over: Over,
     store: Annotated[
-        Path, typer.Option(metavar="DIR", help="Keeps every cell, so that a second run goes on; ends in result.nc.")
+        Path,
+        typer.Option(
+            metavar="DIR",
+            help="Keeps every cell, so that a second run goes on; ends in result.nc, another one kept beside it.",
+        ),
     ],
     workers: Annotated[int | None, typer.Option(min=1, help="Processes. Default: one for each processor.")] = None,
     dask: Annotated[
@@ -136,7 +142,8 @@ def sweep(
         check_table(table)
     values, problem = parse_grid(over), taciturn.load(file)
     pool = processes(workers) if dask is None else dask_workers(dask)
-    with told_of(store), progress_bar("sweeping") as progress, pool as executor:
+    cells = math.prod(map(len, values.values()))
+    with told_of(store), progress_bar("sweeping", cells) as progress, pool as executor:
         found = taciturn.sweep(
             problem,
             values,
@@ -148,19 +155,39 @@ def sweep(
             confidence=confidence,
             progress=progress,
         )
-    save_whole(found, store / "result.nc")
-    _print.sweep(found, store / "result.nc")
+    result = store / "result.nc"
+    aside = save_whole(found, result)
+    if aside is not None:
+        print(f"taciturn: {result} held another result, which is kept as {aside.name}", file=sys.stderr)
+    _print.sweep(found, result)
     if table is not None:
         save_table(table_of(found), table)
         typer.echo(f"table: {table}")
-    missed = int((~found.reached & (found.refusal == "")).sum())
-    if missed:
-        refuse(
-            f"the standard error was not reached in {missed} of {found.reached.size} cells: "
-            "ask for a larger --standard-error"
-        )
+    missed = ~found.reached & (found.refusal == "")
+    if missed.any():
+        refuse(_missed(found, missed.values, steps))
     if (found.refusal != "").any():
         raise typer.Exit(2)  # which cells and why has been told
+
+
+def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
+    """Return the sentence about cells whose simulation ended before it had settled, or before it was precise."""
+    from taciturn.simulation.sampling import BUDGET
+
+    cells = [found.isel(dict(zip(found.sizes, place, strict=True))) for place in zip(*missed.nonzero(), strict=True)]
+    shown = [
+        ", ".join(f"{name}={cell[name].item()}" for name in found.sizes)
+        + f" (standard error {cell.cost_standard_error.item():.2g})"
+        for cell in cells[:3]
+    ]
+    listed = "; ".join([*shown, f"and {len(cells) - 3} more"] if len(cells) > 3 else shown)
+    count = f"{len(cells)} of {missed.size} cells"
+    if steps is not None:
+        return f"the loop has not settled in {count} within {steps} steps: {listed}: ask for more --steps"
+    return (
+        f"the standard error was not reached in {count} within {BUDGET / 1e9:g} billion steps each: {listed}: "
+        "ask for a larger --standard-error"
+    )
 
 
 @app.command(epilog="Example: taciturn compare two-mass mine.toml --rate 0.3")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import pickle
 import time
@@ -20,10 +21,12 @@ from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation, choose_confidence, evaluate, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.store import Store
-from taciturn.study.workers import workers_of
+from taciturn.study.workers import deserted, workers_of
 
 BLOCK = 1.0  # seconds that a task should take: a thousand times what it costs to send one
 ROUNDS = 4  # tasks left to each worker, at least, so that all end at about the same time
+PATIENCE = 5.0  # seconds without an answer, after which workers are looked for
+TOLD = logging.getLogger(__name__)
 QUEUED = 3  # tasks per worker that are handed over before they can be begun
 
 
@@ -107,8 +110,14 @@ def run_cells(
             progress((done + within) / len(cells))
 
     if executor is not None:
+        if hasattr(executor, "get_executor"):
+            raise ProblemError(
+                f"executor is a {type(executor).__name__}; expected an Executor: its get_executor() is one"
+            )
         instance("executor", executor, Executor)
     kept = _Kept(store, problem, cells, effort)
+    if store is not None and store.count():
+        store.tell(sum(map(kept.holds, range(len(cells)))), len(cells))
     found = _one_by_one(kept, advance) if executor is None else _spread(kept, executor)
     for index, answer in found:
         done += 1
@@ -129,6 +138,10 @@ class _Kept:
         """Return the answer that is kept, if there is one."""
         found = None if self.store is None else self.store.read(self._key(index))
         return found if isinstance(found, Evaluation) else None
+
+    def holds(self, index: int) -> bool:
+        """Tell whether an answer is kept."""
+        return self.store is not None and self.store.holds(self._key(index))
 
     def keep(self, index: int, answer: Answer) -> Answer:
         """Return an answer, which is kept unless it is a refusal."""
@@ -195,6 +208,7 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
     if not isinstance(executor, ThreadPoolExecutor):
         pickle.dumps(kept.problem)  # a function that no other process has is told here; a pool would wait
     workers, size, total, came = workers_of(executor), 1, len(kept.cells), 0
+    told = False
     flying: dict[Future[tuple[list[Answer], float]], list[int]] = {}
     ahead = iter(range(total))
     try:
@@ -215,7 +229,10 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
                 flying[executor.submit(answer_block, kept.problem, [kept.cells[i] for i in block], kept.effort)] = block
             if not flying:
                 return
-            ended, _ = wait(flying, return_when=FIRST_COMPLETED)
+            ended, _ = wait(flying, timeout=PATIENCE, return_when=FIRST_COMPLETED)
+            if not ended and not told and (place := deserted(executor)) is not None:
+                TOLD.warning("no workers at %s: waiting for one", place)
+                told = True
             for future in sorted(ended, key=_failed):  # what came is kept before a failure ends it all
                 block = flying.pop(future)
                 answers, seconds = future.result()
@@ -229,7 +246,8 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
         why = ": ".join(filter(None, (type(error).__name__, str(error))))
         raise ProblemError(
             f"the executor failed after {came} of {total} cells ({why}); "
-            "expected workers that live and can import taciturn: with a store, run again to go on"
+            "expected a scheduler, if there is one, and workers that live and can import taciturn: with a store, run "
+            "again to go on"
         ) from error
     finally:
         for future in flying:

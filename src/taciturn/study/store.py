@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 import warnings
 from contextlib import suppress
@@ -12,6 +13,7 @@ from taciturn.errors import ProblemError
 from taciturn.study.record import decode, digest, encode
 
 LABEL = "store.json"
+TOLD = logging.getLogger(__name__)
 FORGOTTEN = 3600.0  # seconds after which a file that never became whole is nobody's
 
 
@@ -30,14 +32,41 @@ class Store:
     """
 
     def __init__(self, folder: str | Path, label: dict[str, str]) -> None:
-        """Open the folder, and tell if it was filled by another problem or version."""
-        self.folder = Path(folder)
+        """Open the folder, and see whether it was filled by another problem or version."""
+        self.folder, self._filled_by = Path(folder), ""
         try:
             self._open(label)
         except OSError as error:
             raise ProblemError(
                 f"the store {str(folder)!r} cannot be used ({error.strerror}); expected a folder that can be written to"
             ) from None
+
+    def count(self) -> int:
+        """Return how many answers are kept, whatever they belong to."""
+        return sum(path.suffix != PART for path in self.folder.glob("cells/*/*"))
+
+    def holds(self, key: str) -> bool:
+        """Tell whether an answer is kept under a key, damaged or not."""
+        return self._path(key).is_file()
+
+    def tell(self, found: int, asked: int) -> None:
+        """Say how many of the answers that are asked for are found, and how many others there are.
+
+        Warns where none is found in a store that another problem or version filled.
+        """
+        others = self.count() - found
+        if self._filled_by and not found:
+            warnings.warn(
+                f"the store {str(self.folder)!r} was filled by another {self._filled_by}: what it holds for that "
+                "stays, and is not used here",
+                stacklevel=2,
+            )
+        elif found or others:
+            rest = (
+                f"; {others} more that it holds have other values, another precision, seed, problem or version: "
+                "they stay, unused"
+            )
+            TOLD.info("%d of %d cells are read from %s%s", found, asked, self.folder, rest if others else "")
 
     def read(self, key: str) -> object | None:
         """Return the answer that is kept under a key, or None; a damaged file is warned of and taken away."""
@@ -89,7 +118,7 @@ class Store:
         text = encode(label)
         before = sign.read_text(encoding="utf-8", errors="replace") if LABEL in others else text
         if before != text:
-            self._tell(before, label)
+            self._filled_by = self._differences(before, label)
         if before != text or LABEL not in others:  # a store that is complete may be read only
             write_whole(sign, text.encode())
         for part in (*self.folder.glob(f"*{PART}"), *cells.glob(f"*/*{PART}")):
@@ -97,18 +126,13 @@ class Store:
                 if time.time() - part.stat().st_mtime > FORGOTTEN:
                     part.unlink()
 
-    def _tell(self, before: str, label: dict[str, str]) -> None:
-        """Warn of what a store was filled with, where that cannot be used."""
+    def _differences(self, before: str, label: dict[str, str]) -> str:
+        """Return in what the problem or version that filled the store differs from those of the label."""
         try:
             kept = dict(decode(before))
         except (ValueError, TypeError):
             warnings.warn(f"{LABEL} of the store {str(self.folder)!r} is damaged; it is written again", stacklevel=4)
-            return
-        differs = [
+            return ""
+        return "; ".join(
             f"{name} {kept.get(name)!s:.12}, now {now:.12}" for name, now in label.items() if kept.get(name) != now
-        ]
-        warnings.warn(
-            f"the store {str(self.folder)!r} was filled by another {'; '.join(differs)}: what it holds for that stays, "
-            "and is not used here",
-            stacklevel=4,
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import json
 import math
@@ -85,6 +86,10 @@ def sweep(
     check_effort(seed, standard_error, steps)
     listed = check_grid(over)
     for name in listed:
+        if _path(name) == ["policy", "seed"]:
+            raise ProblemError(
+                "seed is no key of a problem; expected a sweep for each seed (--seed, seed=), all into one store"
+            )
         if name in TAKEN:
             raise ProblemError(f"{name} names a dimension that labels cannot select; expected policy.{name}")
     axes = {name: _labels(name, values) for name, values in listed.items()}
@@ -341,16 +346,25 @@ class _Table:
         return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))
 
 
-def save_whole(result: xarray.Dataset, path: Path) -> None:
+def save_whole(result: xarray.Dataset, path: Path) -> Path | None:
     """Write a result as netCDF, under its name once it is whole.
 
+    Returns:
+        Where another result that had the name is kept: its digest is put after the name.
+
     Raises:
-        ProblemError: the file cannot be written.
+        ProblemError: a file cannot be written.
     """
     whole: Any = result  # whose types are open
     content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # HDF5 itself ends the process where a disk is full
+    aside: Path | None = None
     try:
+        before = path.read_bytes() if path.exists() else content
+        if before != content:
+            aside = path.with_stem(f"{path.stem}-{hashlib.sha256(before).hexdigest()[:12]}")
+            write_whole(aside, before)
         write_whole(path, content)
+        return aside
     except OSError as error:
         raise ProblemError(
             f"{str(path)!r} cannot be written ({error.strerror}); what was computed is kept: make room, or mend "

@@ -27,6 +27,12 @@ def workers_of(executor: Executor) -> int:
     return available_processors()
 
 
+def deserted(executor: Executor) -> str | None:
+    """Return the address of an executor's dask scheduler if that has no workers, else None."""
+    client: Any = getattr(executor, "_client", None)
+    return None if client is None or client.nthreads() else str(client.scheduler.address)
+
+
 @contextmanager
 def processes(workers: int | None) -> Generator[Executor | None]:
     """Give a pool of so many processes (None: one for each processor), or nothing for one: its threads serve then."""
