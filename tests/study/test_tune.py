@@ -10,7 +10,7 @@ import pytest
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE, KNOBS
-from taciturn.problem import check_parameters
+from taciturn.problem.parameters import check_parameters
 from taciturn.study.budget import budget_of
 
 MASSES, JUMPS = taciturn.load("two-mass"), taciturn.load("double-integrator")

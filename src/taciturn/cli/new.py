@@ -206,7 +206,7 @@ class _Interview:
 
     def _ask_policy(self, kind: str | None) -> dict[str, Any]:
         """Ask what matters, and what the policy for that must be told."""
-        from taciturn.problem import check_parameter
+        from taciturn.problem.parameters import check_parameter
         from taciturn.problem.suggested import needed_parameters, suggest_value
         from taciturn.problem.written import parameter_notes
 

@@ -8,12 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, cast, get_type_hints
+from typing import Any, cast
 
-import numpy as np
-from pydantic import TypeAdapter, ValidationError
+from pydantic import ValidationError
 
-from taciturn._arrays import Array, ArrayLike, instance, quoted
+from taciturn._arrays import Array, instance, quoted
 from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -24,6 +23,7 @@ from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function
+from taciturn.problem.parameters import check_parameters, read_policy
 from taciturn.problem.tables import (
     IDEAL,
     BurstTable,
@@ -32,9 +32,7 @@ from taciturn.problem.tables import (
     JumpsTable,
     NetworkTable,
     PlantTable,
-    Rows,
     first_mistake,
-    ours,
     suggest,
 )
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
@@ -152,7 +150,7 @@ class Problem:
             parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual))
             kept = [name for table, names in PARTS.items() if table not in touched for name in names]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
-        kind, parameters = _policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
+        kind, parameters = read_policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
         return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
 
 
@@ -217,7 +215,7 @@ def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | 
         file = File.model_validate(tables)
     except ValidationError as error:
         raise ProblemError(f"{name}: {first_mistake(error, File)}") from None
-    kind, parameters = _policy(file.policy, name)
+    kind, parameters = read_policy(file.policy, name)
     try:
         if file.reference is not None:
             _expect(kind, "reference", "[reference]", "no reference: remove it")
@@ -228,73 +226,6 @@ def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | 
         return Problem(plant, cost, _network(file.network, kind), kind, parameters, actual, reference, _copied(tables))
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
-
-
-def _policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any]]:
-    """Return kind and parameters of a ``[policy]`` table.
-
-    Raises:
-        ProblemError: no such kind, or no such parameters.
-    """
-    kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in CATALOGUE:
-        got = f"is {quoted(kind)}" if "kind" in table else "is missing"
-        near = suggest(kind, list(CATALOGUE)) if isinstance(kind, str) else ""
-        raise ProblemError(f"{name}: policy.kind {got}; expected one of {', '.join(CATALOGUE)}{near}")
-    parameters = {key: value for key, value in table.items() if key != "kind"}
-    try:
-        check_parameters(kind, parameters)
-    except ProblemError as error:
-        raise ProblemError(f"{name}: {error}") from None
-    return kind, parameters
-
-
-def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the parameters of a policy kind, checked against its design function.
-
-    Raises:
-        ProblemError: a parameter is unknown, missing, or of the wrong type.
-    """
-    if kind not in CATALOGUE:
-        near = suggest(str(kind), list(CATALOGUE))
-        raise ProblemError(f"policy.kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
-    known = _accepted(kind)
-    for key in parameters:
-        if key not in known:
-            expected = f"one of {', '.join(known)}" if known else "no parameters"
-            raise ProblemError(
-                f"policy.{key} is not a parameter of {kind}; expected {expected}{suggest(key, list(known))}"
-            )
-    for key, (_, needed) in known.items():
-        if needed and key not in parameters:
-            raise ProblemError(f"policy.{key} is missing; {kind} expects it")
-    return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
-
-
-def check_parameter(kind: str, key: str, value: object) -> Any:
-    """Return a parameter that a policy kind has, checked against its design function.
-
-    Raises:
-        ProblemError: it is of the wrong type.
-    """
-    if isinstance(value, np.ndarray):
-        return cast("Array", value)
-    try:
-        return _accepted(kind)[key][0].validate_python(value, strict=True)
-    except ValidationError as error:
-        raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
-
-
-@cache
-def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
-    """Return what checks each parameter of a policy kind, and whether it is needed."""
-    design = CATALOGUE[kind]
-    hints = get_type_hints(design)
-    return {
-        key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
-        for key, value in inspect.signature(design).parameters.items()
-        if value.kind is value.KEYWORD_ONLY and key not in ("network", "reference")  # a matrix is written as rows
-    }
 
 
 @cache
