@@ -272,7 +272,13 @@ def test_the_kinds_that_are_listed_are_those_that_can_be_designed(dt: float, mor
         **more,
     }.items():
         draft.keep(key, value)
-    needed = {"lqg": {"theta": 0.1}, "near-optimal": {"price": 1.0}, "consistent": {}, "lossy-lqg": {"price": 1.0}}
+    needed = {
+        "lqg": {"theta": 0.1},
+        "excess": {"theta": 0.1},
+        "near-optimal": {"price": 1.0},
+        "consistent": {},
+        "lossy-lqg": {"price": 1.0},
+    }
     needed |= {"remote-lqg": {"theta": 0.1, "zeta": 0.1}, "send-on-delta": {"delta": 0.1}}
     for kind in GOALS:
         period = {"period": 0.2} if kind == "consistent" or (kind != "lossy-lqg" and not dt) else {}

@@ -87,14 +87,16 @@ def lossy_lqg(
         0.1
     """
     price = number("price", price, 0.0, closed=True)
-    plant, given = refuse_what_is_not_covered(plant, cost), Network() if network is None else network
+    instance("plant", plant, Plant, ContinuousPlant)
+    given = Network() if network is None else network
     instance("network", given, Network)
-    if given.delay > 1:
-        raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None:
         instance("reference", reference, Reference)
-        if cost.horizon is None:
-            raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
+    plant = refuse_what_is_not_covered(plant, cost)
+    if given.delay > 1:
+        raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
+    if reference is not None and cost.horizon is None:
+        raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
     network = given.without_bursts()
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
@@ -144,7 +146,6 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
     Raises:
         ProblemError: a continuous plant, C or V, N or a discount.
     """
-    instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
