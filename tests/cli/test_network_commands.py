@@ -51,6 +51,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["relay", "--peer", ":9", "--corrupt", "x"], "--corrupt is 'x'; expected a number from 0 to 1"),
         (["network", "two-mass", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, as 0.2"),
         (["network", "two-mass", "--loss", "sensor=0.2"], "--loss names the link 'sensor'; expected of lqg: actuator"),
+        (["network", "two-mass", "--loss", "0.2", "--loss", "0.3"], "--loss is given twice for all links"),
         (["network", "two-mass", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
         (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),

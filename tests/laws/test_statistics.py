@@ -191,7 +191,13 @@ def walk(A: float = 1.0, theta: float = 0.1, loss: float = 0.0) -> Loop:
 def test_a_loop_that_hardly_ever_sends_is_no_average() -> None:
     """A random walk below a threshold of a thousand deviations, which a stable plant never reaches either."""
     (told,) = average(walk(theta=1e6), steps=500_000).notes
-    assert "hardly ever sends: nothing on the actuator link" in told
+    assert told.startswith("nothing was sent on the actuator link in the 4999")
+    early = average(walk(theta=1e3), steps=20_000)
+    assert early.rates["actuator"].value > 0
+    assert early.notes[0].startswith("the loop has not settled within 20000 steps")
+    assert not early.settled
+    loose = average(walk(theta=1e4), standard_error=1e3)  # which the walk keeps long before it has sent
+    assert loose.rates["actuator"].value > 0.01
     assert average(walk(theta=1e6, A=0.9), steps=500_000).notes == ()
     assert average(walk(), steps=500_000).notes == ()
 

@@ -129,21 +129,28 @@ def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> 
 
 
 @pytest.mark.parametrize(
-    ("other", "told"),
-    [(Wire(PROBLEM.changed({"theta": 0.7}).design()), "of another policy"), (Wire(POLICY, key=b"k" * 32), "a key")],
-    ids=["policy", "key"],
+    ("own", "other", "why", "told"),
+    [
+        (WIRE, Wire(PROBLEM.changed({"theta": 0.7}).design()), "foreign", "of another policy"),
+        (WIRE, Wire(POLICY, key=b"k" * 32), "foreign", "with and without a key"),
+        (Wire(POLICY, key=b"k" * 32), WIRE, "malformed", "too short for the tag of a key"),
+        (Wire(POLICY, key=b"k" * 32), Wire(POLICY, key=b"l" * 32), "forged", "of another key"),
+    ],
+    ids=["policy", "no key", "key", "other key"],
 )
-def test_who_refuses_packets_of_another_policy_says_so_once(here: Endpoint, other: Wire, told: str) -> None:
+def test_who_refuses_packets_of_another_policy_says_so_once(
+    here: Endpoint, own: Wire, other: Wire, why: str, told: str
+) -> None:
     """Node and plant name the sender; what comes later is only counted."""
     said: list[str] = []
     with Endpoint(("127.0.0.1", 0)) as endpoint:
-        nodes = NodeServer([Node(POLICY, "actuator")], WIRE, endpoint, plant=here.address, say=said.append)
-        plants = PlantServer([SimulatedPlant(PROBLEM.close(POLICY))], WIRE, endpoint, here.address, say=said.append)
+        nodes = NodeServer([Node(POLICY, "actuator")], own, endpoint, plant=here.address, say=said.append)
+        plants = PlantServer([SimulatedPlant(PROBLEM.close(POLICY))], own, endpoint, here.address, say=said.append)
         for server, name in ((nodes, "actuator"), (plants, "plant")):
             for k in range(5):
                 here.send(other.encode(Packet("data", "actuator", k, k, (0.5,))), endpoint.address)
             server.run(1, soon(0.3))
-            assert server.refused == {"foreign": 5}
+            assert server.refused == {why: 5}
             sentence = said.pop()
             assert sentence.startswith(f"the {name} refuses packets")
             assert told in sentence

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import taciturn
+from taciturn import Cost, Plant, close, design
 from taciturn.simulation.statistics import batch_means
+from taciturn.study.network import _unheard
 from taciturn.study.ticks import plant_cost, settled
 
 PROBLEM = taciturn.load("two-mass")
@@ -24,6 +26,23 @@ def test_a_long_run_has_a_mean_with_its_error() -> None:
     assert found["cost"]["standard_error"] == pytest.approx(expected.standard_error)
     assert found["unit"] == "step"
     assert found["notes"] == [f"means are without the first {skipped} ticks, in which the loop settles"]
+
+
+def test_where_nothing_arrives_there_is_no_average() -> None:
+    """Of a plant that drifts; one that comes to rest needs no input."""
+    nothing, little = ({"sent": 600, "delivered": some, "lost": 600 - some} for some in (0, 1))
+    (told,) = _unheard(LOOP, {"actuator": nothing})
+    assert told.startswith("nothing has arrived on the actuator link")
+    assert _unheard(LOOP, {"actuator": little}) == ()
+    plant, cost = Plant([[0.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
+    assert _unheard(close(plant, design.lqg(plant, cost, theta=1.0)), {"actuator": nothing}) == ()
+
+
+def test_a_cost_that_a_few_ticks_decide_is_told() -> None:
+    """One tick in a thousand costs a million times as much."""
+    costs = np.ones((1, settled(LOOP) + 1000))
+    costs[0, -1] = 1e6
+    assert "the mean square may not exist" in plant_cost(PROBLEM, LOOP, costs.tolist(), 0.0)["notes"][-1]
 
 
 def test_a_short_run_has_a_mean_alone() -> None:

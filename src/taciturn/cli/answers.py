@@ -62,7 +62,7 @@ def evaluate(
         typer.echo(found)
     if not found.reached and steps is not None:
         refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
-    if not found.reached and standard_error is not None and found.cost.standard_error <= standard_error:
+    if not found.settled:
         refuse(
             f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "
             "are too many ticks; take a longer period"

@@ -32,8 +32,12 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
 
     stated = losses(network, seed)
     fates: dict[LinkName, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}
+    seen: set[str] = set()
     for text in given:
         link, named, chance = text.rpartition("=")
+        if link in seen:
+            raise ProblemError(f"--loss is given twice for {link or 'all links'}; expected one loss for each")
+        seen.add(link)
         if named and link not in fates:
             raise ProblemError(f"--loss names the link {link!r}; expected of {policy.kind}: {', '.join(fates)}")
         for one, fate in fates.items():

@@ -126,6 +126,11 @@ class Wire:
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 
+    @property
+    def keyed(self) -> bool:
+        """Whether packets are authenticated."""
+        return self._key is not None
+
     def decode(self, datagram: bytes) -> Packet | str:
         """Return the packet of a datagram, or why it is none.
 

@@ -22,7 +22,7 @@ from taciturn.runtime.clock import Phase
 from taciturn.runtime.inbox import AHEAD, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import DISAGREE, IDLE, QUIET, Say, Told, disagreement, take_until
+from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
@@ -147,8 +147,9 @@ class NodeServer:
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
                 self.refused[packet] += 1
-                if packet in DISAGREE and self.refused[packet] == 1 and self._say is not None:
-                    self._say(disagreement(self.nodes[0].role, packet, sender))
+                sentence = disagreement(self.nodes[0].role, packet, self.wire.keyed, sender)
+                if sentence and self.refused[packet] == 1 and self._say is not None:
+                    self._say(sentence)
             elif packet.loop >= len(self.nodes):
                 self.refused["misdirected"] += 1
             else:

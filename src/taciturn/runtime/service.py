@@ -18,7 +18,6 @@ Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # who starts a process waits for this
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 IDLE = 0.25  # seconds after which it is seen whether to stop
-DISAGREE = ("foreign", "forged")  # refusals of packets that are whole
 QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 
 
@@ -32,10 +31,13 @@ def say(sentence: str) -> None:
     print(f"taciturn: {sentence}", file=sys.stderr, flush=True)
 
 
-def disagreement(name: str, why: str, sender: Address) -> str:
-    """Return the sentence of who refuses packets of a sender with which it has no policy or no key in common."""
-    other = "another key" if why == "forged" else "another policy, or with and without a key,"
-    return f"the {name} refuses packets of {other} from {sender[0]}:{sender[1]}: same problem file, same --key?"
+def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | None:
+    """Return the sentence of who refuses packets of a sender with which it has no policy or no key in common, if so."""
+    others = {"foreign": "of another policy, or with and without a key,", "forged": "of another key"}
+    others |= {"malformed": "too short for the tag of a key"} if keyed else {}
+    if why not in others:
+        return None
+    return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file, same --key?"
 
 
 def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:

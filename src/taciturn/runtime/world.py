@@ -14,7 +14,7 @@ from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.relay import EmulatedLink
-from taciturn.runtime.service import DISAGREE, IDLE, QUIET, Say, Told, disagreement
+from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
@@ -173,8 +173,9 @@ class PlantServer:
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
                 self.refused[packet] += 1
-                if packet in DISAGREE and self.refused[packet] == 1 and self._say is not None:
-                    self._say(disagreement("plant", packet, sender))
+                sentence = disagreement("plant", packet, self.wire.keyed, sender)
+                if sentence and self.refused[packet] == 1 and self._say is not None:
+                    self._say(sentence)
             elif packet.kind != "input" or packet.loop >= len(self.plants):
                 self.refused["misdirected"] += 1
             else:

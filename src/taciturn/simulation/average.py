@@ -193,4 +193,4 @@ def _sampled(
     found = replace(sampling.stationary(standard_error, steps), estimator=used)
     if len(parts) > 1:
         return found
-    return replace(found, notes=find_doubts(parts[0].loop, found.cost, found.rates, found.steps))
+    return replace(found, notes=find_doubts(parts[0].loop, found.cost, found.rates, found.steps, found.settled))

@@ -21,14 +21,16 @@ def expect_arrivals(loop: Loop) -> None:
     """
     links: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     for link in sorted(links):
-        if _loss(loop, link) == 1 and _grows(loop):
+        if _loss(loop, link) == 1 and comes_never_to_rest(loop):
             raise UnstableError(
                 f"the loop of {loop.policy.kind} diverges: the {link} link loses every packet, and the plant does not "
                 "come to rest by itself; expected a loss below 1"
             )
 
 
-def find_doubts(loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int) -> tuple[str, ...]:
+def find_doubts(
+    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
+) -> tuple[str, ...]:
     """Return what makes a simulated average doubtful, for the reader of its numbers.
 
     Args:
@@ -36,21 +38,32 @@ def find_doubts(loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps
         cost: the average.
         rates: sends per tick, by link.
         steps: simulated steps of all paths together.
+        settled: whether the loop had time to forget its start.
     """
     silent = [link for link, rate in rates.items() if rate.value == 0]
     notes: tuple[str, ...] = ()
-    if silent and _grows(loop):
+    if silent and comes_never_to_rest(loop):
         notes += (
-            f"hardly ever sends: nothing on the {silent[0]} link in the {steps} steps simulated, and the plant does "
-            "not come to rest by itself: the cost is how far it got, not an average",
+            f"nothing was sent on the {silent[0]} link in the {steps} steps simulated, and the plant does not come to "
+            "rest by itself: the cost is how far it got, not an average",
         )
-    if cost.standard_error > LARGE * abs(cost.value):
-        share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
+    elif not settled:
         notes += (
-            f"the standard error is {share:.2g} of the cost after {steps} steps: a few paths cost more than all "
-            "others, and the mean square may not exist",
+            f"the loop has not settled within {steps} steps: cost and rates are those of a start that is not yet "
+            "forgotten, not averages",
         )
-    return notes
+    return notes + doubt_errors(cost, steps)
+
+
+def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
+    """Return a sentence where a standard error is as large as what it is of."""
+    if cost.standard_error <= LARGE * abs(cost.value):
+        return ()
+    share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
+    return (
+        f"the standard error is {share:.2g} of the cost after {steps} steps: a few ticks or paths cost more than all "
+        "others, and the mean square may not exist",
+    )
 
 
 def _loss(loop: Loop, link: LinkName) -> float:
@@ -61,7 +74,7 @@ def _loss(loop: Loop, link: LinkName) -> float:
     return loop.network.actuator_loss if link == "actuator" else loop.network.sensor_loss
 
 
-def _grows(loop: Loop) -> bool:
+def comes_never_to_rest(loop: Loop) -> bool:
     """Tell whether noise moves a mode that does not decay, in a linear plant of which the cost sees all such modes."""
     plant = loop.problem.plant
     if plant.function is not None:

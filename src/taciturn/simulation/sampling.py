@@ -17,6 +17,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.program.controls import CONTROL, controlled
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
+from taciturn.simulation.doubts import comes_never_to_rest
 from taciturn.simulation.lost import find_loss
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
@@ -51,6 +52,7 @@ class Averages:
         burn_in: ticks dropped at the start of each path.
         reached: whether the asked standard error was met.
         notes: what makes the numbers doubtful.
+        settled: whether the loop had time to forget its start.
         estimator: what was averaged: "completed squares", "plain average" or "never-die paths"; or "".
     """
 
@@ -61,6 +63,7 @@ class Averages:
     reached: bool
     notes: tuple[str, ...] = ()
     estimator: str = ""
+    settled: bool = True
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +213,8 @@ class Sampling:
             if steps is None and long_enough and self._is_precise(cost, target):
                 return Averages(cost, rates, self.steps, dropped, True)
             if left <= window:
-                return Averages(cost, rates, self.steps, dropped, steps is not None and long_enough)
+                reached = steps is not None and long_enough
+                return Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
             if missing > PAYS * measured and self._add_controls(paths):
@@ -250,6 +254,11 @@ class Sampling:
                 return Averages(cost, found, self.steps, 0, reached or steps is not None)
             self._report(cost, None if steps else target, self.steps / budget)
 
+    @cached_property
+    def _restless(self) -> bool:
+        """Whether a plant that is left alone costs ever more."""
+        return any(comes_never_to_rest(part.loop) for part in self.parts)
+
     def _affordable(self, states: Sequence[Array], budget: int) -> int:
         """Return how many ticks the budget is still good for."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
@@ -268,7 +277,8 @@ class Sampling:
     def _burn_in(self, states: list[Array], length: int, budget: int) -> tuple[list[Array], int, bool]:
         """Run until the start is forgotten: return the states, the ticks that took, and whether it was reached.
 
-        Forgotten means: a few time constants, a few mean intervals between sends, and a late send on nearly every path.
+        Forgotten means: a few time constants, a few mean intervals between sends, and a late send on nearly every path;
+        on none where nothing is sent and silence is safe.
         Where that takes long, fewer paths go on; half of the budget is left for what is kept.
         """
         least, dropped = length, length // 2
@@ -279,7 +289,7 @@ class Sampling:
             dropped += length
             sent = sums[self.counted]
             pace = self._pace(sent.mean(axis=1) / length)
-            silent = max((float((row == 0).mean()) for row in sent if row.any()), default=0.0)
+            silent = max((float((row == 0).mean()) for row in sent if row.any() or self._restless), default=0.0)
             if dropped >= max(least, pace) and silent <= SILENT:
                 return states, dropped, True
             length = max(dropped, int(pace) - dropped + 1)

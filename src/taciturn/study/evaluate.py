@@ -75,6 +75,7 @@ class Evaluation:
         notes: what the reader must know.
         linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
         estimator: of a simulation, what was averaged (as ``Averages``).
+        settled: whether a simulated loop had time to forget its start.
     """
 
     policy: str
@@ -99,6 +100,7 @@ class Evaluation:
     notes: tuple[str, ...]
     linearisation: Linearisation | None = None
     estimator: str = ""
+    settled: bool = True
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -245,6 +247,7 @@ def evaluate(
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
         estimator=found.estimator,
+        settled=found.settled,
     )
 
 

@@ -61,8 +61,9 @@ def tuned_lines(found: Tuned) -> Lines:
     lines: Lines = [(parameter.name, str(value)), *evaluation_lines(found.evaluation)]
     if found.beyond is not None:
         other = found.beyond
-        rates = ", ".join(f"{rate}" for rate in other.evaluation.rates.values())
-        text = f"{other.parameter.value:.6g}: rate {rates}, cost {other.evaluation.cost}"
+        rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
+        close = f"{other.parameter.value:.6g}" == f"{parameter.value:.6g}"
+        text = f"{other.parameter.value:.{17 if close else 6}g}: {rates}, cost {other.evaluation.cost}"
         lines.append(("beyond", f"the budget lies in a jump, on whose other side is {parameter.name} = {text}"))
     return lines
 

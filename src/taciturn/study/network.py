@@ -30,6 +30,7 @@ from taciturn.runtime.processes import Processes
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
+from taciturn.simulation.doubts import comes_never_to_rest
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.ticks import cost_of_ticks, measured, settled
@@ -232,7 +233,10 @@ def run_network(
         seed=seed,
         nominal=not departures,
         seconds=time.monotonic() - began,
-        notes=notes + _unforeseen(datagrams) + tuple(f"{text}: no guarantee holds" for text in departures),
+        notes=notes
+        + _unheard(loop, datagrams)
+        + _unforeseen(datagrams)
+        + tuple(f"{text}: no guarantee holds" for text in departures),
     )
 
 
@@ -323,6 +327,16 @@ def _sends(lines: Iterable[Mapping[str, Any]], link: LinkName, ticks: int) -> Ar
 def _arrived(lines: Iterable[Mapping[str, Any]], link: LinkName) -> tuple[int, ...]:
     """Return the sequence numbers of the packets that came, as their receiver has logged."""
     return tuple(sequence for line in lines for sequence in line[f"arrived_{link}"])
+
+
+def _unheard(loop: Loop, datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
+    """Return on which links nothing has arrived, of a plant that needs it."""
+    return tuple(
+        f"nothing has arrived on the {link} link, and the plant does not come to rest by itself: the cost is how far "
+        "it got, not an average"
+        for link, counted in datagrams.items()
+        if counted["delivered"] == 0 and loop.horizon is None and comes_never_to_rest(loop)
+    )
 
 
 def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:

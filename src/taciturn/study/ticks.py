@@ -11,6 +11,7 @@ from taciturn._arrays import Array
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
+from taciturn.simulation.doubts import doubt_errors
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.units import cost_unit
 
@@ -35,7 +36,8 @@ def cost_of_ticks(loop: Loop, costs: Array, final: float) -> tuple[Estimate | No
         return None, (f"{len(costs)} ticks are too few for a mean cost with its error: expected at least {needed}",)
     found = batch_means(kept)
     notes = (f"means are without the first {skipped} ticks, in which the loop settles",) if skipped else ()
-    return _in_units(loop, found), notes
+    cost = _in_units(loop, found)
+    return cost, notes + doubt_errors(cost, len(kept))
 
 
 def _in_units(loop: Loop, found: Estimate) -> Estimate:
