@@ -101,6 +101,7 @@ def test_completion_imports_nothing_heavy(tmp_path: Path) -> None:
     assert done.stdout.split("\n")[-2] == "heavy: []"
 
 
-def test_the_script_for_a_shell_names_the_command(run: Run) -> None:
-    """Whatever the process is called."""
+def test_the_script_for_a_shell_names_the_command(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever the process is called, and whatever has started the tests."""
+    monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))
     assert "complete -o default -F _taciturn_completion taciturn" in run("--show-completion", "bash").out
