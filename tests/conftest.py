@@ -1,9 +1,9 @@
-"""Every run draws the same examples, so that a failure can be repeated, and leaves the user's cache alone."""
+"""Every run draws the same examples, leaves the user's cache alone, and names what was slow or could not be shown."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 
 import pytest
 from hypothesis import settings
@@ -13,14 +13,50 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads on matrices of six
 settings.register_profile("repeatable", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("repeatable")
 NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nobody may overlook
+SLOW = 5.0  # seconds of processor time that no quick test should need
+PROCESSOR = "processor seconds"
+BEGAN = pytest.StashKey[float]()
+
+
+def processor_seconds() -> float:
+    """Return the processor time of this process and of its children that have ended."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Start the count of a test's processor time."""
+    item.stash[BEGAN] = processor_seconds()
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Write the processor time of a test into its last report, which also reaches the process that starts workers."""
+    report = yield
+    if call.when == "teardown" and item.get_closest_marker("evidence") is None:
+        report.user_properties.append((PROCESSOR, processor_seconds() - item.stash[BEGAN]))
+    return report
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say at the end, in red, what this machine cannot show."""
+    """List slow quick tests, then, in red, what this machine cannot show."""
+    reports = [report for group in terminalreporter.stats.values() for report in group]
+    used = {report.nodeid: dict(report.user_properties).get(PROCESSOR, 0.0) for report in reports if is_last(report)}
+    for name, seconds in sorted(used.items(), key=lambda entry: -entry[1]):
+        if seconds > SLOW:
+            terminalreporter.write_line(f"{seconds:5.1f} s of processor time, more than {SLOW:g} s: {name}")
     skipped = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
     reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
     for reason in sorted(reason for reason in reasons if reason.startswith(NOT_SHOWN)):
         terminalreporter.write_line(reason, red=True, bold=True)
+
+
+def is_last(report: object) -> bool:
+    """Tell whether a report is the one after a test's teardown."""
+    return isinstance(report, pytest.TestReport) and report.when == "teardown"
 
 
 @pytest.fixture(scope="session", autouse=True)
