@@ -6,8 +6,9 @@ The printed function runs blocks of ``lanes`` paths through any number of ticks:
              double* state, double* sums, double* constants, double* inputs, double* outputs)
 
 with state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, ticks, inputs, lanes) and outputs alike.
-All of it is doubles, whatever the precision of the program. What is added up over a window of ticks is added to the
-sums in memory. Constants and tables are read from memory, so programs of equal structure share one machine code.
+All of it is doubles, whatever the precision of the program, but for constants that all lanes share: these are numbers
+of the program's precision. What is added up over a window of ticks is added to the sums in memory. Constants and tables
+are read from memory, so programs of equal structure share one machine code.
 """
 
 from __future__ import annotations
@@ -15,26 +16,31 @@ from __future__ import annotations
 from taciturn.program._llvm_body import PERMUTES, Body, Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.ops import WINDOW
+from taciturn.program.target import Target
 
 
-def print_llvm(program: Program, lanes: int, build: Build, own: bool = False) -> str:
+def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
     """Return the text of a module with the function ``run``.
 
     Args:
         program: the program.
-        lanes: paths per block, the width of the vectors.
+        target: for which processor.
+        lanes: paths per block, the width of the vectors: a power of two from two on.
         build: ``"parity"`` agrees with NumPy bit for bit, ``"fast"`` lets multiplications and additions fuse.
         own: whether each lane has constants of its own, (blocks, constants, lanes).
     """
-    return _Printer(program, lanes, build, own).text()
+    return _Printer(program, target, lanes, build, own).text()
 
 
 class _Printer(Body):
     """A program within its loops over blocks, windows and ticks."""
 
+    def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
+        super().__init__(program, target, lanes, build, own)
+        self.target = target
+
     def text(self) -> str:
         program, V, U, L = self.program, self.numbers, self.words, self.lanes
-        entry = self._section(self._copy_constants)
         outer = self._section(self._load_constants)
         body = self._section(self._tick)
         phis = [
@@ -53,23 +59,24 @@ class _Printer(Body):
         stores = self._section(self._store_states)
         return "\n".join(
             [
+                self.target.heading,
                 f"declare {V} @llvm.sqrt.v{L}f{self.bits}({V})",
                 f"declare {V} @llvm.fmuladd.v{L}f{self.bits}({V}, {V}, {V})",
                 f"declare {U} @llvm.fshl.v{L}i64({U}, {U}, {U})",
-                *([PERMUTES[L]] if self.permutes else []),
-                f"declare {self.doubles} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.doubles})",
+                *self._permutation(),
+                f"declare {self.entries} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.entries})",
                 "",
                 "define void @run(i64 %first, i64 %end, i64 %ticks, ptr noalias %state, ptr noalias %sums, "
                 "ptr noalias readonly %constants, ptr noalias readonly %inputs, ptr noalias %outputs) "
-                '"stackrealign" {',  # without it, spills are unaligned and speed is bimodal
+                # without "stackrealign", spills are unaligned and speed is bimodal
+                f'nounwind "stackrealign" {self.target.attributes} {{',
                 "entry:",
                 f"  %column = alloca {V}, i64 {max((len(op.arguments) for op in program.ops), default=1)}",
                 "  %nought = alloca i64",
                 "  store i64 0, ptr %nought",
-                *entry,
                 "  br label %outer",
                 "outer:",
-                f"  %block = phi i64 [ %first, %{self.before} ], [ %next_block, %finish ]",
+                "  %block = phi i64 [ %first, %entry ], [ %next_block, %finish ]",
                 *outer,
                 "  br label %window",
                 "window:",
@@ -108,29 +115,15 @@ class _Printer(Body):
         write()
         return self.lines
 
-    def _copy_constants(self) -> None:
-        """Write the constants down as floats, where the program is in single precision."""
-        self.before, count = "entry", len(constants_of(self.program))
-        if self.copies and count > 0:
-            self.before = "copied"
-            self.lines += [
-                f"  %floats = alloca float, i64 {count}",
-                "  br label %copy",
-                "copy:",
-                "  %i = phi i64 [ 0, %entry ], [ %next_i, %copy ]",
-                "  %double_at = getelementptr double, ptr %constants, i64 %i",
-                "  %float_at = getelementptr float, ptr %floats, i64 %i",
-                "  %double = load double, ptr %double_at, align 8",
-                "  %float = fptrunc double %double to float",
-                "  store float %float, ptr %float_at, align 4",
-                "  %next_i = add i64 %i, 1",
-                f"  %more_i = icmp slt i64 %next_i, {count}",
-                "  br i1 %more_i, label %copy, label %copied",
-                "copied:",
-            ]
+    def _permutation(self) -> list[str]:
+        """Declare what permutes tables."""
+        if not self.permutes:
+            return []
+        function, numbers, places = PERMUTES[self.permutes]
+        return [f"declare {numbers} @{function}({numbers}, {places})"]
 
     def _load_constants(self) -> None:
-        self.base = "%floats" if self.copies and constants_of(self.program) else "%constants"
+        self.base = "%constants"
         if self.own:
             size = self._new(f"mul i64 %block, {len(constants_of(self.program)) * self.lanes}")
             self.base = self._new(f"getelementptr double, ptr %constants, i64 {size}")
@@ -171,7 +164,7 @@ class _Printer(Body):
         self.first_input = self._new(f"mul i64 {at}, {len(program.inputs)}")
         self.label = "tick"
         zero = self._new("load volatile i64, ptr %nought, align 8")  # so that constants are not all spread ahead
-        self.base = self._new(f"getelementptr double, ptr {self.base}, i64 {zero}")
+        self.base = self._new(f"getelementptr {self.number_at}, ptr {self.base}, i64 {zero}")
         self.operations()
         first = self._new(f"mul i64 {at}, {len(program.outputs)}")
         for i, index in enumerate(program.outputs.values()):
