@@ -13,7 +13,7 @@ from taciturn.loop import Loop
 from taciturn.model.policy import Assign
 
 SOURCE = Path(__file__).with_name("limit.cpp")
-FLAGS = ["-O3", "-march=native", "-ffast-math", "-std=c++17", "-shared", "-fPIC"]
+FLAGS = ["-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-std=c++17", "-shared", "-fPIC"]
 
 
 class Limit:

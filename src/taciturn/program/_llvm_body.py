@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 from taciturn.program.ir import Program, needed
@@ -94,7 +94,9 @@ class Body:
         self.live = needed(program, _roots(program))
         self.fused, self.summed = _fused(program, self.live) if self.fuses else ({}, set[int]())
         self.lines: list[str] = []
-        self.names: list[str] = []  # of the operations' values
+        self.printed = sorted(self.live - {*self.fused.values(), *self.summed})
+        self.names = [""] * len(program.ops)  # of the operations' values
+        self.memory = "%state"  # how the names of states begin
         self.vectors: dict[int, list[str]] = {}  # of the entries of products
         self.halves_known: set[str] = set()  # names of half words
         self.alone = program.operations > SMALL
@@ -104,18 +106,25 @@ class Body:
         self.label = ""  # of the block that is printed
         self.counter = 0
 
-    def operations(self) -> None:
-        """Print every operation of the program that something depends on."""
-        printed = self.live - {*self.fused.values(), *self.summed}
-        for index, op in enumerate(self.program.ops):
+    def operations(self, indices: Iterable[int]) -> None:
+        """Print some of the operations that something depends on, in their order."""
+        for index in indices:
+            op = self.program.ops[index]
             if op.name == "product":
                 self.vectors[index] = self._product(op.arguments[0], op.reads)
-            if index not in printed or op.name == "product":
-                self.names.append("")
             elif index in self.fused:
-                self.names.append(self._fused_sum(op, self.fused[index]))
+                self.names[index] = self._fused_sum(op, self.fused[index])
             else:
-                self.names.append(self._operation(op.name, op.arguments))
+                self.names[index] = self._operation(op.name, op.arguments)
+
+    def kind(self, index: int) -> str:
+        """Return the type of an operation's value, once it is printed."""
+        name = self.program.ops[index].name
+        if name in ("greater", "less_equal", "and", "not", "any_bit"):
+            return self.truths
+        if name not in (*_INTEGER, *_SHIFT, "rotate_left", "upper", "lower", "bits"):
+            return self.numbers
+        return self.halves if self.names[index] in self.halves_known else self.words
 
     def added_up(self, index: int, before: str) -> str:
         """Return what computes a sum over ticks with one term more."""
@@ -198,7 +207,7 @@ class Body:
         if name == "const":
             return self._coefficient(rest[0]) if self.alone else self.constants[rest[0]]
         if name == "state":
-            return f"%state{rest[0]}"
+            return f"{self.memory}{rest[0]}"
         if name == "input":
             return self._load(self._row("%inputs", self.first_input, rest[0]))
         if name in _ARITHMETIC:
@@ -322,8 +331,7 @@ class Body:
         if not self.permutes:
             offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
             return self._gathered(base, U, offsets)
-        wide = self.permutes
-        found: list[str] = []
+        wide, found = self.permutes, list[str]()
         for first in range(0, self.lanes, wide):
             part = self._part(self.names[word], U, range(first, first + wide), f"<{wide} x i64>")
             found.append(self._permuted(base, part))

@@ -13,6 +13,9 @@ are read from memory, so programs of equal structure share one machine code.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from taciturn.program._llvm_ahead import FREE, Ahead, find_ahead
 from taciturn.program._llvm_body import PERMUTES, Body, Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.ops import WINDOW
@@ -38,19 +41,19 @@ class _Printer(Body):
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
         super().__init__(program, target, lanes, build, own)
         self.target = target
+        # not where a run is one tick or so, nor where a tick is long enough to fill the processor
+        alone = own or self.alone or bool(program.inputs)
+        self.ahead = Ahead() if alone else find_ahead(program, self.printed, self.fused, self.summed)
 
     def text(self) -> str:
         program, V, U, L = self.program, self.numbers, self.words, self.lanes
         outer = self._section(self._load_constants)
         body = self._section(self._tick)
-        phis = [
-            f"  %state{i} = phi {U if state.word else V} [ %from{i}, %window ], [ {self.names[index]}, %{self.label} ]"
-            for i, (state, index) in enumerate(zip(program.states, program.following, strict=True))
-        ]
-        starts = [
-            f"  %from{i} = phi {U if state.word else V} [ %start{i}, %outer ], [ {self.names[index]}, %flush ]"
-            for i, (state, index) in enumerate(zip(program.states, program.following, strict=True))
-        ]
+        kinds = [U if state.word else V for state in program.states]
+        turning = [(f"state{i}", *row) for i, row in enumerate(zip(kinds, self.first, self.following, strict=True))]
+        turning += [(f"early{i}", *row) for i, row in enumerate(zip(self.kinds, self.begun, self.drawn, strict=True))]
+        starts = [f"  %{name}_from = phi {T} [ {a}, %outer ], [ {b}, %flush ]" for name, T, a, b in turning]
+        phis = [f"  %{name} = phi {T} [ %{name}_from, %window ], [ {b}, %{self.label} ]" for name, T, _, b in turning]
         phis += [
             f"  %sum{i} = phi {V} [ zeroinitializer, %window ], [ %next_sum{i}, %{self.label} ]"
             for i in range(len(program.sums))
@@ -129,6 +132,24 @@ class _Printer(Body):
             self.base = self._new(f"getelementptr double, ptr %constants, i64 {size}")
         self.constants = [] if self.alone else [self._coefficient(i) for i in range(len(self.program.constants))]
         self._load_states()
+        self.first = [f"%start{i}" for i in range(len(self.program.states))]
+        self.memory = "%start"
+        self.begun = self._draw()
+        self.kinds = [self.kind(i) for i in self.ahead.carried]
+        self.first, self.memory = self._moved(self.first), "%state"
+
+    def _draw(self) -> list[str]:
+        """Print what is done ahead, from the words in memory; return the names of what the tick reads of it."""
+        ahead = {*self.ahead.operations}
+        if ahead:
+            free = (*FREE, "state")
+            self.operations(i for i in self.printed if i in ahead or self.program.ops[i].name in free)
+        return [self.names[i] for i in self.ahead.carried]
+
+    def _moved(self, before: Sequence[str]) -> list[str]:
+        """Return the names of the states once words have moved, where they move ahead."""
+        states = zip(self.program.states, self.program.following, before, strict=True)
+        return [self.names[index] if state.word and self.ahead.carried else name for state, index, name in states]
 
     def _load_states(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
@@ -153,8 +174,9 @@ class _Printer(Body):
     def _store_states(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
         for i, index in enumerate(self.program.following):
-            address, value = self._row("%state", first, i), self.names[index]
-            shown = f"{self.words} {value}" if self.program.states[i].word else f"{self.doubles} {self._widen(value)}"
+            address, word = self._row("%state", first, i), self.program.states[i].word
+            value = f"%state{i}" if word and self.ahead.carried else self.names[index]  # a word has moved on already
+            shown = f"{self.words} {value}" if word else f"{self.doubles} {self._widen(value)}"
             self.lines.append(f"  store {shown}, ptr {address}, align 8")
 
     def _tick(self) -> None:
@@ -165,7 +187,13 @@ class _Printer(Body):
         self.label = "tick"
         zero = self._new("load volatile i64, ptr %nought, align 8")  # so that constants are not all spread ahead
         self.base = self._new(f"getelementptr {self.number_at}, ptr {self.base}, i64 {zero}")
-        self.operations()
+        self.drawn = self._draw()
+        moved = self._moved([""] * len(program.states))
+        for place, (index, name) in enumerate(zip(self.ahead.carried, self.drawn, strict=True)):
+            self.names[index] = self._half(f"%early{place}", name in self.halves_known)
+        ahead = {*self.ahead.operations}
+        self.operations(i for i in self.printed if i not in ahead)
+        self.following = [name or self.names[i] for name, i in zip(moved, program.following, strict=True)]
         first = self._new(f"mul i64 {at}, {len(program.outputs)}")
         for i, index in enumerate(program.outputs.values()):
             address = self._row("%outputs", first, i)
