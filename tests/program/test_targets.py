@@ -14,6 +14,7 @@ import pytest
 from program.symbols import undefined
 from program.targets import SUPPLIED, TARGETS, Text, compiled, every_operation, printed, printed_kinds, wide_frame
 
+import taciturn
 from taciturn.errors import ProblemError
 from taciturn.program import machine
 from taciturn.program import numpy as interpreter
@@ -262,3 +263,17 @@ def test_vectors_that_are_not_there_are_refused() -> None:
     assert answer.returncode == 2
     assert answer.stderr.startswith("taciturn: TACITURN_VECTORS is 'wide'; expected ")
     assert answer.stderr.count("\n") == 1
+
+
+def test_draws_are_done_ahead_and_the_words_in_memory_do_not_tell() -> None:
+    """In a program without inputs; one that reads the generator's words itself draws within its tick."""
+    problem = taciturn.load("two-mass")
+    program = problem.close(problem.design()).reduced_program()
+    _, text = printed(program, TARGETS["AVX2"], "fast")
+    assert "%early0" in text
+    assert "%early0" not in printed(program, TARGETS["AVX2"], "fast", own=True)[1]
+    words = [i for i, op in enumerate(program.ops) if op.name == "state" and program.states[op.arguments[0]].word]
+    telling = replace(program, outputs={**program.outputs, "word": program.following[-1]})
+    assert "%early" in printed(telling, TARGETS["AVX2"], "fast")[1]
+    read = replace(program, outputs={"word": words[0]})
+    assert "%early" not in printed(read, TARGETS["AVX2"], "fast")[1]
