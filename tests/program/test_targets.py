@@ -273,7 +273,5 @@ def test_draws_are_done_ahead_and_the_words_in_memory_do_not_tell() -> None:
     assert "%early0" in text
     assert "%early0" not in printed(program, TARGETS["AVX2"], "fast", own=True)[1]
     words = [i for i, op in enumerate(program.ops) if op.name == "state" and program.states[op.arguments[0]].word]
-    telling = replace(program, outputs={**program.outputs, "word": program.following[-1]})
-    assert "%early" in printed(telling, TARGETS["AVX2"], "fast")[1]
     read = replace(program, outputs={"word": words[0]})
     assert "%early" not in printed(read, TARGETS["AVX2"], "fast")[1]
