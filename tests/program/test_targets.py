@@ -77,11 +77,12 @@ def test_any_number_of_lanes_compiles_for_any_processor(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", TARGETS)
 def test_every_kind_of_program_compiles_for_every_processor(name: str, tmp_path: Path) -> None:
     """Loops of every kind, in both builds, with constants of their own or shared, with any number of lanes."""
+    texts: list[tuple[str, Text]] = []
     for kind, program in printed_kinds():
         widths = WIDTHS if kind.startswith(("two masses", "every feature")) else (None,)
         choices = [(False, width) for width in widths] + [(True, None)]
-        texts = [(name, printed(program, TARGETS[name], build, own, n)) for build in BUILDS for own, n in choices]
-        assert missing(texts, tmp_path) == {name: set()}, kind
+        texts += [(name, printed(program, TARGETS[name], build, own, n)) for build in BUILDS for own, n in choices]
+    assert missing(texts, tmp_path) == {name: set()}
 
 
 SINE = """
