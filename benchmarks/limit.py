@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 import subprocess
 import tempfile
 from pathlib import Path
@@ -11,9 +12,12 @@ import numpy as np
 
 from taciturn.loop import Loop
 from taciturn.model.policy import Assign
+from taciturn.program.target import VECTORS
 
 SOURCE = Path(__file__).with_name("limit.cpp")
-FLAGS = ["-O3", "-march=native", "-ffast-math", "-std=c++17", "-shared", "-fPIC"]
+FLAGS = ["-O3", "-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math", "-std=c++17", "-shared", "-fPIC"]
+
+PROCESSORS = {"avx2": "haswell", "baseline": "x86-64"}  # where the environment asks for narrower vectors
 
 
 class Limit:
@@ -30,7 +34,8 @@ class Limit:
         folder = Path(self.folder.name)
         (folder / "numbers.h").write_text(numbers(loop))
         target = folder / "limit.so"
-        subprocess.run([compiler, *FLAGS, f"-I{folder}", "-o", str(target), str(SOURCE)], check=True)
+        asked = PROCESSORS.get(os.environ.get(VECTORS, ""), "native")
+        subprocess.run([compiler, *FLAGS, f"-march={asked}", f"-I{folder}", "-o", str(target), str(SOURCE)], check=True)
         self.code = ctypes.CDLL(str(target))
         self.sums = (ctypes.c_double * 3)()
 

@@ -8,23 +8,18 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import llvmlite.binding as llvm
 import numpy as np
 import pytest
 
 import taciturn
-from taciturn.errors import ProblemError
 from taciturn.loop import Loop
-from taciturn.model.plant import Jumps
 from taciturn.program import machine
-from taciturn.program.ir import Builder, Program
-from taciturn.program.llvm import print_llvm
+from taciturn.program.ir import Builder
 from taciturn.program.machine import Kernel
-from taciturn.renewal.events import IntegralTrigger, JumpProcess, cycle_program
+from taciturn.program.target import Target
 
 Compiled = list[str]
 
@@ -42,7 +37,7 @@ def compiled(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Compiled:
     texts: Compiled = []
     compile_object = machine.compile_object
 
-    def note(text: str, target: object) -> bytes:
+    def note(text: str, target: Target) -> bytes:
         texts.append(text)
         return compile_object(text, target)
 
@@ -226,58 +221,6 @@ def test_a_program_without_states_runs() -> None:
     assert kernel.run(program, np.zeros((0, 0)), 5).sums["x"].shape == (0,)
 
 
-TARGETS = {
-    "AVX-512": ("x86_64-unknown-linux-gnu", "skylake-avx512", "", 8),
-    "AVX2": ("x86_64-unknown-linux-gnu", "haswell", "", 4),
-    "AVX2 without FMA": ("x86_64-unknown-linux-gnu", "x86-64", "+avx2", 4),
-    "SSE2": ("x86_64-unknown-linux-gnu", "x86-64", "", 2),
-    "NEON": ("aarch64-unknown-linux-gnu", "", "", 2),
-    "Apple": ("arm64-apple-darwin", "apple-m1", "", 2),
-    "Windows": ("x86_64-pc-windows-msvc", "haswell", "", 4),
-}
-
-
-def programs(loop: Loop) -> list[Program]:
-    """Return programs with every operation among them: the second looks into tables, the third divides.
-
-    The last two are in single precision.
-    """
-    problem = taciturn.load("two-mass")
-    clocked = problem.close(taciturn.design.periodic(problem.plant, problem.cost, every=3))
-    process = JumpProcess(np.eye(2, k=1), Jumps(1.0, np.eye(2)), np.eye(2))
-    written = [loop.program(), clocked.program(), cycle_program(process, IntegralTrigger(1.0))]
-    return [*written, *(replace(each, precision="float32").program() for each in (loop, clocked))]
-
-
-@pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("build", ["parity", "fast"])
-def test_programs_compile_for_every_processor(loop: Loop, name: str, build: machine.Build) -> None:
-    """No function is called, for there is no mathematical library; the parity build has no fused operation."""
-    triple, cpu, features, lanes = TARGETS[name]
-    llvm.initialize_all_targets()
-    llvm.initialize_all_asmprinters()
-    target = llvm.Target.from_triple(triple).create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
-    for program in programs(loop):
-        text = print_llvm(program, lanes * (2 if program.precision == "float32" else 1), build)
-        assert len(machine.compile_object(text, target)) > 1000
-        module = llvm.parse_assembly(f'target triple = "{triple}"\n{text}')
-        module.data_layout = str(target.target_data)
-        lines = [line.split() for line in target.emit_assembly(module).splitlines() if line.startswith("\t")]
-        mnemonics = {line[0] for line in lines}
-        assert not mnemonics & {"call", "callq", "bl", "blr"}
-        fused = any(word.startswith(("vfma", "vfms", "vfnm", "fmla", "fmls", "fmadd", "fmsub")) for word in mnemonics)
-        assert fused == (build == "fast" and name not in ("SSE2", "AVX2 without FMA"))
-
-
-@pytest.mark.parametrize(
-    ("features", "lanes"), [("+avx512f,+avx2", 8), ("-avx512f,+avx2", 4), ("-avx2,+sse2", 2), ("+neon", 2)]
-)
-def test_the_lanes_fill_the_widest_vector(monkeypatch: pytest.MonkeyPatch, features: str, lanes: int) -> None:
-    """Eight, four or two doubles."""
-    monkeypatch.setattr(machine, "_host", lambda: ("generic", features))
-    assert machine.vector_lanes.__wrapped__() == lanes
-
-
 WITHOUT_LLVM = """
 import sys, warnings
 import numpy as np
@@ -313,72 +256,3 @@ def test_without_llvmlite_the_loops_run_in_numpy_with_one_notice(loop: Loop, tmp
         sums = {f"sum {name}": value for name, value in expected.sums.items()}
         for name, value in {"states": expected.states, **sums, **expected.outputs}.items():
             assert found[name].tobytes() == np.ascontiguousarray(value).tobytes()
-
-
-ALL_BITS = """
-import hashlib
-from dataclasses import replace
-import taciturn
-from taciturn.program.machine import Kernel, vector_lanes
-problem = taciturn.load("two-mass")
-loop = problem.close(problem.design())
-found = hashlib.sha256()
-for each in (loop, replace(loop, precision="float32")):
-    for program in (each.program(), each.reduced_program()):
-        result = Kernel(program, "parity").run(program, each.start(program, 13, 5), 300)
-        found.update(result.states.tobytes())
-        for values in (*result.sums.values(), *result.outputs.values()):
-            found.update(values.tobytes())
-print(vector_lanes(), found.hexdigest())
-"""
-
-
-def test_every_width_of_vectors_gives_the_same_bits() -> None:
-    """All that this processor has, and what every processor of its kind has."""
-    features = llvm.get_host_cpu_features()
-    widths = [name for name, flag in (("avx512", "avx512f"), ("avx2", "avx2")) if features.get(flag)]
-    found: dict[str, str] = {}
-    for asked in ("", *widths, "baseline"):
-        command = [sys.executable, "-c", ALL_BITS]
-        environment = {**os.environ, machine.VECTORS: asked}
-        answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout.split()
-        found[answer[0]] = answer[1]
-    assert len(found) == max(1, len(widths) + 1)
-    assert len(set(found.values())) == 1
-
-
-ALL_FEATURES = "+sse2,+avx,+avx2,+fma,+avx512f,+avx512dq"
-
-
-@pytest.mark.parametrize(
-    ("features", "asked", "lanes"),
-    [
-        (ALL_FEATURES, "", 8),
-        (ALL_FEATURES, "avx512", 8),
-        (ALL_FEATURES, "avx2", 4),
-        (ALL_FEATURES, "baseline", 2),
-        ("+sse2,+avx2,-avx512f", "avx2", 4),
-        ("+neon", "baseline", 2),
-    ],
-)
-def test_lesser_vectors_can_be_asked_for(
-    monkeypatch: pytest.MonkeyPatch, features: str, asked: str, lanes: int
-) -> None:
-    """By name."""
-    allowed = machine.allowed("some processor", features, asked)
-    monkeypatch.setattr(machine, "_host", lambda: allowed)
-    assert machine.vector_lanes.__wrapped__() == lanes
-
-
-def test_vectors_that_are_not_there_are_refused() -> None:
-    """In one sentence, with exit code 2 on the command line."""
-    with pytest.raises(ProblemError, match=r"processor \(old\) lacks; expected one of avx2, baseline"):
-        machine.allowed("old", "+sse2,+avx2,-avx512f", "avx512")
-    with pytest.raises(ProblemError, match="'sse9'; expected one of avx512, avx2, baseline"):
-        machine.allowed("new", ALL_FEATURES, "sse9")
-    command = [sys.executable, "-m", "taciturn.cli", "evaluate", "two-mass"]
-    environment = {**os.environ, machine.VECTORS: "wide"}
-    answer = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert answer.returncode == 2
-    assert answer.stderr.startswith("taciturn: TACITURN_VECTORS is 'wide'; expected ")
-    assert answer.stderr.count("\n") == 1

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Precision, Rows, Tile, tiles
+from taciturn.program.target import Target
 
 Build = Literal["parity", "fast"]
 _FLAGS: Mapping[Build, str] = {
@@ -17,9 +18,9 @@ _FLAGS: Mapping[Build, str] = {
 # Operations of a program whose constants are spread over vectors ahead of all ticks. In a larger one they would be
 # spilled, and where the stack comes to lie would decide the speed, by a fifth: they are spread where they are used.
 SMALL = 256
-PERMUTES = {  # by lanes of doubles: what permutes a register of AVX-512, and half words of one of AVX2
-    8: "declare <8 x double> @llvm.x86.avx512.permvar.df.512(<8 x double>, <8 x i64>)",
-    4: "declare <8 x float> @llvm.x86.avx2.permps(<8 x float>, <8 x i32>)",
+PERMUTES = {  # by doubles that are permuted: the function, and a type of as many bits, of numbers and of places
+    8: ("llvm.x86.avx512.permvar.df.512", "<8 x double>", "<8 x i64>"),
+    4: ("llvm.x86.avx2.permps", "<8 x float>", "<8 x i32>"),  # the halves of doubles
 }
 _NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
@@ -37,6 +38,11 @@ def constants_of(program: Program) -> list[float]:
 def _columns(matrix: Rows, tile: Tile) -> list[float]:
     """Return the coefficients of a tile, column by column."""
     return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
+
+
+def _filled(kind: str, literal: object, lanes: int) -> str:
+    """Return a vector with the same literal in every lane."""
+    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
 
 
 def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
@@ -67,26 +73,30 @@ class Body:
 
     Args:
         program: whose operations are printed.
+        target: for which processor.
         lanes: width of the vectors.
         build: whether operations may fuse.
         own: whether each lane has constants of its own.
     """
 
-    def __init__(self, program: Program, lanes: int, build: Build, own: bool) -> None:
+    def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
         """Start with no lines."""
         self.program, self.lanes, self.flags, self.own = program, lanes, _FLAGS[build], own
         self.number, self.bits = _NUMBER[program.precision]
         self.numbers, self.doubles, self.truths = (f"<{lanes} x {kind}>" for kind in (self.number, "double", "i1"))
         self.words, self.halves = f"<{lanes} x i64>", f"<{lanes} x i32>"
-        self.permutes = program.precision == "float64" and not own and lanes in PERMUTES
-        self.copies = program.precision == "float32" and not own  # constants become floats once
-        self.number_at = self.number if self.copies else "double"  # what stands at the base of the constants
-        self.gather = f"llvm.masked.gather.v{lanes}f64.v{lanes}p0"
+        wide = target.permutes
+        self.permutes = wide if wide and program.precision == "float64" and not own and lanes % wide == 0 else 0
+        self.number_at = "double" if own else self.number  # what stands at the base of the constants
+        self.entries = f"<{lanes} x {self.number_at}>"
+        self.gather = f"llvm.masked.gather.v{lanes}f{64 if self.number_at == 'double' else 32}.v{lanes}p0"
         self.fuses = build == "fast"
         self.live = needed(program, _roots(program))
         self.fused, self.summed = _fused(program, self.live) if self.fuses else ({}, set[int]())
         self.lines: list[str] = []
-        self.names: list[str] = []  # of the operations' values
+        self.printed = sorted(self.live - {*self.fused.values(), *self.summed})
+        self.names = [""] * len(program.ops)  # of the operations' values
+        self.memory = "%state"  # how the names of states begin
         self.vectors: dict[int, list[str]] = {}  # of the entries of products
         self.halves_known: set[str] = set()  # names of half words
         self.alone = program.operations > SMALL
@@ -96,18 +106,25 @@ class Body:
         self.label = ""  # of the block that is printed
         self.counter = 0
 
-    def operations(self) -> None:
-        """Print every operation of the program that something depends on."""
-        printed = self.live - {*self.fused.values(), *self.summed}
-        for index, op in enumerate(self.program.ops):
+    def operations(self, indices: Iterable[int]) -> None:
+        """Print some of the operations that something depends on, in their order."""
+        for index in indices:
+            op = self.program.ops[index]
             if op.name == "product":
                 self.vectors[index] = self._product(op.arguments[0], op.reads)
-            if index not in printed or op.name == "product":
-                self.names.append("")
             elif index in self.fused:
-                self.names.append(self._fused_sum(op, self.fused[index]))
+                self.names[index] = self._fused_sum(op, self.fused[index])
             else:
-                self.names.append(self._operation(op.name, op.arguments))
+                self.names[index] = self._operation(op.name, op.arguments)
+
+    def kind(self, index: int) -> str:
+        """Return the type of an operation's value, once it is printed."""
+        name = self.program.ops[index].name
+        if name in ("greater", "less_equal", "and", "not", "any_bit"):
+            return self.truths
+        if name not in (*_INTEGER, *_SHIFT, "rotate_left", "upper", "lower", "bits"):
+            return self.numbers
+        return self.halves if self.names[index] in self.halves_known else self.words
 
     def added_up(self, index: int, before: str) -> str:
         """Return what computes a sum over ticks with one term more."""
@@ -190,7 +207,7 @@ class Body:
         if name == "const":
             return self._coefficient(rest[0]) if self.alone else self.constants[rest[0]]
         if name == "state":
-            return f"%state{rest[0]}"
+            return f"{self.memory}{rest[0]}"
         if name == "input":
             return self._load(self._row("%inputs", self.first_input, rest[0]))
         if name in _ARITHMETIC:
@@ -299,42 +316,70 @@ class Body:
         return [f"{total}_next" for total in totals]
 
     def _every(self, kind: str, literal: str) -> str:
-        return "<" + ", ".join([f"{kind} {literal}"] * self.lanes) + ">"
+        return _filled(kind, literal, self.lanes)
 
     def _table(self, table: int) -> str:
         """Return the address of a table."""
         before = len(self.program.constants) + sum(len(values) for values in self.program.tables[:table])
         start = "%constants" if not self.own else self.base
-        return self._new(f"getelementptr double, ptr {start}, i64 {before * (self.lanes if self.own else 1)}")
+        places = before * (self.lanes if self.own else 1)
+        return self._new(f"getelementptr {self.number_at}, ptr {start}, i64 {places}")
 
     def _pick(self, table: int, word: int) -> str:
         """A table of eight doubles fits one register of AVX-512 or two of AVX2, and is permuted there, or gathered."""
-        base, U, V = self._table(table), self.words, self.doubles
-        if self.permutes and self.lanes == EIGHT:
-            entries = self._new(f"load {V}, ptr {base}, align 8")
-            return self._new(f"call {V} @llvm.x86.avx512.permvar.df.512({V} {entries}, {U} {self.names[word]})")
-        if self.permutes:
-            return self._pick_of_two(base, self.names[word])
-        offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
-        return self._gathered(base, U, offsets)
+        base, U = self._table(table), self.words
+        if not self.permutes:
+            offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
+            return self._gathered(base, U, offsets)
+        wide, found = self.permutes, list[str]()
+        for first in range(0, self.lanes, wide):
+            part = self._part(self.names[word], U, range(first, first + wide), f"<{wide} x i64>")
+            found.append(self._permuted(base, part))
+        return self._joined(found)
 
-    def _pick_of_two(self, base: str, word: str) -> str:
-        """Permute both halves of a table by the last two bits, as pairs of half words; the third bit chooses."""
-        twice = self._new(f"shl {self.words} {word}, {self._every('i64', '1')}")
-        parts = self._new(f"bitcast {self.words} {twice} to <8 x i32>")
+    def _permuted(self, base: str, words: str) -> str:
+        """Return the entries at the words' last bits, for as many words as one instruction permutes."""
+        wide = self.permutes
+        U, V = f"<{wide} x i64>", f"<{wide} x double>"
+        function, numbers, places = PERMUTES[wide]
+        if wide == EIGHT:
+            entries = self._new(f"load {V}, ptr {base}, align 8")
+            return self._new(f"call {V} @{function}({V} {entries}, {U} {words})")
+        # both halves of the table by the last two bits, as pairs of half words; the third bit chooses
+        twice = self._new(f"shl {U} {words}, {_filled('i64', 1, wide)}")
+        parts = self._new(f"bitcast {U} {twice} to {places}")
         evens = ", ".join(f"i32 {2 * (k // 2)}" for k in range(8))
-        pairs = self._new(f"shufflevector <8 x i32> {parts}, <8 x i32> poison, <8 x i32> <{evens}>")
+        pairs = self._new(f"shufflevector {places} {parts}, {places} poison, {places} <{evens}>")
         odds = ", ".join(f"i32 {k % 2}" for k in range(8))
-        places = self._new(f"or <8 x i32> {pairs}, <{odds}>")
+        chosen = self._new(f"or {places} {pairs}, <{odds}>")
         halves: list[str] = []
         for first in (0, 4):
             address = self._new(f"getelementptr double, ptr {base}, i64 {first}")
-            entries = self._new(f"load <8 x float>, ptr {address}, align 8")
-            found = self._new(f"call <8 x float> @llvm.x86.avx2.permps(<8 x float> {entries}, <8 x i32> {places})")
-            halves.append(self._new(f"bitcast <8 x float> {found} to {self.doubles}"))
-        sign = self._new(f"shl {self.words} {word}, {self._every('i64', '61')}")
-        upper = self._new(f"icmp slt {self.words} {sign}, zeroinitializer")
-        return self._new(f"select {self.truths} {upper}, {self.doubles} {halves[1]}, {self.doubles} {halves[0]}")
+            entries = self._new(f"load {numbers}, ptr {address}, align 8")
+            found = self._new(f"call {numbers} @{function}({numbers} {entries}, {places} {chosen})")
+            halves.append(self._new(f"bitcast {numbers} {found} to {V}"))
+        sign = self._new(f"shl {U} {words}, {_filled('i64', 61, wide)}")
+        upper = self._new(f"icmp slt {U} {sign}, zeroinitializer")
+        return self._new(f"select <{wide} x i1> {upper}, {V} {halves[1]}, {V} {halves[0]}")
+
+    def _part(self, name: str, kind: str, lanes: range, narrower: str) -> str:
+        """Return some lanes of a vector."""
+        if kind == narrower:
+            return name
+        chosen = ", ".join(f"i32 {lane}" for lane in lanes)
+        return self._new(f"shufflevector {kind} {name}, {kind} poison, <{len(lanes)} x i32> <{chosen}>")
+
+    def _joined(self, parts: Sequence[str]) -> str:
+        """Return vectors of doubles end to end."""
+        width = self.lanes // len(parts)
+        while len(parts) > 1:
+            kind, chosen = f"<{width} x double>", ", ".join(f"i32 {lane}" for lane in range(2 * width))
+            width *= 2
+            parts = [
+                self._new(f"shufflevector {kind} {one}, {kind} {other}, <{width} x i32> <{chosen}>")
+                for one, other in zip(parts[::2], parts[1::2], strict=True)
+            ]
+        return parts[0]
 
     def _lookup(self, table: int, index: int) -> str:
         integers = self.halves  # every vector unit converts to these; few to 64 bits
@@ -347,9 +392,9 @@ class Body:
             lanes = "<" + ", ".join(f"{element} {lane}" for lane in range(self.lanes)) + ">"
             scaled = self._new(f"mul {kind} {offsets}, {self._every(element, str(self.lanes))}")
             offsets = self._new(f"add {kind} {scaled}, {lanes}")
-        addresses = self._new(f"getelementptr double, ptr {base}, {kind} {offsets}")
-        doubles = self._new(
-            f"call {self.doubles} @{self.gather}(<{self.lanes} x ptr> {addresses}, i32 8, "
-            f"{self.truths} {self._every('i1', 'true')}, {self.doubles} zeroinitializer)"
+        addresses = self._new(f"getelementptr {self.number_at}, ptr {base}, {kind} {offsets}")
+        found = self._new(
+            f"call {self.entries} @{self.gather}(<{self.lanes} x ptr> {addresses}, i32 4, "
+            f"{self.truths} {self._every('i1', 'true')}, {self.entries} zeroinitializer)"
         )
-        return self._narrow(doubles)
+        return self._narrow(found) if self.number_at == "double" else found

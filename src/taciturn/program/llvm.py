@@ -6,45 +6,54 @@ The printed function runs blocks of ``lanes`` paths through any number of ticks:
              double* state, double* sums, double* constants, double* inputs, double* outputs)
 
 with state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, ticks, inputs, lanes) and outputs alike.
-All of it is doubles, whatever the precision of the program. What is added up over a window of ticks is added to the
-sums in memory. Constants and tables are read from memory, so programs of equal structure share one machine code.
+All of it is doubles, whatever the precision of the program, but for constants that all lanes share: these are numbers
+of the program's precision. What is added up over a window of ticks is added to the sums in memory. Constants and tables
+are read from memory, so programs of equal structure share one machine code.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+from taciturn.program._llvm_ahead import FREE, Ahead, find_ahead
 from taciturn.program._llvm_body import PERMUTES, Body, Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.ops import WINDOW
+from taciturn.program.target import Target
 
 
-def print_llvm(program: Program, lanes: int, build: Build, own: bool = False) -> str:
+def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
     """Return the text of a module with the function ``run``.
 
     Args:
         program: the program.
-        lanes: paths per block, the width of the vectors.
+        target: for which processor.
+        lanes: paths per block, the width of the vectors: a power of two from two on.
         build: ``"parity"`` agrees with NumPy bit for bit, ``"fast"`` lets multiplications and additions fuse.
         own: whether each lane has constants of its own, (blocks, constants, lanes).
     """
-    return _Printer(program, lanes, build, own).text()
+    return _Printer(program, target, lanes, build, own).text()
 
 
 class _Printer(Body):
     """A program within its loops over blocks, windows and ticks."""
 
+    def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
+        super().__init__(program, target, lanes, build, own)
+        self.target = target
+        # not where a run is one tick or so, nor where a tick is long enough to fill the processor
+        alone = own or self.alone or bool(program.inputs)
+        self.ahead = Ahead() if alone else find_ahead(program, self.printed, self.fused, self.summed)
+
     def text(self) -> str:
         program, V, U, L = self.program, self.numbers, self.words, self.lanes
-        entry = self._section(self._copy_constants)
         outer = self._section(self._load_constants)
         body = self._section(self._tick)
-        phis = [
-            f"  %state{i} = phi {U if state.word else V} [ %from{i}, %window ], [ {self.names[index]}, %{self.label} ]"
-            for i, (state, index) in enumerate(zip(program.states, program.following, strict=True))
-        ]
-        starts = [
-            f"  %from{i} = phi {U if state.word else V} [ %start{i}, %outer ], [ {self.names[index]}, %flush ]"
-            for i, (state, index) in enumerate(zip(program.states, program.following, strict=True))
-        ]
+        kinds = [U if state.word else V for state in program.states]
+        turning = [(f"state{i}", *row) for i, row in enumerate(zip(kinds, self.first, self.following, strict=True))]
+        turning += [(f"early{i}", *row) for i, row in enumerate(zip(self.kinds, self.begun, self.drawn, strict=True))]
+        starts = [f"  %{name}_from = phi {T} [ {a}, %outer ], [ {b}, %flush ]" for name, T, a, b in turning]
+        phis = [f"  %{name} = phi {T} [ %{name}_from, %window ], [ {b}, %{self.label} ]" for name, T, _, b in turning]
         phis += [
             f"  %sum{i} = phi {V} [ zeroinitializer, %window ], [ %next_sum{i}, %{self.label} ]"
             for i in range(len(program.sums))
@@ -53,23 +62,24 @@ class _Printer(Body):
         stores = self._section(self._store_states)
         return "\n".join(
             [
+                self.target.heading,
                 f"declare {V} @llvm.sqrt.v{L}f{self.bits}({V})",
                 f"declare {V} @llvm.fmuladd.v{L}f{self.bits}({V}, {V}, {V})",
                 f"declare {U} @llvm.fshl.v{L}i64({U}, {U}, {U})",
-                *([PERMUTES[L]] if self.permutes else []),
-                f"declare {self.doubles} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.doubles})",
+                *self._permutation(),
+                f"declare {self.entries} @{self.gather}(<{L} x ptr>, i32, {self.truths}, {self.entries})",
                 "",
                 "define void @run(i64 %first, i64 %end, i64 %ticks, ptr noalias %state, ptr noalias %sums, "
                 "ptr noalias readonly %constants, ptr noalias readonly %inputs, ptr noalias %outputs) "
-                '"stackrealign" {',  # without it, spills are unaligned and speed is bimodal
+                # without "stackrealign", spills are unaligned and speed is bimodal
+                f'nounwind "stackrealign" {self.target.attributes} {{',
                 "entry:",
                 f"  %column = alloca {V}, i64 {max((len(op.arguments) for op in program.ops), default=1)}",
                 "  %nought = alloca i64",
                 "  store i64 0, ptr %nought",
-                *entry,
                 "  br label %outer",
                 "outer:",
-                f"  %block = phi i64 [ %first, %{self.before} ], [ %next_block, %finish ]",
+                "  %block = phi i64 [ %first, %entry ], [ %next_block, %finish ]",
                 *outer,
                 "  br label %window",
                 "window:",
@@ -108,34 +118,38 @@ class _Printer(Body):
         write()
         return self.lines
 
-    def _copy_constants(self) -> None:
-        """Write the constants down as floats, where the program is in single precision."""
-        self.before, count = "entry", len(constants_of(self.program))
-        if self.copies and count > 0:
-            self.before = "copied"
-            self.lines += [
-                f"  %floats = alloca float, i64 {count}",
-                "  br label %copy",
-                "copy:",
-                "  %i = phi i64 [ 0, %entry ], [ %next_i, %copy ]",
-                "  %double_at = getelementptr double, ptr %constants, i64 %i",
-                "  %float_at = getelementptr float, ptr %floats, i64 %i",
-                "  %double = load double, ptr %double_at, align 8",
-                "  %float = fptrunc double %double to float",
-                "  store float %float, ptr %float_at, align 4",
-                "  %next_i = add i64 %i, 1",
-                f"  %more_i = icmp slt i64 %next_i, {count}",
-                "  br i1 %more_i, label %copy, label %copied",
-                "copied:",
-            ]
+    def _permutation(self) -> list[str]:
+        """Declare what permutes tables."""
+        if not self.permutes:
+            return []
+        function, numbers, places = PERMUTES[self.permutes]
+        return [f"declare {numbers} @{function}({numbers}, {places})"]
 
     def _load_constants(self) -> None:
-        self.base = "%floats" if self.copies and constants_of(self.program) else "%constants"
+        self.base = "%constants"
         if self.own:
             size = self._new(f"mul i64 %block, {len(constants_of(self.program)) * self.lanes}")
             self.base = self._new(f"getelementptr double, ptr %constants, i64 {size}")
         self.constants = [] if self.alone else [self._coefficient(i) for i in range(len(self.program.constants))]
         self._load_states()
+        self.first = [f"%start{i}" for i in range(len(self.program.states))]
+        self.memory = "%start"
+        self.begun = self._draw()
+        self.kinds = [self.kind(i) for i in self.ahead.carried]
+        self.first, self.memory = self._moved(self.first), "%state"
+
+    def _draw(self) -> list[str]:
+        """Print what is done ahead, from the words in memory; return the names of what the tick reads of it."""
+        ahead = {*self.ahead.operations}
+        if ahead:
+            free = (*FREE, "state")
+            self.operations(i for i in self.printed if i in ahead or self.program.ops[i].name in free)
+        return [self.names[i] for i in self.ahead.carried]
+
+    def _moved(self, before: Sequence[str]) -> list[str]:
+        """Return the names of the states once words have moved, where they move ahead."""
+        states = zip(self.program.states, self.program.following, before, strict=True)
+        return [self.names[index] if state.word and self.ahead.carried else name for state, index, name in states]
 
     def _load_states(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
@@ -160,8 +174,9 @@ class _Printer(Body):
     def _store_states(self) -> None:
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
         for i, index in enumerate(self.program.following):
-            address, value = self._row("%state", first, i), self.names[index]
-            shown = f"{self.words} {value}" if self.program.states[i].word else f"{self.doubles} {self._widen(value)}"
+            address, word = self._row("%state", first, i), self.program.states[i].word
+            value = f"%state{i}" if word and self.ahead.carried else self.names[index]  # a word has moved on already
+            shown = f"{self.words} {value}" if word else f"{self.doubles} {self._widen(value)}"
             self.lines.append(f"  store {shown}, ptr {address}, align 8")
 
     def _tick(self) -> None:
@@ -171,8 +186,14 @@ class _Printer(Body):
         self.first_input = self._new(f"mul i64 {at}, {len(program.inputs)}")
         self.label = "tick"
         zero = self._new("load volatile i64, ptr %nought, align 8")  # so that constants are not all spread ahead
-        self.base = self._new(f"getelementptr double, ptr {self.base}, i64 {zero}")
-        self.operations()
+        self.base = self._new(f"getelementptr {self.number_at}, ptr {self.base}, i64 {zero}")
+        self.drawn = self._draw()
+        moved = self._moved([""] * len(program.states))
+        for place, (index, name) in enumerate(zip(self.ahead.carried, self.drawn, strict=True)):
+            self.names[index] = self._half(f"%early{place}", name in self.halves_known)
+        ahead = {*self.ahead.operations}
+        self.operations(i for i in self.printed if i not in ahead)
+        self.following = [name or self.names[i] for name, i in zip(moved, program.following, strict=True)]
         first = self._new(f"mul i64 {at}, {len(program.outputs)}")
         for i, index in enumerate(program.outputs.values()):
             address = self._row("%outputs", first, i)

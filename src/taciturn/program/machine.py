@@ -1,7 +1,7 @@
 """Compiles printed programs through llvmlite, keeps the object code, and runs it on threads.
 
 Object code is kept in memory and on disk (``$XDG_CACHE_HOME/taciturn``, the latest few hundred), by the text of the
-program, the processor and the version of llvmlite. This is the one typed door to llvmlite.
+program, which names the processor, and the version of llvmlite. This is the one typed door to llvmlite.
 
 The widest vectors of the processor are used, or those that the environment asks for: ``TACITURN_VECTORS`` is
 ``avx512``, ``avx2``, or ``baseline`` (what every processor of its kind has). The parity build gives the same bits with
@@ -15,6 +15,7 @@ import ctypes
 import hashlib
 import importlib
 import os
+import sys
 import warnings
 from collections.abc import Generator, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -29,13 +30,12 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._files import write_whole
-from taciturn.errors import ProblemError
 from taciturn.program._llvm_body import Build, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.llvm import print_llvm
 from taciturn.program.numpy import Run
+from taciturn.program.target import VECTORS, Target
 
-VECTORS = "TACITURN_VECTORS"
 PASSES = "combine"  # how programs are compiled, in the key of what is kept
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
 SPARE = 8  # an eighth more may be there before they go: that asks for the age of each
@@ -51,14 +51,15 @@ class Kernel:
         program: the program.
         build: ``"fast"`` or ``"parity"``.
         own: whether each path runs a program of its own, that differ in their constants.
+        lanes: paths that run side by side, a power of two; by default as many as fit the processor's vectors.
     """
 
-    def __init__(self, program: Program, build: Build = "fast", own: bool = False) -> None:
+    def __init__(self, program: Program, build: Build = "fast", own: bool = False, lanes: int | None = None) -> None:
         """Compile, or fetch what was compiled before."""
         self.own = own
-        self.lanes = vector_lanes() * (2 if program.precision == "float32" else 1)
+        self.lanes = lanes or host().lanes * (2 if program.precision == "float32" else 1)
         self._sizes = _sizes(program)
-        self._code = _load(_print(_Printable(program.structure, program), self.lanes, build, own))
+        self._code = _load(_print(_Printable(program.structure, program), host(), self.lanes, build, own))
 
     def pack(self, programs: Sequence[Program]) -> Array:
         """Return the constants of programs that run side by side, (blocks, constants, lanes)."""
@@ -90,7 +91,7 @@ class Kernel:
         supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
         assert self.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
-        known = np.array(constants_of(program)) if constants is None else constants
+        known = shared_constants(program) if constants is None else constants
         arrays = (state, sums, known, supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:
@@ -136,7 +137,7 @@ class Resident:
         self._sums, self._inputs, self._outputs = (
             np.zeros((len(state), len(part), kernel.lanes)) for part in (program.sums, program.inputs, program.outputs)
         )
-        self._arrays = state, self._sums, np.array(constants_of(program)), self._inputs, self._outputs
+        self._arrays = state, self._sums, shared_constants(program), self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
         """Run one tick: (inputs, paths) to (outputs, paths)."""
@@ -185,10 +186,21 @@ def available_processors() -> int:
 
 
 @cache
-def vector_lanes() -> int:
-    """Return how many doubles the widest vector of this processor holds."""
-    features = _host()[1]
-    return 8 if "+avx512f" in features else 4 if "+avx2" in features else 2
+def host() -> Target:
+    """Return this processor, or the lesser one that the environment asks for."""
+    llvm = _llvm()
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    if sys.platform == "win32":  # what large frames ask for their pages; the system has it, LLVM might not look there
+        llvm.add_symbol("__chkstk", ctypes.cast(ctypes.windll.ntdll.__chkstk, ctypes.c_void_p).value)
+    features: str = llvm.get_host_cpu_features().flatten()
+    whole = Target(llvm.get_process_triple(), llvm.get_host_cpu_name(), features)
+    return whole.limited(os.environ.get(VECTORS, ""))
+
+
+def shared_constants(program: Program) -> Array:
+    """Return the constants of a program that is the same for every path, as the machine reads them."""
+    return np.array(constants_of(program), dtype=program.precision)
 
 
 @dataclass(frozen=True)
@@ -200,9 +212,9 @@ class _Printable:
 
 
 @lru_cache(maxsize=MOST_PRINTED)
-def _print(printable: _Printable, lanes: int, build: Build, own: bool) -> str:
+def _print(printable: _Printable, target: Target, lanes: int, build: Build, own: bool) -> str:
     """Return the text of a module, which is the same for all programs of a structure."""
-    return print_llvm(printable.program, lanes, build, own)
+    return print_llvm(printable.program, target, lanes, build, own)
 
 
 def _sizes(program: Program) -> tuple[int, ...]:
@@ -225,71 +237,42 @@ def _llvm() -> Any:
 
 
 @cache
-def _host() -> tuple[str, str]:
-    """Return name and features of this processor, or of the lesser one that the environment asks for."""
-    llvm = _llvm()
-    llvm.initialize_native_target()
-    llvm.initialize_native_asmprinter()
-    features: str = llvm.get_host_cpu_features().flatten()
-    return allowed(llvm.get_host_cpu_name(), features, os.environ.get(VECTORS, ""))
-
-
-def allowed(cpu: str, features: str, asked: str) -> tuple[str, str]:
-    """Return name and features of a processor, without those beyond the vectors that are asked for.
-
-    Args:
-        cpu: name of the processor.
-        features: of the processor, as LLVM writes them.
-        asked: ``"avx512"``, ``"avx2"``, ``"baseline"``, or nothing: all there is.
-
-    Raises:
-        ProblemError: another word, or vectors that the processor lacks.
-    """
-    there = {name: f"+{flag}" in features.split(",") for name, flag in (("avx512", "avx512f"), ("avx2", "avx2"))}
-    known = [name for name, has in there.items() if has] + ["baseline"]
-    if not asked or asked == known[0]:
-        return cpu, features
-    if asked not in known:
-        lacks = f", which this processor ({cpu}) lacks" if asked in there else ""
-        raise ProblemError(
-            f"{VECTORS} is {asked!r}{lacks}; expected one of {', '.join(known)}, or none: the widest are used"
-        )
-    if asked == "baseline":
-        return "", ""
-    kept = [flag for flag in features.split(",") if not flag[1:].startswith(("avx512", "avx10", "evex"))]
-    return "haswell", ",".join([*kept, "-avx512f"])
-
-
-@cache
 def _load(text: str) -> _Code:
-    """Return the machine code of a module, from the disk where it is there."""
-    llvm, (cpu, features) = _llvm(), _host()
+    """Return the machine code of a module that was printed for this processor, from the disk where it is there."""
+    llvm = _llvm()
     release: str = importlib.import_module("llvmlite").__version__
-    key = hashlib.sha256("\n".join([text, cpu, features, release, PASSES]).encode()).hexdigest()
+    key = hashlib.sha256("\n".join([text, release, PASSES]).encode()).hexdigest()
     folder = _cache_folder()
     kept = None if folder is None else folder / f"{key}.o"
     stored = None if kept is None else _read_object(kept)
-    target = llvm.Target.from_default_triple().create_target_machine(cpu=cpu, features=features, opt=3, jit=True)
     if stored is None:
-        stored = compile_object(text, target)
+        stored = compile_object(text, host())
         if kept is not None:
             _write_object(kept, stored)
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), _machine(host()))
     engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
     engine.finalize_object()
     return _Code(engine)
 
 
-def compile_object(text: str, target: Any) -> bytes:
-    """Return the object code of a printed program for a target machine, this one or another."""
-    llvm = _llvm()
-    module = llvm.parse_assembly(f'target triple = "{target.triple}"\n{text}')
-    module.data_layout = str(target.target_data)  # without it, vectors are spilled unaligned
+def _machine(target: Target) -> Any:
+    """Return LLVM's own record of a target; those of other architectures must have been initialised."""
+    made = _llvm().Target.from_triple(target.triple)
+    return made.create_target_machine(cpu=target.cpu, features=target.features, opt=3, jit=True)
+
+
+def compile_object(text: str, target: Target) -> bytes:
+    """Return the object code of a printed program for the processor that it was printed for, this one or another."""
+    carried = text.startswith(target.heading) and target.attributes in text
+    assert carried, f"the text was printed for another processor than {target}: LLVM would end the process"
+    llvm, machine = _llvm(), _machine(target)
+    module = llvm.parse_assembly(text)
+    module.data_layout = str(machine.target_data)  # without it, vectors are spilled unaligned
     module.verify()
     passes = llvm.create_new_module_pass_manager()
     passes.add_instruction_combine_pass()  # programs are pruned and shared already: all of -O3 takes thrice as long
-    passes.run(module, llvm.create_pass_builder(target, llvm.create_pipeline_tuning_options()))
-    return target.emit_object(module)
+    passes.run(module, llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options()))
+    return machine.emit_object(module)
 
 
 def _cache_folder() -> Path | None:

@@ -250,7 +250,7 @@ def describe_machine() -> dict[str, str]:
     return {
         "processor": name,
         "processors": str(machine.available_processors()),
-        "vectors": widths[machine.vector_lanes()],
+        "vectors": widths[machine.host().lanes],
         "system": f"{platform.system()} {platform.release()}",
         "date": time.strftime("%Y-%m-%d"),
         "python": platform.python_version(),
