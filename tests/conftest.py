@@ -16,11 +16,11 @@ NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nob
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say at the end, in red, what this machine cannot show."""
+    """Say at the end, in red, what this machine cannot show: why each test was skipped."""
     skipped = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
     reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
-    for reason in sorted(reason for reason in reasons if reason.startswith(NOT_SHOWN)):
-        terminalreporter.write_line(reason, red=True, bold=True)
+    for reason in sorted({reason.removeprefix(f"{NOT_SHOWN}: ") for reason in reasons}):
+        terminalreporter.write_line(f"{NOT_SHOWN}: {reason}", red=True, bold=True)
 
 
 @pytest.fixture(scope="session", autouse=True)
