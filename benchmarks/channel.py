@@ -145,7 +145,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", type=Path, default=Path("docs/channel.json"))
     path: Path = parser.parse_args().json
-    done: dict[str, Any] = json.loads(path.read_text()) if path.exists() else {"machine": platform.processor()}
+    done: dict[str, Any] = {"machine": platform.processor()}
+    if path.exists():
+        done = json.loads(path.read_text(encoding="utf-8"))
     jobs: dict[str, Callable[[], dict[str, Any]]] = {f"gap {loops}": lambda m=loops: gap(m) for loops in SIZES}
     jobs |= {f"scheduler {name}": lambda n=name: schedulers(n) for name in SCHEDULERS}
     jobs |= {"twenty": twenty}

@@ -83,7 +83,7 @@ def workers_by(name: str, workers: int) -> Generator[Executor | None]:
 
 def peak(process: int | None = None) -> float:
     """Return the most memory that a process held, in megabytes."""
-    status = Path(f"/proc/{process or os.getpid()}/status").read_text()
+    status = Path(f"/proc/{process or os.getpid()}/status").read_text(encoding="utf-8")
     return int(status.partition("VmHWM:")[2].split()[0]) / 1024
 
 

@@ -50,8 +50,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             terminalreporter.write_line(f"{seconds:5.1f} s of processor time, more than {SLOW:g} s: {name}")
     skipped = [report.longrepr for report in terminalreporter.stats.get("skipped", [])]
     reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
-    for reason in sorted(reason for reason in reasons if reason.startswith(NOT_SHOWN)):
-        terminalreporter.write_line(reason, red=True, bold=True)
+    for reason in sorted({reason.removeprefix(f"{NOT_SHOWN}: ") for reason in reasons}):
+        terminalreporter.write_line(f"{NOT_SHOWN}: {reason}", red=True, bold=True)
 
 
 def is_last(report: object) -> bool:

@@ -172,6 +172,17 @@ def symmetrised(matrix: Array) -> Array:
     return (matrix + matrix.swapaxes(-1, -2)) / 2
 
 
+def block_diagonal(*blocks: Array) -> Array:
+    """Return a matrix with these blocks on its diagonal, and zeros elsewhere."""
+    result = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
+    row, column = 0, 0
+    for block in blocks:
+        rows, columns = block.shape
+        result[row : row + rows, column : column + columns] = block
+        row, column = row + rows, column + columns
+    return result
+
+
 def quoted(value: object) -> str:
     """Return a value as a sentence shows what it got: as it would be typed, and no longer than a line."""
     try:

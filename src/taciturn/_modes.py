@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
-from taciturn import _arrays, _scipy
+from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike
 from taciturn.errors import UnstableError
 
@@ -30,9 +31,31 @@ def radius(A: Array) -> float:
     return float(np.abs(eigenvalues(A)).max(initial=0.0))
 
 
+def balancing(A: Array) -> Array:
+    """Return the powers of two d for which D^{-1}AD has rows and columns of like size, (n,).
+
+    Each state in turn gets the unit in which its row and its column are most alike, until none gains 5 %.
+    """
+    balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), TINY), np.ones(len(A))
+    gains = True
+    while gains:
+        gains = False
+        for i in range(len(A)):
+            row, column = float(np.linalg.norm(balanced[i])), float(np.linalg.norm(balanced[:, i]))
+            if row == 0 or column == 0:
+                continue
+            factor = 2.0 ** round(math.log2(row / column) / 2)
+            if column * factor + row / factor < 0.95 * (row + column):
+                gains = True
+                scale[i] *= factor
+                balanced[i] /= factor
+                balanced[:, i] *= factor
+    return scale
+
+
 def pace(A: Array) -> float:
     """Return the largest entry of ``A`` where its states are balanced; rounding of its modes is relative to it."""
-    scale = _scipy.balancing(A)
+    scale = balancing(A)
     return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
 
 
@@ -131,7 +154,7 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
     Returns:
         Powers of two, (n,) and (m,): A/s·s' has no entry much above those of A where A is balanced.
     """
-    balanced = _scipy.balancing(A)
+    balanced = balancing(A)
     off = np.abs(A - np.diag(np.diag(A)))
     largest = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), TINY)  # no cycle gains by it
     state, inputs = balanced, np.ones(B.shape[1])

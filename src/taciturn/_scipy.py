@@ -7,13 +7,16 @@ from collections.abc import Callable
 from typing import cast
 
 import numpy as np
-import scipy.linalg
 
 from taciturn._arrays import Array
+
+# scipy's parts are imported where they are called: each takes 0.1 s to 0.5 s, and most answers need none
 
 
 def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     """Return scipy's solution of the discrete Riccati equation, or None where it finds none."""
+    import scipy.linalg
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the callers verify what they get
@@ -25,6 +28,8 @@ def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array 
 
 def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     """Return scipy's solution of the continuous Riccati equation, or None where it finds none."""
+    import scipy.linalg
+
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
@@ -36,53 +41,46 @@ def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Arra
 
 def continuous_lyapunov(F: Array, M: Array) -> Array:
     """Return X with F X + X F' + M = 0."""
+    import scipy.linalg
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         X = cast(Array, scipy.linalg.solve_continuous_lyapunov(F, -M))
     return (X + X.T) / 2
 
 
-def block_diagonal(*blocks: Array) -> Array:
-    """Return a matrix with these blocks on its diagonal."""
-    return np.asarray(scipy.linalg.block_diag(*blocks), dtype=np.float64)
-
-
 def exponential(A: Array) -> Array:
     """Return e^A."""
+    import scipy.linalg
+
     return np.asarray(scipy.linalg.expm(A), dtype=np.float64)
-
-
-def balancing(A: Array) -> Array:
-    """Return the powers of two d for which D^{-1}AD has rows and columns of like size."""
-    if not A.size:
-        return np.ones(0)
-    _, (scale, _) = scipy.linalg.matrix_balance(A, permute=False, separate=True)
-    return np.asarray(scale, dtype=np.float64)
 
 
 def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
     """Return (A_u, V) with V A = A_u V: the modes of modulus at least ``edge`` as orthonormal coordinates V x."""
+    import scipy.linalg
+
     upper, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
     return upper[:count, :count].T, basis[:, :count].T
 
 
 def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:
     """Return where a function changes its sign, by Brent's method to a width."""
-    import scipy.optimize  # 0.15 s, which few need
+    import scipy.optimize
 
     return float(scipy.optimize.brentq(function, low, high, xtol=width))
 
 
 def least_squares(residuals: Callable[[Array], Array], start: Array) -> Array:
     """Return where the sum of squares of residuals is least, near a start, by Levenberg and Marquardt."""
-    import scipy.optimize  # 0.15 s, which few need
+    import scipy.optimize
 
     return np.asarray(scipy.optimize.least_squares(residuals, start, method="lm", x_scale="jac").x, dtype=np.float64)
 
 
 def sobol(dimensions: int, points: int, draws: np.random.Generator) -> Array:
     """Return the first of Sobol's points, each dimension scrambled on its own, inside (0, 1), (points, dimensions)."""
-    from scipy.stats import qmc  # 0.5 s, which few need
+    from scipy.stats import qmc
 
     sequence = qmc.Sobol(dimensions, scramble=True, seed=draws)
     return np.asarray(sequence.random(points), dtype=np.float64) + 2.0**-31  # of 30 bits: in the middle of their cells

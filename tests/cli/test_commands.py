@@ -20,6 +20,18 @@ if TYPE_CHECKING:
 
 ALL_TIME = '[policy]\nkind = "all-time"\n'
 PERIODIC = '[policy]\nkind = "periodic"\nevery = 2\n'
+NEVER = {
+    "scipy",
+    "scipy.linalg",
+    "numpy.ma",
+    "matplotlib",
+    "xarray",
+    "h5py",
+    "pandas",
+    "cvxpy",
+    "rich",
+    "multiprocessing",
+}
 PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
 
 
@@ -78,13 +90,25 @@ def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
     code = (
         "import sys\nfrom taciturn.cli import main\nsys.argv = ['taciturn', '--help']\n"
         "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
-        "heavy = {'numpy', 'scipy', 'pydantic', 'matplotlib', 'llvmlite', 'xarray'} & set(sys.modules)\n"
-        "print('heavy:', sorted(heavy))"
+        f"print('heavy:', sorted({ {'numpy', 'pydantic', 'llvmlite', *NEVER}!r} & set(sys.modules)))"
     )
     done = execute(code=code)
     assert "heavy: []" in done.stdout
     for command in ("evaluate", "tradeoff", "reproduce"):
         assert f"\n  {command}" in done.stdout
+
+
+def test_evaluating_imports_only_what_it_needs() -> None:
+    """The Riccati equations of usual problems need no scipy, and a number no tables, no pictures and no processes."""
+    code = (
+        "import sys\nfrom taciturn.cli import main\n"
+        "sys.argv = ['taciturn', 'evaluate', 'two-mass', '--steps', '20000']\n"
+        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
+        f"print('heavy:', sorted({NEVER!r} & set(sys.modules)))"
+    )
+    done = execute(code=code)
+    assert "heavy: []" in done.stdout
+    assert "cost " in done.stdout
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:

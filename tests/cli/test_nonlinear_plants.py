@@ -140,6 +140,6 @@ def test_a_policy_is_tuned_and_compared_on_a_plant_that_is_not_linear(run: Run, 
     rate = tuned["rates"]["actuator"]
     assert rate["value"] == pytest.approx(0.7, abs=0.01)
     other = tmp_path / "other.toml"
-    other.write_text(Path(path).read_text().replace("theta = 0.5", 'theta = 0.5\nactuation = "model"'))
+    other.write_text(Path(path).read_text(encoding="utf-8").replace("theta = 0.5", 'theta = 0.5\nactuation = "model"'))
     ranked = json.loads(run("compare", path, str(other), "--rate", "0.7", "--standard-error", "1e-3", "--json").out)
     assert [one["cost_bound"] for one in ranked["ranking"]] == [None, None]

@@ -313,7 +313,7 @@ def test_what_a_policy_cannot_use_is_refused(run: Run, write: Write, tables: dic
 @pytest.mark.parametrize("name", ["crlf.toml", "bom.toml", "ünï cödé 質量.toml", "no ending", ".hidden"])
 def test_a_file_from_another_machine_is_read(run: Run, write: Write, tmp_path: Path, name: str) -> None:
     """Line ends of Windows, a byte-order mark, and names of any letters."""
-    text = Path(write(policy='[policy]\nkind = "all-time"')).read_text()
+    text = Path(write(policy='[policy]\nkind = "all-time"')).read_text(encoding="utf-8")
     path = tmp_path / name
     path.write_bytes((b"\xef\xbb\xbf" if "bom" in name else b"") + text.replace("\n", "\r\n").encode())
     answer = run("evaluate", str(path))

@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taciturn._modes import accumulate, uncontrollable_modes
+from taciturn._arrays import block_diagonal
+from taciturn._modes import accumulate, balancing, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 
 seeds = st.integers(0, 2**32 - 1)
@@ -25,6 +27,23 @@ def test_the_fixed_modes_are_those_of_the_block_that_no_input_enters(seed, reach
     found = uncontrollable_modes(T @ A @ T.T, T @ B)
     expected = np.linalg.eigvals(A[reached:, reached:])
     assert np.sort_complex(found) == pytest.approx(np.sort_complex(expected), abs=1e-7)
+
+
+@given(seed=seeds, n=st.integers(1, 7))
+def test_balancing_is_that_of_lapack(seed, n):
+    """Up to a common factor, also of sparse matrices in units that lie far apart."""
+    rng = np.random.default_rng(seed)
+    units = np.exp2(rng.integers(-30, 30, n))
+    A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.6) * units / units[:, None]
+    theirs = scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0]
+    assert balancing(A).tolist() == theirs.tolist()
+
+
+def test_blocks_stand_on_the_diagonal():
+    """Of any shapes, as scipy puts them; without any, nothing."""
+    blocks = [np.arange(1.0, 7).reshape(2, 3), np.ones((1, 2)), np.zeros((0, 2)), np.full((2, 1), 7.0)]
+    assert block_diagonal(*blocks).tolist() == scipy.linalg.block_diag(*blocks).tolist()
+    assert block_diagonal().shape == (0, 0)
 
 
 def test_a_repeated_eigenvalue_is_fixed_as_often_as_it_is_beyond_reach():

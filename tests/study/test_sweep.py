@@ -325,8 +325,8 @@ def test_a_killed_process_of_a_pool_is_a_sentence_and_the_next_run_goes_on(
 
 def peak() -> float:
     """Return the most memory that a child of this process held, in kilobytes."""
-    children = [Path(f"/proc/{child.pid}/status").read_text() for child in multiprocessing.active_children()]
-    return max(int(status.partition("VmHWM:")[2].split()[0]) for status in children)
+    children = [Path(f"/proc/{child.pid}/status") for child in multiprocessing.active_children()]
+    return max(int(path.read_text(encoding="utf-8").partition("VmHWM:")[2].split()[0]) for path in children)
 
 
 LINE = """

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn._scipy import balancing
+from taciturn._modes import balancing
 
 SAME = 1e-10  # relative: a direction this much shorter than what made it is taken for rounding
 PATHS, TICKS, DROPPED = 32, 600, 100  # of the run that measures the size of the coordinates

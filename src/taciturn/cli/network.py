@@ -302,12 +302,13 @@ def _safe(text: str) -> Any:
 
 @contextmanager
 def ended_as_interrupted() -> Generator[None]:
-    """Let SIGTERM and SIGHUP do what Ctrl-C does, so that no process, namespace or folder is left behind."""
+    """Let what asks a process to end do what Ctrl-C does, so that no process, namespace or folder is left behind."""
+    from taciturn.runtime.service import ENDING
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
-    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    before = {number: signal.signal(number, interrupt) for number in ENDING}
     try:
         yield
     finally:

@@ -13,8 +13,7 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from taciturn._arrays import Array, ArrayLike, choice
-from taciturn._scipy import block_diagonal
+from taciturn._arrays import Array, ArrayLike, block_diagonal, choice
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete

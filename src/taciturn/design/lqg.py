@@ -6,9 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from taciturn._arrays import choice, number, symmetrised
+from taciturn._arrays import block_diagonal, choice, number, symmetrised
 from taciturn._modes import least_eigenvalue
-from taciturn._scipy import block_diagonal
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     Actuation,

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn._arrays import number
-from taciturn._scipy import block_diagonal
+from taciturn._arrays import block_diagonal, number
 from taciturn.design.bounds import LARGEST, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE

@@ -8,8 +8,7 @@ from math import comb
 
 import numpy as np
 
-from taciturn._arrays import Array, count, symmetrised
-from taciturn._scipy import block_diagonal
+from taciturn._arrays import Array, block_diagonal, count, symmetrised
 from taciturn.design.certainty import CLOCK, SEND, Certainty, control_steps, design_certainty
 from taciturn.design.periodic import by_the_clock
 from taciturn.errors import ProblemError, UnstableError

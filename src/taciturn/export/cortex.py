@@ -329,7 +329,7 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
             command,
             cwd=folder,
             capture_output=True,
-            text=True,
+            encoding="utf-8",
             errors="replace",
             timeout=patience,
             check=False,

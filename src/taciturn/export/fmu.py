@@ -219,7 +219,15 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
             (place / file).write_text(text, encoding="utf-8")
         command = [compiler, *FLAGS.split(), *SHARED.split(), "-isystem", "fmi", "-o", "unit", *compiled]
         try:
-            done = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=_PATIENCE, check=False)
+            done = subprocess.run(
+                command,
+                cwd=place,
+                capture_output=True,
+                encoding="utf-8",
+                errors="replace",
+                timeout=_PATIENCE,
+                check=False,
+            )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise _NoBinaryError(f"{compiler} does not end ({error})") from None
         if done.returncode != 0:

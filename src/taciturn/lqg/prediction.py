@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn import _scipy
 from taciturn._arrays import Array, ArrayLike, number, symmetrised
+from taciturn._modes import balancing
 from taciturn.lqg._interval import Interval, integrate
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
@@ -108,7 +108,7 @@ class PredictionCost:
         return np.geomspace(start, end, GRID).tolist()
 
     def _over(self, length: float) -> Interval:
-        return integrate(self.A, self.S, self.W, number("length", length, 0.0), _scipy.balancing(self.A))
+        return integrate(self.A, self.S, self.W, number("length", length, 0.0), balancing(self.A))
 
 
 def prediction_cost(

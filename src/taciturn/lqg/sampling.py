@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn import _arrays, _scipy
+from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike
-from taciturn._modes import TOLERANCE, pace
+from taciturn._modes import TOLERANCE, balancing, pace
 from taciturn.errors import ProblemError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._interval import Interval, Sampled, integrate, repeat, split
@@ -55,7 +55,7 @@ def sample(
     F = np.block([[A, B], [np.zeros((m, n + m))]])
     M = np.block([[Q, N], [N.T, R]])
     period = _arrays.number("period", period, 0.0)
-    scale = _scipy.balancing(A)
+    scale = balancing(A)
     reach: Array = np.maximum(np.max(np.abs(B / scale[:, None]), axis=0, initial=0.0), 1e-150)
     units = np.concatenate([scale, np.exp2(np.round(np.log2(max(pace(A), 1 / period) / reach)))])
     return split(_integrated(F, M, _padded(W, m), period, units), n)
@@ -109,7 +109,7 @@ def sample_prediction(
     dynamics = A + B @ L if dynamics is None else _arrays.array("dynamics", dynamics, (n, n), "states × states")
     F = np.block([[A, B @ L], [np.zeros((n, n)), dynamics]])
     M = np.block([[Q, N @ L], [L.T @ N.T, L.T @ R @ L]])
-    units = np.tile(_scipy.balancing(A), 2)
+    units = np.tile(balancing(A), 2)
     return split(_integrated(F, M, _padded(W, n), _arrays.number("period", period, 0.0), units), n)
 
 

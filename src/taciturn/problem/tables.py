@@ -20,7 +20,8 @@ IDEAL = (
 class Table(BaseModel):
     """What every table shares: unknown keys are mistakes, and text is no number."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True)  # strict: 1 is a number, "1" is none
+    # strict: 1 is a number, "1" is none; a table that no file is read with is not built
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True, defer_build=True)
 
 
 class InitialTable(Table):

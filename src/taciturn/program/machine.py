@@ -1,7 +1,7 @@
 """Compiles printed programs through llvmlite, keeps the object code, and runs it on threads.
 
-Object code is kept in memory and on disk (``$XDG_CACHE_HOME/taciturn``, the latest few hundred), by the text of the
-program, which names the processor, and the version of llvmlite. This is the one typed door to llvmlite.
+Object code is kept in memory and on disk (where the platform keeps caches, the latest few hundred), by the text of
+the program, which names the processor, and the version of llvmlite. This is the one typed door to llvmlite.
 
 The widest vectors of the processor are used, or those that the environment asks for: ``TACITURN_VECTORS`` is
 ``avx512``, ``avx2``, or ``baseline`` (what every processor of its kind has). The parity build gives the same bits with
@@ -17,7 +17,7 @@ import importlib
 import os
 import sys
 import warnings
-from collections.abc import Generator, Hashable, Sequence
+from collections.abc import Callable, Generator, Hashable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -182,7 +182,8 @@ def available_processors() -> int:
     """Return the number of processors that programs may run on."""
     if _ALONE.get():
         return 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    affinity: Callable[[int], set[int]] | None = getattr(os, "sched_getaffinity", None)  # Linux alone has it
+    return os.cpu_count() or 1 if affinity is None else len(affinity(0))
 
 
 @cache
@@ -276,11 +277,15 @@ def compile_object(text: str, target: Target) -> bytes:
 
 
 def _cache_folder() -> Path | None:
-    root = os.environ.get("XDG_CACHE_HOME")
+    """Return where the platform keeps caches, or where XDG_CACHE_HOME says on any platform; None: nowhere."""
+    import platformdirs  # when a program is compiled
+
     try:
-        return (Path(root) if root else Path.home() / ".cache") / "taciturn"
+        root = os.environ.get("XDG_CACHE_HOME")
+        found = Path(root) / "taciturn" if root else platformdirs.user_cache_path("taciturn", appauthor=False)
     except RuntimeError:
         return None  # no home: compile each time rather than trust a folder that others can write
+    return found if root or found.is_absolute() else None
 
 
 def _read_object(path: Path) -> bytes | None:

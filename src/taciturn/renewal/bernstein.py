@@ -12,7 +12,7 @@ from math import comb, factorial
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn._scipy import balancing
+from taciturn._modes import balancing
 from taciturn.program.ir import Builder
 
 Monomials = Sequence[int | None]  # operations that give m_0, m_1, …; None: zero

@@ -14,6 +14,7 @@ import re
 import signal
 import struct
 import subprocess
+import sys
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -246,6 +247,7 @@ def _remove(name: str) -> None:
     """Remove a namespace, and end what still runs in it; another process may be removing it, too."""
     try:
         for pid in map(int, _run("ip", "netns", "pids", name).split()):
+            assert sys.platform != "win32"  # there is an ip
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         _run("ip", "netns", "delete", name)
@@ -256,7 +258,7 @@ def _remove(name: str) -> None:
 
 def _run(*command: str, given: str = "") -> str:
     try:
-        return subprocess.run(command, input=given, capture_output=True, text=True, check=True).stdout
+        return subprocess.run(command, input=given, capture_output=True, encoding="utf-8", check=True).stdout
     except FileNotFoundError:
         raise ProblemError(f"the program {command[0]} is missing; {NEEDED}") from None
     except subprocess.CalledProcessError as error:

@@ -21,6 +21,7 @@ from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses
 
+ASK = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # of Windows; there SIGTERM ends a process as SIGKILL does
 PATIENCE = 60.0  # seconds until a process that starts must listen
 
 
@@ -50,9 +51,10 @@ class Process:
             command,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **(environment or {})},
-            process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends the others
+            encoding="utf-8",
+            env={**os.environ, "PYTHONIOENCODING": "utf-8", **(environment or {})},
+            process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends the others; so on POSIX,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # and on Windows
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -89,7 +91,13 @@ class Process:
         self._close()
 
     def pause(self, seconds: float) -> None:
-        """Stop it for a while, so that its clock jumps."""
+        """Stop it for a while, so that its clock jumps; Windows cannot.
+
+        Raises:
+            ProblemError: this is Windows.
+        """
+        if sys.platform == "win32":
+            raise ProblemError(f"{self._name} is to pause, and Windows has no signal for that; expected Linux or macOS")
         self._process.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
         self._process.send_signal(signal.SIGCONT)
@@ -100,7 +108,7 @@ class Process:
         Raises:
             ProblemError: it gives none, or does not end in time.
         """
-        self._process.terminate()
+        self._process.send_signal(ASK)
         assert self._process.stdout is not None
         try:
             self._process.wait(PATIENCE)

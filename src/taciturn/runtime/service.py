@@ -16,7 +16,8 @@ from taciturn.runtime.udp import Address, Endpoint, parse_address
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # who starts a process waits for this
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Ctrl-C, and what asks a process to end: of POSIX SIGTERM, and SIGHUP when a terminal closes; of Windows SIGBREAK
+ENDING = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 IDLE = 0.25  # seconds after which it is seen whether to stop
 QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
 
@@ -50,7 +51,7 @@ def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], st
 
 @contextmanager
 def until_stopped() -> Generator[Callable[[], bool]]:
-    """Tell whether to stop: after SIGTERM, SIGHUP or Ctrl-C, at which the counters are still to be printed."""
+    """Tell whether to stop: after any of ``ENDING``, at which the counters are still to be printed."""
     asked: list[int] = []
     before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in ENDING}
     try:

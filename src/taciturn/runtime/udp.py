@@ -6,6 +6,7 @@ import contextlib
 import select
 import socket
 import struct
+import sys
 import time
 from typing import TypeAlias
 
@@ -15,8 +16,9 @@ Address: TypeAlias = tuple[str, int]
 LARGEST, LARGEST_OF_ALL = 4096, 65535  # bytes of a datagram that are read: packets of numbers are shorter
 BUFFER = 4 << 20  # bytes that wait in the kernel, if it lets us
 MOST = 128  # datagrams that are taken at once, so that a flood does not keep a node from its tick
-_FORCED = 33  # SO_RCVBUFFORCE of Linux: beyond what others may ask for
-_MEMORY, _DROPS = 55, 8  # SO_MEMINFO of Linux, and where its table holds what was dropped
+_LINUX = sys.platform.startswith("linux")  # elsewhere the next numbers mean something else
+_FORCED = 33  # SO_RCVBUFFORCE: beyond what others may ask for
+_MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and where its table holds what was dropped
 
 
 def parse_address(name: str, text: str) -> Address:
@@ -51,7 +53,7 @@ class Endpoint:
         """Bind."""
         self._largest = largest
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        for option in (socket.SO_RCVBUF, _FORCED):  # the second is root's
+        for option in (socket.SO_RCVBUF, *((_FORCED,) if _LINUX else ())):  # the second is root's
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, BUFFER)
         try:
@@ -75,6 +77,8 @@ class Endpoint:
     @property
     def dropped(self) -> int | None:
         """Datagrams that the kernel dropped as they came faster than they were taken; None where it does not say."""
+        if not _LINUX:
+            return None
         try:
             return struct.unpack_from("I", self._socket.getsockopt(socket.SOL_SOCKET, _MEMORY, 64), 4 * _DROPS)[0]
         except (OSError, struct.error):
@@ -123,10 +127,14 @@ class Endpoint:
     def _take(self) -> list[bytes]:
         found: list[bytes] = []
         self.senders = []
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # refused: a peer is not there yet
-            while len(found) < MOST:
-                datagram, sender = self._socket.recvfrom(self._largest)
-                found.append(datagram)
+        with contextlib.suppress(BlockingIOError):
+            for _ in range(MOST):
+                try:
+                    # Windows raises where a datagram is longer than what is asked for; others cut it, as this does
+                    datagram, sender = self._socket.recvfrom(LARGEST_OF_ALL)
+                except ConnectionError:  # a peer is not there yet: refused on POSIX, reset on Windows
+                    continue
+                found.append(datagram[: self._largest])
                 self.senders.append(sender)
         self.received += len(found)
         return found

@@ -129,8 +129,8 @@ class Part:
 
     def refuse_runaways(self, costs: Array, ticks: int) -> None:
         """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
-        size = np.abs(costs)
-        largest, typical = float(size.max()), float(np.median(size))
+        size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
+        largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
         if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
             raise self.diverges(f"one path costs {largest / typical:.1g} times as much as another")

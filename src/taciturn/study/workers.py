@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Generator
 from concurrent.futures import Executor, ProcessPoolExecutor
@@ -13,6 +14,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 from taciturn.program.machine import available_processors
+
+MOST_OF_WINDOWS = 61  # processes that one can wait for there
 
 
 def workers_of(executor: Executor) -> int:
@@ -41,21 +44,33 @@ def processes(workers: int | None) -> Generator[Executor | None]:
         return
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
-    pool = ProcessPoolExecutor(workers, get_context("spawn"), _end_with_parent)
+    workers = min(workers, MOST_OF_WINDOWS) if sys.platform == "win32" else workers
+    pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
     try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: Ctrl-C is this process's alone
-        try:
+        with _uninterrupted():
             for _ in range(workers):
                 pool.submit(abs, 0)  # each starts a process
-        finally:
-            signal.signal(signal.SIGINT, before)
         yield pool
     finally:  # without cancelling, work whose submission Ctrl-C has cut in two would be waited for
         pool.shutdown(cancel_futures=True)
 
 
-def _end_with_parent() -> None:
-    """End this process when the one that started it is gone, killed perhaps, which a queue does not tell."""
+@contextmanager
+def _uninterrupted() -> Generator[None]:
+    """Ignore Ctrl-C, as processes do that are started meanwhile; only the main thread can."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _be_a_worker() -> None:
+    """Leave Ctrl-C to the process that started this one, and end when that is gone, killed perhaps."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # not inherited on Windows
 
     def watch(parent: BaseProcess) -> None:
         parent.join()
