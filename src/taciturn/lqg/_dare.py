@@ -13,6 +13,7 @@ from taciturn import _scipy
 from taciturn._arrays import TINY, Array, is_definite, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._doubling import double
 from taciturn.lqg._newton import Solution, Time
 
 CIRCLE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
@@ -20,6 +21,7 @@ MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not calle
 # Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
 # such a double eigenvalue about 1e-8 inside, so the answer must stand clear of that.
 SINGULAR_MARGIN = 1e-6
+LAST = 1e-6  # of what moving a state costs: a price on the last state, by which also modes without weight are seen
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
@@ -35,7 +37,9 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     # With R definite every direction is real; otherwise one this small may be the error of a computed K.
-    inside = values > (1e-15 if is_definite(R) else 1e-10) * len(diagonal)
+    inside = values > 1e-10 * len(diagonal)
+    if not inside.all() and is_definite(R):
+        inside = values > 1e-15 * len(diagonal)
     vectors = scale[:, None] * vectors[:, inside]
     return H, (vectors / values[inside]) @ vectors.T
 
@@ -47,7 +51,9 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
 
 class _Steps(Time):
     def rough(self, given: Quadratic) -> Array | None:
-        return _scipy.discrete_riccati(*given)
+        worth = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B))
+        last = given.Q + LAST * worth / max(float(np.sum(given.B**2)), TINY) * np.eye(len(given.A))
+        return double(given, last, *price(given.B, last, given.R))
 
     def stable(self, F: Array, given: Quadratic) -> bool:
         return radius(F) < 1 - (MARGIN if is_definite(given.R) else SINGULAR_MARGIN)
