@@ -16,6 +16,7 @@ Modes: TypeAlias = npt.NDArray[np.complex128]
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
+LARGEST = 1e140  # of a power of a stable map: its square is still a number
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -255,8 +256,10 @@ def summed(F: Array, W: Array) -> Array:
         for _ in range(64):  # 2^64 terms
             term = power @ X @ power.T
             X = X + (term + term.T) / 2
-            settled = (np.abs(np.diag(term)) <= 1e-17 * np.abs(np.diag(X))).all()
-            if settled and np.abs(power).max(initial=0.0) < 1:
+            largest = max(float(power.max(initial=0.0)), -float(power.min(initial=0.0)))
+            if not largest < LARGEST:
+                return X * np.inf
+            if largest < 1 and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
     return X
