@@ -104,18 +104,17 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
     state, inputs = reach(A, B)  # the units of states and inputs decide nothing
     rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
-    lengths = np.linalg.norm(pushed, axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->j", pushed, pushed))
     pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
-    size = float(np.linalg.norm(pushed, 2)) if pushed.size else 0.0
-    norm = float(np.linalg.norm(rest, 2)) if rest.size else 0.0
-    while rest.shape[0]:
+    norm = float(np.linalg.svd(rest, compute_uv=False).max(initial=0.0))
+    size: float | None = None
+    while rest.size and pushed.size:
         left, values, _ = np.linalg.svd(pushed)
-        rank = int((values > RANK_TOLERANCE * size).sum()) if size > 0 else 0
+        rank = int((values > RANK_TOLERANCE * (values[0] if size is None else size)).sum())
         if rank == 0:
             break
         turned = left.T @ rest @ left
-        pushed, rest = turned[rank:, :rank], turned[rank:, rank:]
-        size = norm
+        pushed, rest, size = turned[rank:, :rank], turned[rank:, rank:], norm
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
 
 
@@ -245,8 +244,8 @@ def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
         terms: sizes of what was summed for it, (n, n).
         summands: how many of them.
     """
-    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
-    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
+    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
+    return np.diag(rounding) + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)) * np.eye(len(missed))
 
 
 def summed(F: Array, W: Array) -> Array:

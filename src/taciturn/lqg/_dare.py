@@ -21,6 +21,7 @@ MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not calle
 # Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
 # such a double eigenvalue about 1e-8 inside, so the answer must stand clear of that.
 SINGULAR_MARGIN = 1e-6
+CLEAR = 1e-4  # from the unit circle: much further than rounding pulls an eigenvalue inside
 LAST = 1e-6  # of what moving a state costs: a price on the last state, by which also modes without weight are seen
 
 
@@ -47,6 +48,19 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     """Return the solution with A + BL stable, or None where none was found."""
     return STEPS.solve(Quadratic(A, B, Q, R, N))
+
+
+def is_clear(found: Solution | None, F: Array) -> bool:
+    """Say whether a solution is sound and its closed loop clear of the unit circle.
+
+    Then the inputs move all modes that do not decay, and the cost sees all modes on the circle: one that they do not
+    move, or it does not see, stands in the closed loop as it is.
+
+    Args:
+        found: a solution.
+        F: the modes of its closed loop, or some that decay as slowly.
+    """
+    return found is not None and found.sound and radius(F) < 1 - CLEAR
 
 
 class _Steps(Time):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from taciturn._arrays import TINY, Array, symmetrised
-from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual
+from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
 
@@ -17,6 +18,7 @@ ENOUGH = 1e-11  # relative error of ten states, above which other coordinates ar
 POOR = 1e-4  # relative error from which on a start that gained nothing is the last
 FAIR = 1e-8  # relative error above which other starts are tried: other coordinates gain little where one start settled
 TURNS = 100
+HUGE = 1e60  # cost, where weights are about 1, of an unstable mode that no input moves
 FAST = 1e3  # growth of a mode within a step that a shorter period would mend
 RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
 
@@ -52,20 +54,25 @@ class Solution:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
+    @property
+    def sound(self) -> bool:
+        """Whether its residual and its error are small enough."""
+        return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
 
-def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0) -> None:
+
+def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) -> None:
     """Refuse a solution whose residual or error is too large.
 
     Args:
         found: the solution.
         what: of whom the equation is.
         remedy: modes that would do better.
-        growth: of the fastest mode in a step.
+        A: of a step; None of continuous time.
 
     Raises:
         UnstableError: with what is too large, the residual or the error, and the state whose cost is least certain.
     """
-    if found.residual <= RESIDUAL and found.doubt <= TOLERANCE:
+    if found.sound:
         return
     failed: list[str] = []
     if not found.residual <= RESIDUAL:
@@ -76,11 +83,16 @@ def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0
             f"its solution is uncertain by {found.doubt:.1e} of its size (at most {TOLERANCE:.0e}), most in state "
             f"{worst + 1}"
         )
+    growth = 1.0 if A is None else radius(A)
     step = f"a shorter period, as the plant grows by {growth:.1e} within a step, or " if growth > FAST else ""
     raise UnstableError(
         f"the Riccati equation of the {what} is too badly conditioned: {', and '.join(failed)}; units do not matter "
         f"here: expected {step}modes {remedy}"
     )
+
+
+def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
+    return principal_axes(axes, K)
 
 
 class Time(ABC):
@@ -137,21 +149,21 @@ class Time(ABC):
         """
         n, m = given.B.shape
         unit, none = (np.eye(n), np.eye(m), np.zeros((n, m))), np.zeros((m, n))
-        reached = units_of_reach(given)
-        kinds = [(units_of_weight(given), True), (reached, True), (reached, False)]
+        kinds = [(units_of_weight, True), (units_of_reach, True), (units_of_reach, False)]
         for _ in range(3):
-            further: list[tuple[Axes, bool]] = []
-            for axes, weighed in kinds:
+            further: list[tuple[Callable[[Quadratic], Axes], bool]] = []
+            for coordinates, weighed in kinds:
+                axes = coordinates(given)
                 here = axes.problem(given)
                 asked = here if weighed else Quadratic(here.A, here.B, *unit)
                 rough = self.rough(asked)
-                if rough is None:
+                if rough is None or not np.abs(rough).max(initial=0.0) < HUGE:
                     continue
                 L, H = self.answer(asked, rough, none)
                 K = rough if weighed else self.summed(*here.under(L))
-                if np.isfinite(K).all():
+                if np.abs(K).max(initial=0.0) < HUGE:
                     yield axes, K, L, (H if weighed else self.answer(here, K, L)[1])
-                further.append((principal_axes(axes, rough), weighed))
+                further.append((partial(_along, axes, rough), weighed))
             kinds = further
 
     def _refined(self, given: Quadratic, axes: Axes, K: Array, L: Array, H: Array) -> Iterator[Solution]:
