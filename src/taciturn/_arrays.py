@@ -57,6 +57,8 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
         ProblemError: not symmetric to 1e-9 of its entries, or of what its diagonal lets them be.
     """
     result = array(name, value, (size, size), meaning)
+    if np.array_equal(result, result.T):
+        return result
     difference, spread = np.abs(result - result.T), np.sqrt(np.abs(np.diag(result)))
     # Each entry in the units of its row and column; but what rounding leaves of the largest is no asymmetry.
     allowed = np.maximum(np.maximum(np.abs(result), np.abs(result.T)), spread * spread[:, None])

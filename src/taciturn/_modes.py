@@ -17,6 +17,7 @@ Modes: TypeAlias = npt.NDArray[np.complex128]
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
+LARGEST = 1e140  # of a power of a stable map: its square is still a number
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -126,18 +127,17 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
     state, inputs = reach(A, B)  # the units of states and inputs decide nothing
     rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
-    lengths = np.linalg.norm(pushed, axis=0)
+    lengths = np.sqrt(np.einsum("ij,ij->j", pushed, pushed))
     pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
-    size = float(np.linalg.norm(pushed, 2)) if pushed.size else 0.0
-    norm = float(np.linalg.norm(rest, 2)) if rest.size else 0.0
-    while rest.shape[0]:
+    norm = float(np.linalg.svd(rest, compute_uv=False).max(initial=0.0))
+    size: float | None = None
+    while rest.size and pushed.size:
         left, values, _ = np.linalg.svd(pushed)
-        rank = int((values > RANK_TOLERANCE * size).sum()) if size > 0 else 0
+        rank = int((values > RANK_TOLERANCE * (values[0] if size is None else size)).sum())
         if rank == 0:
             break
         turned = left.T @ rest @ left
-        pushed, rest = turned[rank:, :rank], turned[rank:, rank:]
-        size = norm
+        pushed, rest, size = turned[rank:, :rank], turned[rank:, rank:], norm
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
 
 
@@ -267,8 +267,8 @@ def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
         terms: sizes of what was summed for it, (n, n).
         summands: how many of them.
     """
-    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.linalg.norm(terms, axis=1)
-    return np.diag(rounding) + float(np.linalg.norm(missed, 2)) * np.eye(len(missed))
+    rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
+    return np.diag(rounding) + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)) * np.eye(len(missed))
 
 
 def summed(F: Array, W: Array) -> Array:
@@ -278,8 +278,10 @@ def summed(F: Array, W: Array) -> Array:
         for _ in range(64):  # 2^64 terms
             term = power @ X @ power.T
             X = X + (term + term.T) / 2
-            settled = (np.abs(np.diag(term)) <= 1e-17 * np.abs(np.diag(X))).all()
-            if settled and np.abs(power).max(initial=0.0) < 1:
+            largest = max(float(power.max(initial=0.0)), -float(power.min(initial=0.0)))
+            if not largest < LARGEST:
+                return X * np.inf
+            if largest < 1 and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
     return X

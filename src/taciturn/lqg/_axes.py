@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, symmetrised
+from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
 from taciturn._modes import reach
 
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
@@ -115,6 +115,14 @@ def units_of_reach(given: Quadratic) -> Axes:
     return Axes(np.diag(state), np.diag(1 / state), inputs)
 
 
+def units_of_weight(given: Quadratic) -> Axes:
+    """Return the units in which the weight of each state, or of the states that it moves, is about 1."""
+    natural = _spread(given.A, np.maximum(np.diag(given.Q), 0.0))
+    units = _power_of_two(np.sqrt(natural))
+    pushed = np.diag(given.R) + natural @ given.B**2
+    return Axes(np.diag(units), np.diag(1 / units), _power_of_two(np.sqrt(np.maximum(pushed, 0.0))))
+
+
 def nothing(given: Quadratic, L: Array) -> Array:
     """Return for each state the cost below which it has none: rounding, or one that tends to zero by iteration, (n,).
 
@@ -127,9 +135,7 @@ def nothing(given: Quadratic, L: Array) -> Array:
     """
     weight = np.maximum(np.diag(given.Q), 0.0)
     moved = np.where(given.B != 0, np.abs(given.B), np.inf)
-    natural = np.maximum(weight, np.max(np.diag(given.R) / moved / moved, axis=1, initial=0.0))
-    for _ in range(len(natural)):
-        natural = np.where(natural > 0, natural, np.max(given.A.T**2 * natural, axis=1, initial=0.0))
+    natural = _spread(given.A, np.maximum(weight, np.max(np.diag(given.R) / moved / moved, axis=1, initial=0.0)))
     return np.maximum(np.where(weight > 0, 0.0, VANISHING * natural), CRUMB * given.terms(L))
 
 
@@ -156,8 +162,18 @@ def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
 def principal_axes(of: Axes, K: Array) -> Axes:
     """Return the axes of a cost K that is given in the coordinates ``of``, each in its own unit."""
     values, vectors = np.linalg.eigh(K)
-    units = _power_of_two(np.sqrt(np.maximum(values, FLAT * max(float(values[-1]), 1e-300))))
+    largest = float(values[-1]) if values[-1] > TINY else 1.0
+    units = _power_of_two(np.sqrt(np.maximum(values, FLAT * largest)))
     return Axes(of.T @ vectors * units, (vectors / units).T @ of.inverse, of.units)
+
+
+def _spread(A: Array, weight: Array) -> Array:
+    """Return the weight of each state, where it has none that of the states that it moves."""
+    for _ in range(len(weight)):
+        if (weight > 0).all():
+            break
+        weight = np.where(weight > 0, weight, np.max(A.T**2 * weight, axis=1, initial=0.0))
+    return weight
 
 
 def _power_of_two(sizes: Array) -> Array:

@@ -7,14 +7,12 @@ stable.
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import numpy as np
 
-from taciturn import _scipy
 from taciturn._arrays import TINY, Array, is_definite, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.lqg._axes import Quadratic
+from taciturn.lqg._doubling import double
 from taciturn.lqg._newton import Solution, Time
 
 CIRCLE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
@@ -22,8 +20,8 @@ MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not calle
 # Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
 # such a double eigenvalue about 1e-8 inside, so the answer must stand clear of that.
 SINGULAR_MARGIN = 1e-6
-DOUBLINGS = 40  # 10^12 steps
-SETTLED = 1e-12  # relative: Newton's method adds the digits
+CLEAR = 1e-4  # from the unit circle: much further than rounding pulls an eigenvalue inside
+LAST = 1e-6  # of what moving a state costs: a price on the last state, by which also modes without weight are seen
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
@@ -39,7 +37,9 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     # With R definite every direction is real; otherwise one this small may be the error of a computed K.
-    inside = values > (1e-15 if is_definite(R) else 1e-10) * len(diagonal)
+    inside = values > 1e-10 * len(diagonal)
+    if not inside.all() and is_definite(R):
+        inside = values > 1e-15 * len(diagonal)
     vectors = scale[:, None] * vectors[:, inside]
     return H, (vectors / values[inside]) @ vectors.T
 
@@ -49,36 +49,24 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
-def doubled(given: Quadratic) -> Array | None:
-    """Return the limit of the cost-to-go of 1, 2, 4, 8, … steps, or None where R is not definite or there is none.
+def is_clear(found: Solution | None, F: Array) -> bool:
+    """Say whether a solution is sound and its closed loop clear of the unit circle.
 
-    It stabilises if every mode that does not decay costs something. It needs no scipy, whose import takes longer than
-    most answers.
+    Then the inputs move all modes that do not decay, and the cost sees all modes on the circle: one that they do not
+    move, or it does not see, stands in the closed loop as it is.
+
+    Args:
+        found: a solution.
+        F: the modes of its closed loop, or some that decay as slowly.
     """
-    A, B, Q, R, N = given
-    if not is_definite(R):
-        return None
-    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError):
-        F, reached = A - B @ np.linalg.solve(R, N.T), symmetrised(B @ np.linalg.solve(R, B.T))
-        K = symmetrised(Q - N @ np.linalg.solve(R, N.T))
-        for _ in range(DOUBLINGS):
-            moved = np.linalg.solve(np.eye(len(A)) + reached @ K, np.hstack([F, reached]))
-            half, rest = moved[:, : len(A)], moved[:, len(A) :]
-            more = symmetrised(F.T @ K @ half)
-            F, reached, K = F @ half, symmetrised(reached + F @ rest @ F.T), K + more
-            if not np.isfinite(K).all():
-                return None
-            if (np.abs(np.diag(more)) <= SETTLED * np.abs(np.diag(K))).all():
-                return K
-    return None
+    return found is not None and found.sound and radius(F) < 1 - CLEAR
 
 
 class _Steps(Time):
     def rough(self, given: Quadratic) -> Array | None:
-        K = doubled(given)
-        if K is not None and self.stable(given.under(self.answer(given, K, np.zeros(given.B.T.shape))[0])[0], given):
-            return K
-        return _scipy.discrete_riccati(*given)
+        worth = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B))
+        last = given.Q + LAST * worth / max(float(np.sum(given.B**2)), TINY) * np.eye(len(given.A))
+        return double(given, last, *price(given.B, last, given.R))
 
     def stable(self, F: Array, given: Quadratic) -> bool:
         return radius(F) < 1 - (MARGIN if is_definite(given.R) else SINGULAR_MARGIN)

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from taciturn._arrays import TINY, Array, symmetrised
-from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual
+from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
 from taciturn.errors import UnstableError
-from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach
+from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
 
-ENOUGH = 1e-11  # relative error from which on other coordinates are tried
+ENOUGH = 1e-11  # relative error of ten states, above which other coordinates are tried; rounding grows as states²
+POOR = 1e-4  # relative error from which on a start that gained nothing is the last
+FAIR = 1e-8  # relative error above which other starts are tried: other coordinates gain little where one start settled
 TURNS = 100
+HUGE = 1e60  # cost, where weights are about 1, of an unstable mode that no input moves
 FAST = 1e3  # growth of a mode within a step that a shorter period would mend
 RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
 
@@ -50,20 +54,25 @@ class Solution:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
+    @property
+    def sound(self) -> bool:
+        """Whether its residual and its error are small enough."""
+        return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
 
-def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0) -> None:
+
+def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) -> None:
     """Refuse a solution whose residual or error is too large.
 
     Args:
         found: the solution.
         what: of whom the equation is.
         remedy: modes that would do better.
-        growth: of the fastest mode in a step.
+        A: of a step; None of continuous time.
 
     Raises:
         UnstableError: with what is too large, the residual or the error, and the state whose cost is least certain.
     """
-    if found.residual <= RESIDUAL and found.doubt <= TOLERANCE:
+    if found.sound:
         return
     failed: list[str] = []
     if not found.residual <= RESIDUAL:
@@ -74,6 +83,7 @@ def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0
             f"its solution is uncertain by {found.doubt:.1e} of its size (at most {TOLERANCE:.0e}), most in state "
             f"{worst + 1}"
         )
+    growth = 1.0 if A is None else radius(A)
     step = f"a shorter period, as the plant grows by {growth:.1e} within a step, or " if growth > FAST else ""
     raise UnstableError(
         f"the Riccati equation of the {what} is too badly conditioned: {', and '.join(failed)}; units do not matter "
@@ -81,12 +91,16 @@ def refuse_doubtful(found: Solution, what: str, remedy: str, growth: float = 1.0
     )
 
 
+def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
+    return principal_axes(axes, K)
+
+
 class Time(ABC):
     """What differs between a Riccati equation of steps and one of continuous time."""
 
     @abstractmethod
     def rough(self, given: Quadratic) -> Array | None:
-        """Return scipy's solution, or None where it finds none."""
+        """Return a fast solution that needs refinement, or None where it overflows."""
 
     @abstractmethod
     def stable(self, F: Array, given: Quadratic) -> bool:
@@ -115,49 +129,56 @@ class Time(ABC):
     def solve(self, given: Quadratic) -> Solution | None:
         """Return the best of the solutions found; None where no start stabilises or nothing settles."""
         best: Solution | None = None
-        for axes, L in self._starts(given):
-            for found in self._refined(given, axes, L):
+        enough = ENOUGH * max(1.0, len(given.A) / 10) ** 2
+        for start in self._starts(given):
+            before = np.inf if best is None else best.doubt
+            for found in self._refined(given, *start):
                 if best is None or found.doubt < best.doubt:
                     best = found
-                if best.doubt <= ENOUGH:
+                if best.doubt <= enough:
                     return best
+            if best is not None and (best.doubt <= FAIR or before / 2 <= best.doubt <= POOR):
+                return best
         return best
 
-    def _starts(self, given: Quadratic) -> Iterator[tuple[Axes, Array]]:
-        """Return gains that may stabilise, the likeliest first, in coordinates that suit them.
+    def _starts(self, given: Quadratic) -> Iterator[tuple[Axes, Array, Array, Array]]:
+        """Return costs, gains and prices that may stabilise, the likeliest first, in coordinates that suit them.
 
         The problem with unit weights has a solution whenever (A, B) is stabilisable; its gain is a safe start. Where an
         input hardly moves a mode, a gain has its digits only along the axes of the cost.
         """
         n, m = given.B.shape
-        reached, plain = units_of_reach(given), Axes(np.eye(n), np.eye(n), np.ones(len(given.R)))
-        for axes, weighed in ((reached, True), (reached, False), (plain, True)):
-            for _ in range(3):
+        unit, none = (np.eye(n), np.eye(m), np.zeros((n, m))), np.zeros((m, n))
+        kinds = [(units_of_weight, True), (units_of_reach, True), (units_of_reach, False)]
+        for _ in range(3):
+            further: list[tuple[Callable[[Quadratic], Axes], bool]] = []
+            for coordinates, weighed in kinds:
+                axes = coordinates(given)
                 here = axes.problem(given)
-                asked = here if weighed else Quadratic(here.A, here.B, np.eye(n), np.eye(m), np.zeros((n, m)))
-                K = self.rough(asked)
-                if K is None:
-                    break
-                yield axes, self.answer(asked, K, np.zeros((m, n)))[0]
-                axes = principal_axes(axes, K)
+                asked = here if weighed else Quadratic(here.A, here.B, *unit)
+                rough = self.rough(asked)
+                if rough is None or not np.abs(rough).max(initial=0.0) < HUGE:
+                    continue
+                L, H = self.answer(asked, rough, none)
+                K = rough if weighed else self.summed(*here.under(L))
+                if np.abs(K).max(initial=0.0) < HUGE:
+                    yield axes, K, L, (H if weighed else self.answer(here, K, L)[1])
+                further.append((partial(_along, axes, rough), weighed))
+            kinds = further
 
-    def _refined(self, given: Quadratic, axes: Axes, L: Array) -> Iterator[Solution]:
+    def _refined(self, given: Quadratic, axes: Axes, K: Array, L: Array, H: Array) -> Iterator[Solution]:
         """Solve from a gain: in the units of its cost, in those of the best cost, then along the axes of that.
 
         Args:
             given: the problem.
             axes: the coordinates of the gain.
+            K: about its cost.
             L: the gain.
+            H: the price of another input.
         """
         here = axes.problem(given)
-        F, stage = here.under(L)
-        if not self.stable(F, here):
-            return
-        K = self.summed(F, stage)
-        if not np.isfinite(K).all():
-            return
-        H = self.answer(here, K, L)[1]
-        for _ in range(2):
+        for _ in range(3):
+            F = here.under(L)[0]
             inner = units_of(self.step(F), K, H, np.maximum(nothing(here, L), TINY))
             axes, L = axes.then(inner), inner.gain(L)
             here = axes.problem(given)
@@ -165,7 +186,6 @@ class Time(ABC):
             if found is None:
                 return
             K, L, H = found
-            F = here.under(L)[0]
             if np.diag(K).max(initial=0.0) <= 4 and np.diag(K).min(initial=1.0) >= 1 / 4:
                 break
         yield self.judged(given, axes, K, L, H)
@@ -179,19 +199,20 @@ class Time(ABC):
         previous, change = None, np.inf
         for _ in range(TURNS):
             F, stage = given.under(L)
-            if not self.stable(F, given):
-                return None
             K = symmetrised(self.summed(F, stage))
             if not np.isfinite(K).all():
                 return None
             terms = np.abs(given.Q) + 2 * np.abs(given.N) @ np.abs(L) + np.abs(L.T) @ np.abs(given.R) @ np.abs(L)
-            L, H = self.answer(given, K, L)
+            better, H = self.answer(given, K, L)
+            off, L = better - L, better
             # Where the terms cancel, K holds their rounding and cannot settle below it.
             size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
             last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
-            # Down at the rounding error; where a closed-loop mode tends to the edge the changes halve instead.
+            # The next turn saves off'·H·off in each step, here below the rounding of the step's own cost. Where a
+            # closed-loop mode tends to the edge the changes halve instead.
+            done = (np.einsum("ij,ij->j", off, H @ off) <= ROUNDOFF * np.diag(terms)).all()
             stalled = change <= 1e-5 * size and change >= 0.9 * last
-            if change <= 1e-14 * size or stalled:
+            if done or change <= 1e-14 * size or stalled:
                 sound = self.stable(given.A + given.B @ L, given) and np.linalg.eigvalsh(K)[0] >= -TOLERANCE
                 return (K, L, H) if sound else None
             previous = K

@@ -194,13 +194,6 @@ def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str = "take 
 @kept
 def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
     """Return the steady filter of data that were checked."""
-    unseen = persistent(uncontrollable_modes(A.T, C.T), A, continuous=False)
-    if unseen.size:
-        raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
-            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
-            "that state out of the problem"
-        )
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
@@ -210,8 +203,6 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
         if observer is not None:
             none = np.zeros((n, n))
             return _frozen(none, none, observer.gain, np.zeros((p, p)), none)
-    elif is_definite(V):
-        _refuse_unreached(A, W)
     found = _filter(A, C, W, V)
     if found is None:
         _refuse_unreached(A, W)
@@ -225,9 +216,13 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
+    if found is None or not _dare.is_clear(found, A + found.L.T @ C):  # what it is that has no solution
+        _refuse_unseen(A, C)
+        if is_definite(V):
+            _refuse_unreached(A, W)
     if found is None:
         return None
-    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them", radius(A))
+    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them", A)
     L = found.L
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
@@ -256,6 +251,16 @@ def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Arr
     kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
     half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
+
+
+def _refuse_unseen(A: Array, C: Array) -> None:
+    unseen = persistent(uncontrollable_modes(A.T, C.T), A, continuous=False)
+    if unseen.size:
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
+            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
+            "that state out of the problem"
+        )
 
 
 def _refuse_unreached(A: Array, W: Array) -> None:

@@ -217,7 +217,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
     _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
-    found = _checked_solution(_care.solve(A, B, Q, R, N))
+    found = _checked_solution(_care.solve(A, B, Q, R, N), None)
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error))
 
 
@@ -242,24 +242,27 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 @kept
 def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
-    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
-    if is_definite(R):
-        unseen = _unseen_modes(A, B, Q, R, N)
-        _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
-    found = _checked_solution(_dare.solve(A, B, Q, R, N), radius(A) / unit)
+    found = _dare.solve(A, B, Q, R, N)
+    if found is None or not _dare.is_clear(found, A + B @ found.L):  # what it is that has no solution
+        _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
+        if is_definite(R):
+            unseen = _unseen_modes(A, B, Q, R, N)
+            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
+    found = _checked_solution(found, A / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
     return Regulator(*(_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error)))
 
 
-def _checked_solution(found: Solution | None, growth: float = 1.0) -> Solution:
+def _checked_solution(found: Solution | None, A: Array | None) -> Solution:
+    """Return a solution; of steps x⁺ = Ax, whose growth may be the reason why there is none."""
     if found is None:
         raise UnstableError(
             "the Riccati equation of the regulator has no solution that stabilises clear of rounding: from no gain "
             "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and "
             "R on every state and input"
         )
-    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them", growth)
+    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them", A)
     return found
 
 

@@ -20,6 +20,7 @@ SNAPSHOTS = 100  # of the paths, whose kept errors are fitted to
 LONGEST = 20_000  # checks in which every path should have been sent a few times
 POINTS = 1200  # at which the value is fitted, from near 0 to beyond the farthest
 NEAREST, FARTHEST = 0.3, 1.5
+SHARERS = 8  # errors over whose noises a mean is taken
 NOISES = 128  # over which the value after a check is averaged, and as many mirrored
 RANK = 1e-9  # relative standard deviation of a direction that no noise reaches
 DIRECTIONS = 24  # of errors to which a value is fitted: its terms, some 300, take a gigabyte and half a minute
@@ -117,44 +118,66 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """Where a value is fitted: the terms of the quadratic at the errors, and at those a check later.
+    """Where a value is fitted: errors, and those a check later, over noises that a block of errors shares.
 
     Args:
-        here: (errors, terms).
-        there: (errors · noises, terms).
-        cost: of the latter, (errors · noises,).
+        here: terms of the quadratic at the errors, (errors, terms).
+        mean: of the errors after the check, (blocks, errors of one, size).
+        noise: half of the noises, the others are mirrored, (blocks, noises, size).
+        cost: of the errors after the check, (2, blocks, errors of one, noises).
         into: coordinates in which kept errors have about the covariance 1, (size, n).
         interval: mean checks between sends of the threshold that keeps them.
     """
 
     here: Array
-    there: Array
+    mean: Array
+    noise: Array
     cost: Array
     into: Array
     interval: float
 
     def fit(self, price: float) -> Fitted:
         """Return the schedule at a price, by value iteration."""
-        here, there, into = self.here, self.there, self.into
+        here, into = self.here, self.into
         size = len(into)
         gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
         fit[: size + 1] = [np.log(price / 2), *[-0.2] * size]
         for _ in range(ITERATIONS):
-            bell = there @ fit
-            np.exp(np.minimum(bell, np.log(price), out=bell), out=bell)
-            saved = self.cost - gain
-            saved -= bell
-            value = np.minimum(saved, 0.0, out=saved).reshape(len(here), -1).mean(axis=1)
-            value = np.minimum(value, -FLOOR * price)
-            weight = np.abs(value) / price
-            found = _least_squares(here * weight[:, None], np.log(-value) * weight)
-            change = max(abs(price + value[0] - gain) / price, np.abs(found - fit).max())
-            gain, fit = max(gain + DAMPING * (price + value[0] - gain), FLOOR * price), found
+            value = np.maximum(-self._saved(price, gain, fit), FLOOR * price)
+            weight = value / price
+            found = _least_squares(here * weight[:, None], np.log(value) * weight)
+            change = max(abs(price - value[0] - gain) / price, np.abs(found - fit).max())
+            gain, fit = max(gain + DAMPING * (price - value[0] - gain), FLOOR * price), found
             if change < SETTLED:
                 break
         values, vectors = np.linalg.eigh(_weight(-2 * fit[1:], size))
         Pi = into.T @ (vectors * np.maximum(values, 0.0)) @ vectors.T @ into
         return Fitted(float(gain), float(np.exp(fit[0])), frozen(symmetrised(Pi)), self.interval)
+
+    def _saved(self, price: float, gain: float, fit: Array) -> Array:
+        """Return the mean over the noises of min(0, U) a check after each error, (errors,)."""
+        bell = spread(self.mean, self.noise, _weight(fit[1:], len(self.into)))
+        bell += fit[0]
+        np.exp(np.minimum(bell, np.log(price), out=bell), out=bell)
+        saved = np.subtract(self.cost, bell, out=bell)
+        saved -= gain
+        return np.minimum(saved, 0.0, out=saved).mean(axis=(0, 3)).ravel()
+
+
+def spread(mean: Array, noise: Array, weight: Array) -> Array:
+    """Return (m ± w)'M(m ± w), the plus first, of errors and of the noises that they share.
+
+    Args:
+        mean: m, (blocks, errors, n).
+        noise: w, (blocks, noises, n).
+        weight: M, (n, n), symmetric.
+
+    Returns:
+        (2, blocks, errors, noises).
+    """
+    crossed = 2 * (mean @ weight) @ np.swapaxes(noise, 1, 2)
+    apart = squares(mean, weight)[:, :, None] + squares(noise, weight)[:, None]
+    return np.stack([apart + crossed, apart - crossed])
 
 
 def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points: int) -> _Ground:
@@ -171,11 +194,12 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
             f"{DIRECTIONS}; expected a plant with fewer states, or policy 'excess'"
         )
     draws = np.random.default_rng(seed)
-    x = kept[draws.choice(len(kept), points)] * draws.uniform(NEAREST, FARTHEST, (points, 1))
-    x = np.vstack([np.zeros((1, len(F))), x])
-    w = Lattice(NOISES, half.shape[1]).normals(draws, len(x)) @ half.T
-    after = ((x @ F.T)[:, None] + np.concatenate([w, -w], axis=1)).reshape(-1, len(F))
-    return _Ground(_terms(x @ into.T), _terms(after @ into.T), squares(after, Gamma), into, interval)
+    blocks = -(-(points + 1) // SHARERS)
+    x = kept[draws.choice(len(kept), blocks * SHARERS)] * draws.uniform(NEAREST, FARTHEST, (blocks * SHARERS, 1))
+    x[0] = 0.0
+    w = Lattice(NOISES, half.shape[1]).normals(draws, blocks) @ half.T
+    after = (x @ F.T).reshape(blocks, SHARERS, len(F))
+    return _Ground(_terms(x @ into.T), after @ into.T, w @ into.T, spread(after, w, Gamma), into, interval)
 
 
 def _least_squares(rows: Array, values: Array) -> Array:
