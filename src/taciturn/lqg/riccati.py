@@ -15,7 +15,6 @@ from taciturn._modes import (
     mode_text,
     pace,
     persistent,
-    radius,
     root,
     uncontrollable_modes,
 )
