@@ -11,7 +11,7 @@ from taciturn._arrays import Array
 from taciturn._modes import root, stationary
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
-from taciturn.renewal.fitted import Bits, Fitted, squares
+from taciturn.renewal.fitted import Bits, Fitted, spread, squares
 
 ABREAST = 32  # batches that run side by side; their means are independent
 MOST = 16  # times as many
@@ -117,25 +117,18 @@ class _Game:
     fitted: Fitted
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the means over the noises of min(0, U) after a check, (batches, paths).
+        """Return the means over noises and their mirror images of min(0, U) after a check, (batches, paths).
 
         Args:
             error: (batches, paths, n).
-            w: (batches, noises, n).
+            w: half of the noises, (batches, noises, n).
         """
-        rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
+        rows = max(1, BLOCK // (2 * error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
     def _after(self, error: Array, w: Array) -> Array:
-        mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
-
-        def spread(weight: Array) -> Array:
-            crossed = 2 * (mean @ weight) @ turned
-            crossed += squares(mean, weight)[:, :, None]
-            crossed += squares(w, weight)[:, None]
-            return crossed
-
-        return self._saved(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
+        mean = error @ self.F.T
+        return self._saved(spread(mean, w, self.Gamma), spread(mean, w, self.fitted.Pi)).mean(axis=(0, 3))
 
     def now(self, error: Array) -> Array:
         """Return min(0, U) of each error."""
@@ -184,7 +177,7 @@ class _Duel:
         for check in range(1, LONGEST + 1):
             live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
             w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
-            expected[live] = game.after(error[live], np.concatenate([w, -w], axis=1))
+            expected[live] = game.after(error[live], w)
             drawn = self.draws.standard_normal((*going.shape, self.rank))
             error = error @ game.F.T + drawn @ game.half.T
             total = total + expected - game.now(error)

@@ -24,8 +24,9 @@ SHARERS = 8  # errors over whose noises a mean is taken
 NOISES = 128  # over which the value after a check is averaged, and as many mirrored
 RANK = 1e-9  # relative standard deviation of a direction that no noise reaches
 DIRECTIONS = 24  # of errors to which a value is fitted: its terms, some 300, take a gigabyte and half a minute
-ITERATIONS, SETTLED = 400, 1e-7
+ITERATIONS, SETTLED = 100, 1e-7  # in many directions a fit may move forever within its own noise
 DAMPING = 0.5
+FULL = 1e-8  # relative entry of a triangle, above which its columns are independent
 FLOOR = 1e-9  # of the price, below which a value is no longer told from 0
 
 
@@ -204,9 +205,14 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
 
 def _least_squares(rows: Array, values: Array) -> Array:
     """Return the shortest x that is nearest to rows·x = values."""
-    left, sizes, right = np.linalg.svd(rows, full_matrices=False)
+    triangle = np.linalg.qr(np.column_stack([rows, values]), mode="r")
+    turned, upper = triangle[: rows.shape[1], -1], triangle[: rows.shape[1], :-1]
+    diagonal = np.abs(np.diag(upper))
+    if diagonal.min(initial=1.0) > FULL * diagonal.max(initial=0.0):
+        return np.asarray(np.linalg.solve(upper, turned), dtype=np.float64)
+    left, sizes, right = np.linalg.svd(upper, full_matrices=False)
     used = sizes > 1e-10 * sizes[0]
-    return right[used].T @ (left[:, used].T @ values / sizes[used])
+    return right[used].T @ (left[:, used].T @ turned / sizes[used])
 
 
 def squares(x: Array, weight: Array) -> Array:
