@@ -164,12 +164,16 @@ class Namespaces:
         Raises:
             ProblemError: it may not be entered.
         """
-        with open("/proc/thread-self/ns/net", "rb") as home, open(_FOLDER / self.names[place], "rb") as there:
-            _enter(there.fileno())
+        with open("/proc/thread-self/ns/net", "rb") as home:
+            enter(self.file(place))
             try:
                 yield
             finally:
                 _enter(home.fileno())
+
+    def file(self, place: str) -> Path:
+        """Return the file of a place's namespace, for ``enter``."""
+        return _FOLDER / self.names[place]
 
     def counted(self, link: LinkName) -> Counted:
         """Return what the kernel has counted on a link."""
@@ -200,6 +204,16 @@ class Namespaces:
         for name in self.names.values():
             if (_FOLDER / name).exists():
                 _remove(name)
+
+
+def enter(namespace: Path) -> None:
+    """Let this thread go on in a network namespace, by its file; what it starts and opens from now on is there.
+
+    Raises:
+        ProblemError: it may not be entered.
+    """
+    with open(namespace, "rb") as there:
+        _enter(there.fileno())
 
 
 def _rules(link: LinkName, loss: KernelLoss) -> str:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
@@ -16,6 +14,7 @@ from typing import Any
 from taciturn.errors import ProblemError
 from taciturn.model.places import place_of, role_at, roles
 from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
+from taciturn.runtime.launch import Fork
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
@@ -31,7 +30,7 @@ class Process:
         arguments: of ``taciturn``.
         name: that it goes by in sentences.
         environment: variables beside those of this process.
-        before: a command that runs it, as ``ip netns exec NAME``.
+        namespace: file of the network namespace in which it runs; omitted: that of this process.
     """
 
     def __init__(
@@ -39,21 +38,13 @@ class Process:
         arguments: Sequence[str],
         name: str = "a process",
         environment: Mapping[str, str] | None = None,
-        before: Sequence[str] = (),
+        namespace: Path | None = None,
     ) -> None:
         """Start it."""
-        command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
         self._name = name
         self._errors: list[str] = []
         self._listens = threading.Event()
-        self._process = subprocess.Popen(
-            command,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            env={**os.environ, **(environment or {})},
-            process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends the others
-        )
+        self._process = Fork(arguments, {**os.environ, **(environment or {})}, namespace)
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -61,6 +52,11 @@ class Process:
     def alive(self) -> bool:
         """Whether it runs."""
         return self._process.poll() is None
+
+    @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._process.pid
 
     def expect(self) -> None:
         """Wait until it listens.
@@ -84,15 +80,15 @@ class Process:
 
     def kill(self) -> None:
         """End it without a chance to do anything (SIGKILL)."""
-        self._process.kill()
+        self._process.send(signal.SIGKILL)
         self._process.wait()
         self._close()
 
     def pause(self, seconds: float) -> None:
         """Stop it for a while, so that its clock jumps."""
-        self._process.send_signal(signal.SIGSTOP)
+        self._process.send(signal.SIGSTOP)
         time.sleep(seconds)
-        self._process.send_signal(signal.SIGCONT)
+        self._process.send(signal.SIGCONT)
 
     def stop(self) -> dict[str, Any]:
         """Ask it to end, and return its report.
@@ -100,28 +96,21 @@ class Process:
         Raises:
             ProblemError: it gives none, or does not end in time.
         """
-        self._process.terminate()
-        assert self._process.stdout is not None
+        self._process.send(signal.SIGTERM)
         try:
-            self._process.wait(PATIENCE)
+            if self._process.wait(PATIENCE) is None:
+                raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster")
             return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which a pipe holds
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster") from None
         except (ValueError, IndexError):
             raise ProblemError(self.sentence()) from None
         finally:
-            self._process.wait()
-            self._close()
+            self.kill()
 
     def _close(self) -> None:
         self._reader.join()
-        for pipe in (self._process.stdout, self._process.stderr):
-            assert pipe is not None
-            pipe.close()
+        self._process.close()
 
     def _read(self) -> None:
-        assert self._process.stderr is not None
         for line in self._process.stderr:
             self._errors.append(line.rstrip("\n"))
             if LISTENS in line:
@@ -204,8 +193,8 @@ class Processes:
         """
         chosen = names or tuple(self.commands)
         for name in chosen:
-            before = () if self._namespaces is None else self._namespaces.before(name)
-            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before)
+            file = None if self._namespaces is None else self._namespaces.file(name)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, file)
         for name in chosen:
             self.running[name].expect()
 
