@@ -123,7 +123,7 @@ def test_two_processes_run_from_the_command_line(
 ) -> None:
     """Two nodes that share no place with a third, over an ideal link: nothing is lost."""
     monkeypatch.setattr(sys, "argv", ["taciturn", "network", "two-mass", "--namespaces", "--ticks", "50"])
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         cli.main()
     link = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("link, actuator"))
     sent, delivered, *rest = map(int, re.findall(r"\d+", link))

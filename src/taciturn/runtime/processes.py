@@ -97,9 +97,10 @@ class Process:
             ProblemError: it gives none, or does not end in time.
         """
         self._process.send(signal.SIGTERM)
+        if self._process.wait(PATIENCE) is None:
+            self.kill()
+            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster")
         try:
-            if self._process.wait(PATIENCE) is None:
-                raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster")
             return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which a pipe holds
         except (ValueError, IndexError):
             raise ProblemError(self.sentence()) from None
