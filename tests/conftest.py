@@ -10,6 +10,7 @@ from hypothesis import settings
 
 os.environ.setdefault("MPLBACKEND", "Agg")  # also for the examples, which run as processes
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads on matrices of six rows cost a third of the whole time
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # processes that tests start would compile the package anew, each
 settings.register_profile("repeatable", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("repeatable")
 NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nobody may overlook

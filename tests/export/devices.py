@@ -6,7 +6,9 @@ import ctypes as c
 import shutil
 import subprocess
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import NamedTuple
 
 import pytest
@@ -78,6 +80,17 @@ class Library(NamedTuple):
     sizes: tuple[int, int, int]
 
 
+@cache
+def compile_core(entries: int, precision: Precision) -> Path:
+    """Return a folder with what all nodes have in common, compiled once for packets of so many entries."""
+    folder = Path(mkdtemp())
+    write_sizes(folder, entries, precision)
+    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c"]
+    options = [*STRICT, "-O1", "-fPIC", f"-I{CORE}", f"-I{folder}", "-c"]
+    subprocess.run([needs_compiler(), *options, *map(str, sources)], cwd=folder, check=True)
+    return folder
+
+
 def compile_node(
     policy: Policy,
     role: NodeName,
@@ -87,15 +100,14 @@ def compile_node(
     seed: int = 0,
 ) -> Library:
     """Return a node of a policy as a library that is loaded."""
-    compiler = needs_compiler()
     found = print_node(policy, role, network, "device", precision=precision, seed=seed)
-    entries = max(entries for _, entries in packet_shapes(policy, network).values())
-    write_sizes(folder, entries, precision)
+    entries = max(8, *(entries for _, entries in packet_shapes(policy, network).values()))
+    core = compile_core(entries, precision)
     (folder / "device.h").write_text(found.header, encoding="ascii")
     (folder / "device.c").write_text(found.source, encoding="ascii")
-    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c", HERE / "shim.c", folder / "device.c"]
-    options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{folder}", "-o", str(folder / "device.so")]
-    subprocess.run([compiler, *options, *map(str, sources)], check=True)
+    options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{core}", "-o", str(folder / "device.so")]
+    sources = [HERE / "shim.c", folder / "device.c", *core.glob("*.o")]
+    subprocess.run([needs_compiler(), *options, f"-I{folder}", *map(str, sources)], check=True)
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p

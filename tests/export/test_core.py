@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+from itertools import product
 from pathlib import Path
 
 import pytest
+from counts import few
 from export.devices import CORE, STRICT, write_sizes
 
 FILES = ("taciturn_packet", "taciturn_node")
@@ -14,11 +16,10 @@ COMPILERS = {"gcc": [], "clang": [], "arm-none-eabi-gcc": ["-mcpu=cortex-m3", "-
 TOOLS = {"gcc": "", "clang": "", "arm-none-eabi-gcc": "arm-none-eabi-"}
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("level", ["-O0", "-O2", "-Os"])
-@pytest.mark.parametrize("compiler", COMPILERS)
-def test_the_core_is_strict_c99_and_holds_no_data(tmp_path: Path, compiler: str, level: str, precision: str) -> None:
+@pytest.mark.parametrize("way", few(product(COMPILERS, ["float64", "float32"], ["-O2", "-O0", "-Os"]), 3), ids=str)
+def test_the_core_is_strict_c99_and_holds_no_data(tmp_path: Path, way: tuple[str, str, str]) -> None:
     """No warning, no byte of mutable data, and of libraries memcpy and memset and the compiler's own arithmetic."""
+    compiler, precision, level = way
     if shutil.which(compiler) is None:
         pytest.skip(f"NOT SHOWN: there is no {compiler}")
     write_sizes(tmp_path, 4, precision)  # type: ignore[arg-type]

@@ -6,17 +6,19 @@ import dataclasses
 import os
 import runpy
 import time
+from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from counts import few
 from runtime.loops import by_hand
 
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn.export import cortex
-from taciturn.export.cortex import M3, M4F, Board, Main
+from taciturn.export.cortex import M3, M4F, Board, Counts, Main
 from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.processor import NodeOnBoard
 from taciturn.export.vector import record_loop
@@ -84,17 +86,16 @@ def check(board: Board, name: str, precision: Precision = "float64", ticks: int 
 
 
 @pytest.mark.parametrize(
-    ("name", "board"),
-    [(name, (M3, M4F)[i % 2]) for i, name in enumerate(ORDINARY)],
-    ids=lambda value: value.processor if isinstance(value, Board) else value,
+    "on", few(zip(ORDINARY, (M3, M4F) * 3, strict=True), 1, 2), ids=lambda on: f"{on[0]}-{on[1].processor}"
 )
-def test_nodes_on_a_board_decide_and_apply_what_the_design_does(name: str, board: Board) -> None:
+def test_nodes_on_a_board_decide_and_apply_what_the_design_does(on: tuple[str, Board]) -> None:
     """Hundreds of ticks with their packets: every decision, and every bit of the input."""
+    name, board = on
     said = check(board, name)
     assert f"{len(folder_of(name).vector.sent)} ticks compared, every decision and every bit" in said
 
 
-@pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.parametrize("name", few(SINGLE, 1, 1))
 def test_nodes_in_single_precision_have_the_bits_of_the_loop_in_it(name: str) -> None:
     """What the floating-point unit of the M4F computes is what the loop in single precision does."""
     assert "every bit of the input agrees" in check(M4F, name, "float32")
@@ -126,6 +127,12 @@ def test_one_bit_that_differs_is_found_on_the_board(tmp_path: Path) -> None:
         cortex.run_on(M3, program, dataclasses.replace(folder.vector, applied=applied))
 
 
+@cache
+def counted(board: Board, precision: Precision) -> Mapping[str, Counts]:
+    """Return the instructions of the two masses' nodes."""
+    return cortex.count_instructions(board, folder_of("chapter 2", precision))
+
+
 def changed(folder: CFolder, node: str, old: str, new: str) -> CFolder:
     """Return a folder with another text in the source of a node."""
     name = f"device_{node}.c"
@@ -133,13 +140,14 @@ def changed(folder: CFolder, node: str, old: str, new: str) -> CFolder:
     return dataclasses.replace(folder, files={**folder.files, name: folder.files[name].replace(old, new)})
 
 
-@pytest.mark.parametrize(("board", "precision", "number"), [(M3, "float64", 1000), (M4F, "float32", 7)])
-def test_instructions_are_counted_one_by_one(board: Board, precision: Precision, number: int) -> None:
+@pytest.mark.parametrize("of", few([(M3, "float64", 1000), (M4F, "float32", 7)], 1, 1), ids=lambda of: of[0].processor)
+def test_instructions_are_counted_one_by_one(of: tuple[Board, Precision, int]) -> None:
     """So many more instructions in the step of a node are exactly as many more, in step, tick and all; else none."""
+    board, precision, number = of
     plain = folder_of("chapter 2", precision)
     more = f'{{\n  __asm volatile(".rept {number}\\n\\tnop\\n\\t.endr");\n  const tac_real v0 = memory[0];'
     longer = changed(plain, "actuator", "{\n  const tac_real v0 = memory[0];", more)
-    counts, found = cortex.count_instructions(board, plain), cortex.count_instructions(board, longer)
+    counts, found = counted(board, precision), cortex.count_instructions(board, longer)
     for before, after in zip(counts["actuator"], found["actuator"], strict=True):
         assert after.ticks == before.ticks == ROWS
         assert round(after.mean * ROWS) - round(before.mean * ROWS) == number * ROWS
@@ -149,7 +157,7 @@ def test_instructions_are_counted_one_by_one(board: Board, precision: Precision,
 
 def test_a_tick_takes_more_than_its_step_and_less_than_all() -> None:
     """What is counted of a node contains what it should; on the M4F's own unit a straight line has one length."""
-    for counts in cortex.count_instructions(M4F, folder_of("chapter 2", "float32")).values():
+    for counts in counted(M4F, "float32").values():
         assert 0 < counts.step.mean < counts.tick.mean < counts.all.mean
         assert counts.step.longest == counts.step.mean
         assert counts.all.longest > counts.all.mean
@@ -225,12 +233,10 @@ class Loops:
         return costs
 
 
-@pytest.mark.parametrize(("file", "ticks"), [("two-mass", 100), ("lossy-double-integrator", 100)])
-def test_a_plant_with_boards_in_its_loop_costs_what_it_does_with_the_host_s_nodes(
-    file: str, ticks: int, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("file", few(["two-mass", "lossy-double-integrator"], 1, 1))
+def test_a_plant_with_boards_in_its_loop_costs_what_it_does_with_the_host_s_nodes(file: str, tmp_path: Path) -> None:
     """Measurements go to emulated boards, datagrams between them, inputs to the plant: tick by tick the same bits."""
-    assert Loops(file, 5, tmp_path).run(ticks).tobytes() == by_hand(file, ticks, 5).tobytes()
+    assert Loops(file, 5, tmp_path).run(100).tobytes() == by_hand(file, 100, 5).tobytes()
 
 
 @pytest.fixture(scope="module")

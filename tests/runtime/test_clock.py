@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taciturn.runtime.clock import AGREED, Phase
@@ -12,6 +12,7 @@ TICK = 0.01
 
 
 @given(st.floats(-5e-4, 5e-4), st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
 def test_the_phase_follows_a_clock_that_drifts(drift: float, seed: int) -> None:
     """With packets up to half a tick late and clocks that differ by 500 ppm, ticks are told within a fifth of one."""
     draws, phase, off = np.random.default_rng(seed), Phase(TICK), []

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from runtime.attacks import CHAPTER_7, KEY, await_ticks, capture, chapter_7, noise, throw
 from runtime.loops import by_hand
 
@@ -21,6 +22,7 @@ from taciturn.runtime.relay import Fate
 from taciturn.study.network import NetworkRun, losses, run_network
 
 Report = Mapping[str, Any]
+TICKS = 300
 
 
 def refused(report: Report) -> int:
@@ -53,31 +55,28 @@ def assert_added_up(found: NetworkRun) -> None:
 
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
-    """Return a run of 500 ticks that nothing disturbs."""
-    return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=500, seed=2, key=KEY)
+    """Return a run of 300 ticks that nothing disturbs."""
+    return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=TICKS, seed=2, key=KEY)
 
 
-def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path) -> None:
-    """Three processes and two relays: twice the same bits, every datagram accounted for, all of the JSON there."""
-    file = chapter_7(tmp_path)
-    first, again = (run_network(file, ticks=400, seed=3) for _ in range(2))
-    assert first.costs.tobytes() == again.costs.tobytes()
-    assert_added_up(first)
-    assert_added_up(again)
-    lost = first.datagrams["sensor"]["lost"]
-    assert first.datagrams["sensor"] == {"sent": 400, "delivered": 400 - lost, "lost": lost}
-    assert 60 < lost < 140
-    document = json.loads(json.dumps(first.document()))
+def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: NetworkRun) -> None:
+    """Three processes and two relays: the bits of nodes in memory, every datagram accounted for, all of the JSON."""
+    assert quiet.costs.tobytes() == by_hand(chapter_7(tmp_path), TICKS, 2).tobytes()
+    assert_added_up(quiet)
+    lost = quiet.datagrams["sensor"]["lost"]
+    assert quiet.datagrams["sensor"] == {"sent": TICKS, "delivered": TICKS - lost, "lost": lost}
+    assert 40 < lost < 110
+    document = json.loads(json.dumps(quiet.document()))
     assert {"policy", "unit", "cost", "cost_all_time", "cost_bound", "rates", "datagrams", "seed", "seconds"} <= set(
         document
     )
-    assert document["rates"]["actuator"]["value"] == pytest.approx(first.sends["actuator"][22:].mean(), abs=0.05)
+    assert document["rates"]["actuator"]["value"] == pytest.approx(quiet.sends["actuator"][22:].mean(), abs=0.05)
 
 
 def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
     """One row per tick, and a picture of costs and sends."""
     table = quiet.to_pandas()
-    assert len(table) == len(quiet.costs) == 500
+    assert len(table) == len(quiet.costs) == TICKS
     assert table["sent_sensor"].all()
     assert table["cost"].to_numpy().tobytes() == quiet.costs.tobytes()
     assert len(quiet.plot().axes) == 2
@@ -106,7 +105,9 @@ def assert_by_hand(folder: Path, problem: str, ticks: int) -> None:
     assert_added_up(found)
 
 
-@pytest.mark.parametrize("problem", ["remote-scalar", "two-mass", DELAYED], ids=["remote", "two-mass", "tcp, delayed"])
+@pytest.mark.parametrize(
+    "problem", few(["remote-scalar", "two-mass", DELAYED], 1, 2), ids=lambda text: text[:16].strip()
+)
 def test_processes_do_what_nodes_in_memory_do(tmp_path: Path, problem: str) -> None:
     """Whichever node is ahead of another: the same bits as stepping the nodes one after the other."""
     assert_by_hand(tmp_path, problem, 150)
@@ -127,7 +128,7 @@ def test_processes_do_what_nodes_in_memory_do_for_long(tmp_path: Path, problem: 
 def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun) -> None:
     """As many packets are lost as the seed names."""
     fate = losses(taciturn.load(chapter_7(tmp_path)).network, 2)["sensor"]
-    assert quiet.datagrams["sensor"]["lost"] == sum(fate.lost(k, k) for k in range(500))
+    assert quiet.datagrams["sensor"]["lost"] == sum(fate.lost(k, k) for k in range(TICKS))
 
 
 def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
@@ -143,7 +144,7 @@ def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
         thrown["foreign"] = throw(capture(file, 50, None) + capture(file, 50, KEY, price=0.2), to, 4000)
         thrown["noise"] = throw(noise(500, 1), to, 4000)
 
-    found = run_network(file, ticks=500, seed=2, key=KEY, meanwhile=attack)
+    found = run_network(file, ticks=TICKS, seed=2, key=KEY, meanwhile=attack)
     assert found.costs.tobytes() == quiet.costs.tobytes()
     report = found.reports["controller"]
     assert report["counters"]["replayed"] == thrown["replayed"]
@@ -162,7 +163,7 @@ def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun)
             processes.start(role)
             killed.append(role)
 
-    found = run_network(chapter_7(tmp_path), ticks=500, seed=2, key=KEY, meanwhile=kill)
+    found = run_network(chapter_7(tmp_path), ticks=TICKS, seed=2, key=KEY, meanwhile=kill)
     assert killed == ["sensor", "controller", "actuator"]
     assert found.costs.tobytes() == quiet.costs.tobytes()
     assert all(not report.get("degraded") for report in found.reports.values())
@@ -173,7 +174,7 @@ def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: N
     file = chapter_7(tmp_path)
     network = taciturn.load(file).network
     fates = {link: Fate(fate.seed, fate.loss, duplicate=0.3) for link, fate in losses(network, 2).items()}
-    found = run_network(file, ticks=500, seed=2, key=KEY, fates=fates)
+    found = run_network(file, ticks=TICKS, seed=2, key=KEY, fates=fates)
     assert found.costs.tobytes() == quiet.costs.tobytes()
     assert_added_up(found)
     assert quiet.nominal
@@ -182,27 +183,30 @@ def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: N
     assert told in found.notes
     for link, role in (("sensor", "controller"), ("actuator", "actuator")):
         doubled = found.reports[f"relay {link}"]["counters"]["duplicated"]
-        assert found.reports[role]["counters"]["duplicate"] == doubled > 30
+        assert found.reports[role]["counters"]["duplicate"] == doubled > 15
 
 
 def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
-    """200 ticks at 100 Hz by the clock: every datagram accounted for, lateness told."""
-    found = run_network(chapter_7(tmp_path), ticks=200, tick=0.01, seed=1)
+    """100 ticks at 100 Hz by the clock: every datagram accounted for, lateness told."""
+    found = run_network(chapter_7(tmp_path), ticks=100, tick=0.01, seed=1)
     assert_added_up(found)
-    assert len(found.costs) == 200
+    assert len(found.costs) == 100
     assert np.isfinite(found.costs).all()
     assert set(found.reports["controller"]["lateness_ms"]) == {"p50", "p95", "p99", "max"}
 
 
 def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that listens too late, one that does not end when it is asked to, and one that has ended."""
-    process = Process(["relay", "--bind", ":0", "--peer", ":9"], "the relay")
+    silent = Process(["export", "two-mass", "--c", "/dev/null/nodes"], "the export")
     with monkeypatch.context() as patch:
+        patch.setattr(Process, "alive", True)
         patch.setattr("taciturn.runtime.processes.PATIENCE", 0.0)
-        with pytest.raises(ProblemError, match="the relay does not listen after 0 s; expected"):
-            process.expect()
+        with pytest.raises(ProblemError, match="the export does not listen after 0 s; expected"):
+            silent.expect()
+    silent.kill()
+    process = Process(["relay", "--bind", ":0", "--peer", ":9"], "the relay")
     process.expect()
-    os.kill(process._process.pid, signal.SIGSTOP)
+    os.kill(process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patch:
         patch.setattr("taciturn.runtime.processes.PATIENCE", 0.1)
         with pytest.raises(ProblemError, match=r"the relay has not ended after 0\.1 s; expected"):

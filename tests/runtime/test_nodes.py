@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import POLICIES, closed
+from counts import few
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
@@ -49,7 +50,7 @@ def assert_same(loop: Loop, ticks: int, seed: int, fast: bool) -> None:
     assert packets > 0
 
 
-@pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
+@pytest.mark.parametrize("name", few([*POLICIES, *CONTINUOUS], 9))
 def test_nodes_decide_as_the_numpy_program(name: str) -> None:
     """Every policy with a tick: 200 ticks against NumPy itself."""
     assert_same(build(name), 200, 3, fast=False)
@@ -63,7 +64,7 @@ def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
 
 
 @given(systems(states=4), st.integers(0, 2**32 - 1), st.sampled_from(["float64", "float32", "int16"]))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payload: str) -> None:
     """Losses, acknowledgements, clocks, locations, memories, draws, bells and rounded payloads, all at once."""
     loop = every_feature(system, seed)
@@ -74,7 +75,7 @@ def test_every_feature_of_a_policy_runs_in_nodes(system: System, seed: int, payl
 
 
 @given(systems(states=3), st.integers(0, 2**32 - 1), st.booleans())
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=3, deadline=None)
 def test_steps_that_are_functions_run_in_nodes(system: System, seed: int, fast: bool) -> None:
     """An extended Kalman filter at the sensor, and an input that is bent at the actuator."""
     assert_same(with_functions(system, seed), 120, seed % 1000, fast)

@@ -29,7 +29,7 @@ def within(found: float, expected: float, error: float) -> bool:
 
 
 @given(st.floats(0.02, 0.98), st.integers(0, 2**32))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=6, deadline=None)
 def test_losses_are_independent_with_their_probability(loss: float, seed: int) -> None:
     """Share of the lost, and share of the lost behind a loss."""
     lost = np.array([Fate(seed, loss).lost(k, k) for k in range(4000)])
@@ -39,7 +39,7 @@ def test_losses_are_independent_with_their_probability(loss: float, seed: int) -
 
 
 @given(st.floats(0.05, 0.9), st.floats(0.05, 0.9), st.integers(0, 2**32))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=5, deadline=None)
 def test_bursts_have_the_law_of_gilbert_and_elliott(to_bad: float, to_good: float, seed: int) -> None:
     """Where bad loses everything and good nothing, turns and shares are those of the chain, from the first tick on."""
     burst = Burst(to_bad, to_good, 0.0, 1.0)

@@ -7,27 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from twin.crews import model
 
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn.problem import parse
 from taciturn.twin.catalogue import ROBOTS
 from taciturn.twin.faults import parse_fault, window
-from taciturn.twin.identification import Identification
 from taciturn.twin.mission import all_time, check_mission, tables_of, write_toml
 from taciturn.twin.robot import Robot
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
-
-
-def model(robot: Robot) -> Identification:
-    """Return a model as an experiment might have found it."""
-    n, m = len(robot.states), len(robot.inputs)
-    B = robot.B * (1 - 0.07 * np.eye(n, m)) + 1e-4 * np.ones((n, m))
-    return Identification(
-        robot.name, 100, B, 0.01 * abs(B), robot.B, np.eye(n), np.zeros((n, n)), 1e-4 * np.eye(n), 1e-7 * np.eye(n),
-        np.full(n, 0.01),
-    )  # fmt: skip
 
 
 @both
