@@ -25,6 +25,7 @@ SAFETY = 1.5
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
+LEAST = 1e-300  # what a bell is divided by at least: the other of its pair is less still
 BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
 
 
@@ -117,7 +118,7 @@ class _Game:
     fitted: Fitted
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the means over the noises of min(0, U) after a check, (batches, paths).
+        """Return the means over the noises and their mirror images of min(0, U) after a check, (batches, paths).
 
         Args:
             error: (batches, paths, n).
@@ -127,29 +128,35 @@ class _Game:
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
 
     def _after(self, error: Array, w: Array) -> Array:
-        mean, turned = error @ self.F.T, np.swapaxes(w, 1, 2)
+        """Most of the time of a bound goes here, and most of that into exponentials: one serves w and −w.
 
-        def spread(weight: Array) -> Array:
-            crossed = 2 * (mean @ weight) @ turned
-            crossed += squares(mean, weight)[:, :, None]
-            crossed += squares(w, weight)[:, None]
-            return crossed
-
-        return self._saved(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
+        With p = m'Πm/2 + w'Πw/2 and q = |m'Πw| the bells of the two are e^(q−p), at most 1, and e^(−2p) over it.
+        """
+        fitted, mean, turned = self.fitted, error @ self.F.T, np.swapaxes(w, 1, 2)
+        crossed, power = 2 * (mean @ self.Gamma) @ turned, (mean @ fitted.Pi) @ turned
+        crossed *= np.where(
+            power < 0.0, -1.0, 1.0
+        )  # e'Γe of the nearer of the two is higher by this, of the other lower
+        near = np.abs(power, out=power)
+        of_mean, of_w = 0.5 * squares(mean, fitted.Pi)[:, :, None], 0.5 * squares(w, fitted.Pi)[:, None]
+        near -= of_mean
+        near -= of_w
+        np.exp(np.minimum(near, 0.0, out=near), out=near)
+        far = np.exp(-2 * of_mean) * np.exp(-2 * of_w)
+        far /= np.maximum(near, LEAST)
+        level = squares(mean, self.Gamma)[:, :, None] + (squares(w, self.Gamma) - fitted.gain)[:, None]
+        near *= -fitted.height
+        near += level
+        near -= crossed
+        far *= -fitted.height
+        far += level
+        far += crossed
+        return (np.minimum(near, 0.0, out=near).mean(axis=2) + np.minimum(far, 0.0, out=far).mean(axis=2)) / 2
 
     def now(self, error: Array) -> Array:
         """Return min(0, U) of each error."""
-        return self._saved(squares(error, self.Gamma), squares(error, self.fitted.Pi))
-
-    def _saved(self, cost: Array, power: Array) -> Array:
-        """Return min(0, U), written over what it is given: most of the time of a bound goes here."""
-        bell = np.maximum(power, 0.0, out=power)
-        bell *= -0.5
-        np.exp(bell, out=bell)
-        bell *= self.fitted.height
-        cost -= self.fitted.gain
-        cost -= bell
-        return np.minimum(cost, 0.0, out=cost)
+        bell = self.fitted.height * np.exp(-0.5 * np.maximum(squares(error, self.fitted.Pi), 0.0))
+        return np.minimum(squares(error, self.Gamma) - self.fitted.gain - bell, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +191,7 @@ class _Duel:
         for check in range(1, LONGEST + 1):
             live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
             w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
-            expected[live] = game.after(error[live], np.concatenate([w, -w], axis=1))
+            expected[live] = game.after(error[live], w)
             drawn = self.draws.standard_normal((*going.shape, self.rank))
             error = error @ game.F.T + drawn @ game.half.T
             total = total + expected - game.now(error)
