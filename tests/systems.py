@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from taciturn import ContinuousPlant, Cost, Jumps, Plant
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 
-
 SHAPES = (
     (1, 1, 1, True, 1),
     (1, 1, 1, False, 1),
@@ -28,7 +27,7 @@ SHAPES = (
     (6, 2, 4, False, 6),
     (6, 3, 1, False, 6),
 )
-"""States, inputs, outputs, whether the state is measured, rank of the noise: programs of one shape share machine code."""
+"""States, inputs, outputs, whether the state is measured, rank of its noise: programs of a shape share machine code."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,10 +74,9 @@ def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
     assert (policy.bound(), policy.bound(2.0)) == (pytest.approx(1.32, rel=1e-12), pytest.approx(1.08, rel=1e-12))
 
 
-@pytest.mark.parametrize("law", ["normal", "uniform", "two-point"])
-def test_the_dynamic_trigger_beats_periodic_control_at_its_own_interval(law: str) -> None:
-    """A random plant for each law of the jumps."""
-    settings(FEW, max_examples=1)(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, law, 20_000)))()
+def test_the_dynamic_trigger_beats_periodic_control_at_its_own_interval() -> None:
+    """A random plant under jumps of normal size."""
+    settings(FEW, max_examples=1)(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, "normal", 20_000)))()
 
 
 @pytest.mark.evidence

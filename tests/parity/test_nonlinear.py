@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity
 from systems import System, systems
@@ -35,8 +35,7 @@ def test_loops_with_a_function_agree_bit_for_bit(name: str, precision: Precision
     assert_parity(loop, loop.program(), seed=3, paths=19, ticks=300)
 
 
-@settings(max_examples=25)
-@given(system=systems(states=4), seed=st.integers(0, 2**32 - 1), precision=st.sampled_from(["float64", "float32"]))
+@law(2, 25, system=systems(states=4), seed=st.integers(0, 2**32 - 1), precision=st.sampled_from(["float64", "float32"]))
 def test_random_functions_agree_bit_for_bit(system: System, seed: int, precision: Precision) -> None:
     """Of sines, exponentials, roots, quotients, clips and choices; linear at 0 as the random plant."""
     draws, linear = np.random.default_rng(seed), system.plant

@@ -104,6 +104,19 @@ def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tu
     assert found.gain < good
 
 
+def test_a_noise_and_its_mirror_image_are_weighed_by_one_exponential() -> None:
+    """The mean over both of what is saved is that of each by itself, for bells of any width and errors of any size."""
+    draws = np.random.default_rng(2)
+    F, noise, Gamma = PLANE
+    root = np.linalg.cholesky(noise)
+    errors = draws.standard_normal((3, 50, 2)) * draws.lognormal(0.0, 2.0, (3, 50, 1))
+    w = draws.standard_normal((3, 16, 2)) @ root.T
+    for narrow in (1e-3, 1.0, 1e3):
+        game = dual._Game(F, root, Gamma, Fitted(2.0, 3.0, narrow * np.linalg.inv(noise), 3.0))
+        both = [game.now((errors @ F.T)[:, :, None] + sign * w[:, None]).mean(axis=2) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(game.after(errors, w), np.mean(both, axis=0), rtol=0, atol=1e-12)
+
+
 def test_a_bound_is_never_more_than_sending_always() -> None:
     """At a price that nothing is worth waiting for: the price, nearly."""
     price = 1e-3
