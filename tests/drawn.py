@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from typing import Any
 
 import pytest
+from counts import few
 from hypothesis import HealthCheck, given, settings
 from hypothesis.strategies import SearchStrategy
 
@@ -38,3 +40,14 @@ def law(quick: int, full: int, **drawn: SearchStrategy) -> Callable[[Law], Law]:
         return test
 
     return tested
+
+
+def rows(values: Iterable[tuple[Any, ...]], quick: int = 2, start: int = 0) -> list[Any]:
+    """Return what ``few`` does, for cases of several parameters each."""
+    chosen = few(values, quick, start)
+    return [case if isinstance(case, tuple) and not hasattr(case, "marks") else spread(case) for case in chosen]
+
+
+def spread(case: Any) -> Any:
+    """Return a case that is evidence, its one tuple spread over the parameters."""
+    return pytest.param(*case.values[0], marks=case.marks)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
+from counts import few
 from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, every_feature, programs, same, with_functions, with_precision
@@ -45,7 +46,7 @@ def masses(name: str) -> Loop:
     return problem.close(policy)
 
 
-@pytest.mark.parametrize("name", [*MASSES, "periodic", "lossy", "limited"])
+@pytest.mark.parametrize("name", few([*MASSES, "periodic", "lossy", "limited"], quick=3))
 def test_the_loops_of_the_two_masses_agree_bit_for_bit(name: str) -> None:
     """Hold and model, joint and separate, by the clock, over a lossy link, saturating; with the plant and without."""
     loop = masses(name)
@@ -135,7 +136,7 @@ def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 
     return float(parity[sent].mean())
 
 
-@pytest.mark.parametrize("name", ["hold", "model", "separate"])
+@pytest.mark.parametrize("name", few(["hold", "model", "separate"], quick=1, start=1))
 def test_the_fast_build_decides_as_the_parity_build(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Over 1e5 steps on the same draws, except where trigger and threshold agree to 1e-10."""
     loop = masses(name)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from counts import few
 from drawn import law
 from hypothesis import strategies as st
 from parity.loops import same
@@ -78,7 +79,7 @@ def units_off(case: Case, precision: Precision, found: np.ndarray, arguments: li
 
 
 @pytest.mark.skipif(not EXTENDED, reason="NOT SHOWN: needs numbers longer than doubles to compare with")
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", few(PRECISIONS, quick=1))
 @pytest.mark.parametrize("name", CASES)
 def test_functions_have_all_digits_but_the_last(name: str, precision: Precision) -> None:
     """Of arguments of every size, in their meaning, in the parity build and in the fast one."""

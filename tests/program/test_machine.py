@@ -15,6 +15,7 @@ from typing import Any
 import llvmlite.binding as llvm
 import numpy as np
 import pytest
+from counts import few
 
 import taciturn
 from taciturn.errors import ProblemError
@@ -250,7 +251,7 @@ def programs(loop: Loop) -> list[Program]:
 
 
 @pytest.mark.parametrize("name", TARGETS)
-@pytest.mark.parametrize("build", ["parity", "fast"])
+@pytest.mark.parametrize("build", few(["parity", "fast"], quick=1))
 def test_programs_compile_for_every_processor(loop: Loop, name: str, build: machine.Build) -> None:
     """No function is called, for there is no mathematical library; the parity build has no fused operation."""
     triple, cpu, features, lanes = TARGETS[name]
