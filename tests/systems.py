@@ -11,6 +11,24 @@ from hypothesis import strategies as st
 from taciturn import ContinuousPlant, Cost, Jumps, Plant
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 
+SHAPES = (
+    (1, 1, 1, True, 1),
+    (1, 1, 1, False, 1),
+    (2, 1, 1, False, 2),
+    (2, 1, 2, True, 1),
+    (2, 2, 2, True, 2),
+    (3, 1, 2, False, 3),
+    (3, 2, 3, True, 2),
+    (4, 1, 1, False, 4),
+    (4, 2, 4, True, 4),
+    (4, 3, 2, False, 4),
+    (5, 2, 3, False, 5),
+    (6, 1, 6, True, 3),
+    (6, 2, 4, False, 6),
+    (6, 3, 1, False, 6),
+)
+"""States, inputs, outputs, whether the state is measured, rank of its noise: programs of a shape share machine code."""
+
 
 @dataclass(frozen=True, eq=False)
 class System:
@@ -26,8 +44,11 @@ class System:
         return f"make_system(seed={self.seed}, n, m, p={sizes}, full_state={self.plant.full_state})"
 
 
-def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: bool) -> System:
-    """Return the system of a seed: spectral radius from 0.4 to 1.25, weights and noises of moderate condition."""
+def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: bool, rank: int | None = None) -> System:
+    """Return the system of a seed: spectral radius from 0.4 to 1.25, weights and noises of moderate condition.
+
+    The rank of the process noise is drawn if it is not given; where the output is noisy, all directions have some.
+    """
     draws = np.random.default_rng(seed)
     A = draws.standard_normal((states, states))
     A *= draws.uniform(0.4, 1.25) / np.abs(np.linalg.eigvals(A)).max()
@@ -36,7 +57,7 @@ def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: b
     size = states + inputs
     G = draws.standard_normal((size, size)) / np.sqrt(size)
     weight = G @ G.T + 0.05 * np.eye(size)
-    rank = draws.integers(1, states + 1)  # singular process noise included
+    rank = int(draws.integers(1, states + 1)) if rank is None else rank  # singular process noise included
     D = draws.standard_normal((states, rank)) * 0.3
     W = D @ D.T if full_state else D @ D.T + 1e-3 * np.eye(states)
     E = draws.standard_normal((outputs, outputs)) * 0.3
@@ -48,11 +69,9 @@ def make_system(seed: int, states: int, inputs: int, outputs: int, full_state: b
 
 @st.composite
 def systems(draw: st.DrawFn, states: int = 6, inputs: int = 3) -> System:
-    """Draw a system of at most so many states and inputs."""
-    n = draw(st.integers(1, states))
-    m = draw(st.integers(1, min(inputs, n)))
-    p = draw(st.integers(1, n))
-    system = make_system(draw(st.integers(0, 2**32 - 1)), n, m, p, draw(st.booleans()))
+    """Draw a system of one of the shapes that have at most so many states and inputs."""
+    shape = draw(st.sampled_from([one for one in SHAPES if one[0] <= states and one[1] <= inputs]))
+    system = make_system(draw(st.integers(0, 2**32 - 1)), *shape)
     assume(well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T))
     return system
 

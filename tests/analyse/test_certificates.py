@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 from catalogue import POLICIES, closed
+from counts import few
 from systems import make_system
 
 import taciturn
@@ -37,12 +39,8 @@ def peak(loop: Switched) -> float:
     """Return the largest gain over frequencies of a linear loop, from its frequency response."""
     values, vectors = np.linalg.eigh(loop.M[0])
     output = (vectors * np.sqrt(np.maximum(values, 0.0))).T
-    unit = np.eye(loop.states)
-    angles = np.linspace(0.0, np.pi, 20_001)
-    return max(
-        float(np.linalg.norm(output @ np.linalg.solve(np.exp(1j * angle) * unit - loop.F[0], loop.G), 2))
-        for angle in angles
-    )
+    circle = np.exp(1j * np.linspace(0.0, np.pi, 20_001))[:, None, None] * np.eye(loop.states)
+    return float(np.linalg.norm(output @ np.linalg.solve(circle - loop.F[0], loop.G), 2, axis=(1, 2)).max())
 
 
 def rational(matrix: np.ndarray) -> list[list[Fraction]]:
@@ -89,7 +87,7 @@ def holds_exactly(proof: Certificate) -> bool:
     return exact and bool((proof.solution.scalars >= 0).all())
 
 
-@pytest.mark.parametrize("name", ["lqg joint hold", "mixed model", "send-on-delta"])
+@pytest.mark.parametrize("name", few(["lqg joint hold", "mixed model", "send-on-delta"], quick=1, start=1))
 def test_certificates_hold_in_rational_arithmetic(name: str) -> None:
     """What the bound on rounding proves is true of the same numbers as fractions."""
     loop = switched(closed(POLICIES[name](make_system(1, 2, 1, 1, True))))
@@ -116,7 +114,7 @@ def test_what_is_missed_by_little_is_not_verified() -> None:
     assert asked.shortfall(Solution((np.full((3, 3), np.inf),), none)) == np.inf
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), start=1))
 def test_of_a_linear_loop_the_certificates_are_exact(seed: int) -> None:
     """Spectral radius, peak of the frequency response, and J_all by Riccati equations, three other computations."""
     system = make_system(seed, 1 + seed % 3, 1, 1 + seed % 2, seed % 2 == 0)
@@ -129,10 +127,12 @@ def test_of_a_linear_loop_the_certificates_are_exact(seed: int) -> None:
     assert peak(found) * (1 - 1e-9) <= gain.value <= peak(found) * (1 + 1e-3)
     assert (decay.residual, decay.limit, gain.residual) == (0.0, 0.0, 0.0)
     assert policy.closed_form is not None
-    assert bound_cost(found).value == pytest.approx(policy.closed_form.cost, rel=1e-4)
-    assert bound_cost(found).value >= policy.closed_form.cost * (1 - 1e-9)
+    bound = bound_cost(found).value
+    assert bound == pytest.approx(policy.closed_form.cost, rel=1e-4)
+    assert bound >= policy.closed_form.cost * (1 - 1e-9)
 
 
+@pytest.mark.evidence
 def test_two_masses_decay_almost_as_fast_as_under_all_time_control() -> None:
     """The filter decays faster than the loop, so that the estimate alone has the same rate as the whole."""
     problem = taciturn.load("two-mass")
@@ -145,13 +145,20 @@ def test_two_masses_decay_almost_as_fast_as_under_all_time_control() -> None:
     assert always < rates[0] < 0.98
 
 
-def test_a_larger_theta_proves_less() -> None:
+def small(theta: float) -> Switched:
+    """Return the loop of two states, held inputs."""
+    system = make_system(1, 2, 1, 1, True)
+    return switched(closed(design.lqg(system.plant, system.cost, theta=theta)))
+
+
+@pytest.mark.parametrize("loop_of", [small, pytest.param(two_masses, marks=pytest.mark.evidence)])
+def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> None:
     """Decay, gain and cost bound grow with θ, from those of sending always on."""
-    loops = [two_masses(theta) for theta in (1e-6, 0.1, 1.0)]
+    loops = [loop_of(theta) for theta in (1e-6, 0.3, 1.0)]
     always = loops[0].under(1)
     rates, gains = [find_decay(loop).rate for loop in loops], [find_gain(loop).value for loop in loops]
     costs = [bound_cost(loop).value for loop in loops]
-    assert radius(always.F[0]) < rates[0] < rates[1] < rates[2] < 1
+    assert radius(always.F[0]) <= rates[0] < rates[1] < rates[2] < 1
     assert find_gain(always).value < gains[0] < gains[1] < gains[2]
     assert bound_cost(always).value < costs[0] < costs[1] < costs[2]
 

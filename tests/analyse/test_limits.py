@@ -12,6 +12,7 @@ from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, ProblemError
 from taciturn.analyse.limits import EASY, LowerBound, bound_below
 from taciturn.model.plant import Jumps
 from taciturn.problem import parse
+from taciturn.renewal import dual
 
 PLANT = Plant([[1.0, 0.2], [0.0, 0.9]], [[0.0], [1.0]], [[0.5, 0.1], [0.1, 0.3]])
 COST = Cost(np.eye(2), [[1.0]])
@@ -76,10 +77,17 @@ def test_a_rate_or_a_confidence_that_cannot_be_is_one_sentence(rate: float, conf
     assert words in str(refused.value)
 
 
-def test_the_bound_falls_with_the_rate_to_the_cost_of_sending_always() -> None:
+@pytest.mark.parametrize(
+    ("rates", "times", "slack"),
+    [((0.3, 0.6), 1, 1e-2), pytest.param((0.1, 0.3, 0.6), dual.MOST, 2e-3, marks=pytest.mark.evidence)],
+)
+def test_the_bound_falls_with_the_rate_to_the_cost_of_sending_always(
+    rates: tuple[float, ...], times: int, slack: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its price falls as well, a line of one price is below the bounds of others, and the last is J_all itself."""
+    monkeypatch.setattr(dual, "MOST", times)
     loop = close(PLANT, excess())
-    found = [bound_below(loop, rate) for rate in (0.1, 0.3, 0.6)]
+    found = [bound_below(loop, rate) for rate in rates]
     for rarer, oftener in pairwise(found):
         assert rarer.cost > oftener.cost > loop.policy.cost_all_time
         assert rarer.price > oftener.price > 0
@@ -87,16 +95,17 @@ def test_the_bound_falls_with_the_rate_to_the_cost_of_sending_always() -> None:
         assert one.at_rate(one.rate) == one.cost
         assert one.at_rate(one.rate + 0.01) == pytest.approx(one.cost - 0.01 * one.price, rel=1e-12)
         for other in found:
-            slack = 2e-3 * (other.cost - loop.policy.cost_all_time + other.price * other.rate)  # of draws and of tuning
-            assert one.at_rate(other.rate) <= other.cost + slack
+            size = other.cost - loop.policy.cost_all_time + other.price * other.rate
+            assert one.at_rate(other.rate) <= other.cost + slack * size  # of draws and of tuning
     last = bound_below(loop, max(EASY, 0.98))
     assert last == LowerBound(loop.policy.cost_all_time, 0.999, 0.98, 0.0)
 
 
-def test_another_trigger_with_the_same_controller_has_the_same_bound() -> None:
+def test_another_trigger_with_the_same_controller_has_the_same_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is that of the loop, whatever its policy decides by."""
+    monkeypatch.setattr(dual, "MOST", 1)
     loops = [close(PLANT, excess()), close(PLANT, design.lqg(PLANT, COST, theta=0.3, actuation="model"))]
-    one, other = (bound_below(loop, 0.3) for loop in loops)
+    one, other = (bound_below(loop, 0.6) for loop in loops)
     assert one == other
 
 
@@ -109,8 +118,9 @@ def test_noise_that_no_input_answers_costs_nothing_in_silence() -> None:
     assert found.price == 0
 
 
-def test_the_bound_is_at_most_what_the_best_schedule_costs_per_second() -> None:
+def test_the_bound_is_at_most_what_the_best_schedule_costs_per_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """A continuous plant that is looked at every half second: solved per check, said per second."""
+    monkeypatch.setattr(dual, "MOST", 2)
     price = 9.0
     best = taciturn.evaluate(parse(TABLES | {"policy": {"kind": "optimal", "price": price, "period": 0.5}}, "here"))
     rate = best.rates["sensor"].value
@@ -119,11 +129,11 @@ def test_the_bound_is_at_most_what_the_best_schedule_costs_per_second() -> None:
     found = bound_below(loop, 0.5 * rate)
     assert best.cost_all_time == pytest.approx(loop.policy.cost_all_time, rel=1e-12)
     assert found.cost <= best.cost.value + best.cost.error
-    assert found.cost >= best.cost.value - 0.005 * (best.cost.value - loop.policy.cost_all_time + price * rate)
+    assert found.cost >= best.cost.value - 0.01 * (best.cost.value - loop.policy.cost_all_time + price * rate)
     assert found.price == pytest.approx(price / 0.5, rel=0.2)  # λ/τ, of about this rate
     again = taciturn.evaluate(
         parse(TABLES | {"policy": {"kind": "near-optimal", "price": price, "period": 0.5}}, "here"),
-        standard_error=3e-3,
+        standard_error=1e-2,
         confidence=0.999,
     )
     assert again.lower_bound is not None

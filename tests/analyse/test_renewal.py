@@ -20,7 +20,7 @@ from taciturn.renewal.chain import NoQuadratureError
 
 COST = Cost(np.eye(2), [[10.0]])
 PLANT = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.diag([0.0, 2.5]))
-FEW = settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def absolute(plant: Plant, cost: Cost, weight: np.ndarray, threshold: float) -> Policy:
@@ -76,7 +76,7 @@ def test_any_threshold_on_a_prediction_is_solved_as_it_is_simulated(seed: int) -
     policy = absolute(plant, cost, np.eye(n), float(rng.uniform(0.5, 3)) * float(np.trace(plant.W)))
     loop = close(plant, policy)
     found = solve_renewal(loop)
-    simulated = taciturn.average(loop, seed=seed, steps=1_000_000)
+    simulated = taciturn.average(loop, seed=seed, steps=200_000)
     assume(simulated.reached)
     rate = simulated.rates["sensor"]
     assert abs(rate.value - found.rate) <= 4.5 * rate.standard_error + found.rate_error

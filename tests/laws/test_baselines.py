@@ -18,7 +18,7 @@ from taciturn.lqg.riccati import regulate
 from taciturn.simulation.average import completed_squares, plain_average
 
 MANY = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+SOME = settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 def dynamic_sends_are_static_sends(system: System, rho: float, more: float, share: float, sends: list[int]) -> None:
@@ -40,7 +40,7 @@ DYNAMIC = {
 }
 
 
-@pytest.mark.parametrize("examples", [pytest.param(300, marks=pytest.mark.evidence), 30])
+@pytest.mark.parametrize("examples", [pytest.param(300, marks=pytest.mark.evidence), 8])
 def test_the_dynamic_trigger_sends_only_where_the_static_one_would(examples: int) -> None:
     """From the same state never more often; most systems send."""
     sends: list[int] = []
@@ -69,10 +69,10 @@ def test_the_dynamic_trigger_sends_less_often() -> None:
     """On a double integrator at the same σ, beyond four standard errors, and ever less as the gain falls to 1/ρ."""
     plant = Plant([[1.0, 0.1], [0.0, 1.0]], [[0.005], [0.1]], 0.01 * np.eye(2))
     cost = Cost(np.eye(2), [[1.0]])
-    rates = [average(close(plant, design.relative(plant, cost, sigma=0.3)), steps=2_000_000).rates["actuator"]]
+    rates = [average(close(plant, design.relative(plant, cost, sigma=0.3)), steps=500_000).rates["actuator"]]
     for gain in (10.0, 2.5, 1.25):
         policy = design.dynamic(plant, cost, sigma=0.3, rho=0.8, gain=gain)
-        rates.append(average(close(plant, policy), steps=2_000_000).rates["actuator"])
+        rates.append(average(close(plant, policy), steps=500_000).rates["actuator"])
     for more, less in pairwise(rates):
         assert more.value - less.value > 4 * np.hypot(more.standard_error, less.standard_error)
 
@@ -96,7 +96,7 @@ def silence_is_a_determinant(system: System, share: float) -> None:
     assert 1 / (1 + sum(lengths) + tail) == pytest.approx(rate, rel=1e-6)
 
 
-@pytest.mark.parametrize("examples", [pytest.param(300, marks=pytest.mark.evidence), 30])
+@pytest.mark.parametrize("examples", [pytest.param(300, marks=pytest.mark.evidence), 8])
 def test_silence_of_the_stochastic_trigger_is_a_determinant(examples: int) -> None:
     """Its renewal formula against the joint law of the errors."""
     law = given(system=systems(states=3), share=st.floats(0.1, 5.0))(silence_is_a_determinant)
@@ -119,7 +119,7 @@ def test_send_on_delta_sends_where_an_output_has_moved(system: System, share: fl
 def test_send_on_delta_with_a_vanishing_delta_is_all_time_control() -> None:
     """Cost and rate."""
     system = make_system(5, 2, 1, 1, False)
-    found = average(closed(design.send_on_delta(system.plant, system.cost, delta=1e-6)), steps=4_000_000)
+    found = average(closed(design.send_on_delta(system.plant, system.cost, delta=1e-6)), steps=500_000)
     assert found.rates["sensor"].value > 0.999
     assert (
         abs(found.cost.value - design.all_time(system.plant, system.cost).cost_all_time)
@@ -133,7 +133,7 @@ def test_downsampled_intervals_are_fast_and_slow_looks(system: System, fast: int
     """From a send to the next: fast + k·slow ticks."""
     slow, threshold = fast + more, share * size_of(system)
     policy = design.downsampled(system.plant, system.cost, fast=fast, slow=slow, threshold=threshold)
-    sends = np.flatnonzero(outputs(policy, system.seed, paths=1, ticks=200)["sent actuator"][:, 0])
+    sends = np.flatnonzero(outputs(policy, system.seed, paths=1, ticks=100)["sent actuator"][:, 0])
     assert ((np.diff(sends) - fast) % slow == 0).all()
 
 
@@ -147,7 +147,7 @@ def test_rules_that_are_one_rule_send_at_the_same_ticks() -> None:
         (design.mixed(p, c, sigma=0.0, threshold=0.4), design.absolute(p, c, threshold=0.4, error="state")),
     ]
     for one, other in pairs:
-        sent = [outputs(policy, 4, ticks=300)["sent actuator"] for policy in (one, other)]
+        sent = [outputs(policy, 4, ticks=100)["sent actuator"] for policy in (one, other)]
         assert (sent[0] == sent[1]).all()
         assert 0 < sent[0].mean() < 1
 
@@ -179,7 +179,7 @@ def test_silence_that_costs_without_end_is_refused() -> None:
         design.stochastic(plant, cost, weight=blind, actuation="model")
     policy = design.stochastic(plant, cost, weight=blind, scale=100.0, actuation="model")  # ends silence soon enough
     assert policy.closed_form is not None
-    found = average(close(plant, policy), completed_squares(close(plant, policy)), steps=4_000_000)
+    found = average(close(plant, policy), completed_squares(close(plant, policy)), steps=1_000_000)
     assert abs(found.cost.value - policy.closed_form.cost) <= 5 * found.cost.standard_error
 
 

@@ -13,6 +13,7 @@ from systems import System, make_system, systems, well_posed
 
 from taciturn import Plant, ProblemError, design
 from taciturn.analyse.limits import bound_below
+from taciturn.renewal import dual
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 from taciturn.renewal.dual import bound_schedules
 from taciturn.renewal.fitted import Fitted, fit_schedule
@@ -20,13 +21,19 @@ from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.optimal import Optimum, solve_optimal
 from taciturn.simulation.average import average
 
-FEW = settings(max_examples=3, deadline=None, suppress_health_check=list(HealthCheck))
+FEW = settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck))
 MANY = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
 ACCURACY = {1: 1e-7, 2: 1e-5, 3: 1e-3}
 RATE = {1: 1e-6, 2: 1e-3, 3: 3e-3}  # of log(δ), to which a rate is met
 PATHS, LOOKS, APART, BURN_IN = 400, 40, 10, 100
 CONFIDENCE = 0.9999
 RESETTING = ("lqg joint model", "absolute state model", "excess model", "stochastic model", "periodic model")
+
+
+@pytest.fixture
+def fewest_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spend a sixteenth of the paths on a bound: it holds as surely, and is a little lower."""
+    monkeypatch.setattr(dual, "MOST", 1)
 
 
 def spread_out(system: System) -> System:
@@ -145,9 +152,10 @@ def ordered(count: int, sizes: list[int], seed: int) -> np.ndarray:
     return np.array(found)
 
 
+@pytest.mark.usefixtures("fewest_paths")
 def test_best_nearly_best_and_threshold_are_in_order() -> None:
-    """Four random plants of at most two states: bound ≤ best ≤ nearly best ≤ threshold at the same rate."""
-    ordered(4, [1, 2], seed=10)
+    """A random plant of one state and one of two: bound ≤ best ≤ nearly best ≤ threshold at the same rate."""
+    ordered(2, [1, 2], seed=10)
 
 
 @pytest.mark.evidence
@@ -159,11 +167,11 @@ def test_best_nearly_best_and_threshold_are_in_order_on_50_plants() -> None:
     assert np.median(gaps[1::5, 1]) < 0.1 * np.median(gaps[1::5, 2])
 
 
-def nearly_best_and_bound_meet(system: System) -> float | None:
+def nearly_best_and_bound_meet(system: System, precision: float) -> float | None:
     """Return how far above the lower bound the nearly best schedule costs, over its cost; it never costs less."""
     try:
         loop = closed(design.near_optimal(system.plant, system.cost, price=dear(system)))
-        found = average(loop, seed=system.seed, standard_error=1e-4 * loop.policy.cost_all_time)
+        found = average(loop, seed=system.seed, standard_error=precision * loop.policy.cost_all_time)
         rate = found.rates["actuator"]
         bound = bound_below(loop, min(rate.value, 1.0), CONFIDENCE)
     except ProblemError:
@@ -174,7 +182,7 @@ def nearly_best_and_bound_meet(system: System) -> float | None:
     return (found.cost.value - bound.cost) / found.cost.value
 
 
-def meetings(count: int, sizes: list[int], seed: int) -> np.ndarray:
+def meetings(count: int, sizes: list[int], seed: int, precision: float = 1e-4) -> np.ndarray:
     """Return the gaps of so many random plants, of sizes in turn."""
     gaps: list[float] = []
     while len(gaps) < count:
@@ -182,15 +190,16 @@ def meetings(count: int, sizes: list[int], seed: int) -> np.ndarray:
         n = sizes[len(gaps) % len(sizes)]
         system = spread_out(make_system(seed, n, int(draws.integers(1, 4)), n, bool(draws.integers(2))))
         if well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T):
-            gap = nearly_best_and_bound_meet(system)
+            gap = nearly_best_and_bound_meet(system, precision)
             gaps += [] if gap is None else [gap]
         seed += 1
     return np.array(gaps)
 
 
+@pytest.mark.usefixtures("fewest_paths")
 def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound() -> None:
-    """A plant of five states: at most 1 % of the cost, which bounds what the best could save."""
-    meetings(1, [5], seed=50)
+    """A plant of four states: at most 1 % of the cost, which bounds what the best could save."""
+    meetings(1, [4], seed=50, precision=5e-4)
 
 
 @pytest.mark.evidence
@@ -200,11 +209,11 @@ def test_little_is_left_between_the_nearly_best_schedule_and_the_lower_bound_on_
     print(f"gaps over the cost: median {np.median(gaps):.2e}, most {gaps.max():.2e}")
 
 
-def no_policy_beats_the_lower_bound(system: System, name: str) -> None:
+def no_policy_beats_the_lower_bound(system: System, name: str, steps: int) -> None:
     """The cost of a policy is that of no better schedule than the bound at its rate allows."""
     loop = closed(POLICIES[name](system))
     assert loop.policy.reset is not None
-    found = average(loop, seed=system.seed, steps=2_000_000)
+    found = average(loop, seed=system.seed, steps=steps)
     rate = found.rates["actuator"]
     assume(found.reached and rate.value > 0.02)
     try:
@@ -217,14 +226,15 @@ def no_policy_beats_the_lower_bound(system: System, name: str) -> None:
     assert bound.cost >= loop.policy.cost_all_time
 
 
-@pytest.mark.parametrize("name", RESETTING)
+@pytest.mark.usefixtures("fewest_paths")
+@pytest.mark.parametrize("name", RESETTING[::3])
 def test_no_policy_beats_the_lower_bound(name: str) -> None:
     """Random systems, unstable plants and cross terms included."""
-    FEW(given(system=systems(states=4))(lambda system: no_policy_beats_the_lower_bound(system, name)))()
+    FEW(given(system=systems(states=4))(lambda system: no_policy_beats_the_lower_bound(system, name, 200_000)))()
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", RESETTING)
 def test_no_policy_beats_the_lower_bound_over_100_systems(name: str) -> None:
     """Random systems, unstable plants and cross terms included, 20 of each policy."""
-    MANY(given(system=systems())(lambda system: no_policy_beats_the_lower_bound(system, name)))()
+    MANY(given(system=systems())(lambda system: no_policy_beats_the_lower_bound(system, name, 2_000_000)))()

@@ -37,7 +37,7 @@ NAMES = (
     "send-on-delta",
 )
 ROUNDING = 1e-9  # relative, of what is simulated
-FEW = settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 MANY = settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -183,7 +183,7 @@ def over_systems(many: settings) -> None:
 
 
 def test_no_certificate_is_contradicted_by_simulation() -> None:
-    """10 systems of at most two states, each with one of the policies."""
+    """Three systems of at most two states, each with one of the policies."""
     over_systems(FEW)
 
 

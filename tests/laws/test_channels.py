@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
+from counts import few
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from systems import make_system, well_posed
 
 import taciturn
 from taciturn import Plant, Problem
+from taciturn._modes import factor
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.network import Network
@@ -18,7 +22,6 @@ from taciturn.study.kinds import gather
 from taciturn.study.prices import Curve, find_price
 from taciturn.study.schedulers import SCHEDULERS
 
-FEW = settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck))
 SOME = settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 
 
@@ -32,29 +35,31 @@ def problem(seed: int, states: int = 2) -> Problem | None:
     return Problem(system.plant, system.cost, Network(), "all-time", {})
 
 
-def mixed(seed: int) -> dict[str, Problem]:
-    """Return two or three random problems."""
+def mixed(seed: int, states: int = 2) -> dict[str, Problem]:
+    """Return two or three random problems of at most so many states."""
     draws = np.random.default_rng(seed)
-    found = [problem(int(draws.integers(2**32))) for _ in range(8)]
+    found = [problem(int(draws.integers(2**32)), states) for _ in range(8)]
     kept = [one for one in found if one is not None][: int(draws.integers(2, 4))]
     return {f"kind {i}": one for i, one in enumerate(kept)}
 
 
-def check_no_scheduler_beats_the_bound(seed: int) -> None:
-    """Share a channel among random loops by every scheduler."""
+def check_no_scheduler_beats_the_bound(
+    seed: int, schedulers: Sequence[str], states: int, most: int, ticks: int
+) -> None:
+    """Share a channel among random loops, with less than so many of a kind, by these schedulers."""
     draws = np.random.default_rng(seed)
-    problems = mixed(seed)
-    copies = [int(draws.integers(2, 30)) for _ in problems]
+    problems = mixed(seed, states)
+    copies = [int(draws.integers(2, most)) for _ in problems]
     capacity = max(1, int(draws.uniform(0.15, 0.7) * sum(copies)))
     bound = None
-    for scheduler in SCHEDULERS:
+    for scheduler in schedulers:
         found = share_channel(
             problems,
             copies=copies,
             capacity=capacity,
             scheduler=scheduler,  # pyright: ignore[reportArgumentType]
             seed=seed,
-            ticks=4000,
+            ticks=ticks,
             confidence=0.999 if bound is None else 0,
         )
         bound = found.lower_bound or bound
@@ -66,45 +71,50 @@ def check_no_scheduler_beats_the_bound(seed: int) -> None:
             assert found.consistent is not False
 
 
-@FEW
-@given(st.integers(0, 2**32 - 1))
-def test_no_scheduler_costs_less_than_the_dual_bound(seed: int) -> None:
-    """Random loops, stable and unstable, several kinds at once; and the price policy is no worse than any clock."""
-    check_no_scheduler_beats_the_bound(seed)
+def test_no_scheduler_costs_less_than_the_dual_bound() -> None:
+    """Random loops of one state, several kinds at once; and the price policy is no worse than any clock."""
+    check_no_scheduler_beats_the_bound(3, ("price", "largest"), 1, 6, 1000)
 
 
 @pytest.mark.evidence
 @SOME
 @given(st.integers(0, 2**32 - 1))
 def test_no_scheduler_costs_less_than_the_dual_bound_on_a_dozen_channels(seed: int) -> None:
-    """More of the same."""
-    check_no_scheduler_beats_the_bound(seed + 1)
+    """Of one and two states, stable and unstable, by every scheduler."""
+    check_no_scheduler_beats_the_bound(seed + 1, tuple(SCHEDULERS), 2, 30, 4000)
 
 
 def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, scheduler: str, ticks: int) -> list[float]:
     """Return the mean cost of a tick on each of some channels: plants, filters, models and a queue, in plain NumPy."""
-    channels, draws = 300, np.random.default_rng(7)
+    channels, draws = 100, np.random.default_rng(7)
+
+    def drawn(covariance: np.ndarray) -> np.ndarray:
+        half = factor(covariance)
+        return draws.standard_normal((channels, half.shape[1])) @ half.T
+
     kinds = gather(problems, copies)
-    price = find_price([Curve(kind) for kind in kinds], capacity, 1.0)
+    price = find_price([Curve(kind) for kind in kinds], capacity, 1.0) if scheduler == "price" else None
     loops: list[dict[str, np.ndarray]] = []
     for kind, one in zip(kinds, problems.values(), strict=True):
         plant, cost = one.plant, one.cost
         assert isinstance(plant, Plant)
         best = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
         gain = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
-        form = Curve(kind).schedule(price).urgency
+        form = None if price is None else Curve(kind).schedule(price).urgency
         for _ in range(kind.count):
             zero = np.zeros((channels, plant.states))
             loops.append(
                 {"A": plant.A, "B": plant.B, "C": plant.C, "W": plant.W, "V": plant.V, "L": best.L, "H": best.H}
                 | {"K": gain, "Q": cost.Q, "R": cost.R, "N": cost.N, "x": zero, "seen": zero, "model": zero}
-                | {"Psi": form.Psi, "c": np.array(form.constant), "Pi": form.bell.Pi, "h": np.array(form.bell.height)}
             )
+            if form is not None:
+                loops[-1] |= {"Psi": form.Psi, "c": np.array(form.constant)}
+                loops[-1] |= {"Pi": form.bell.Pi, "h": np.array(form.bell.height)}
     total = np.zeros(channels)
-    for tick in range(-200, ticks):
+    for tick in range(-60, ticks):
         urgency = np.zeros((channels, len(loops)))
         for i, loop in enumerate(loops):
-            y = loop["x"] @ loop["C"].T + draws.multivariate_normal(np.zeros(len(loop["V"])), loop["V"], channels)
+            y = loop["x"] @ loop["C"].T + drawn(loop["V"])
             loop["seen"] = loop["seen"] + (y - loop["seen"] @ loop["C"].T) @ loop["K"].T
             e = loop["model"] - loop["seen"]
             u = e @ loop["L"].T
@@ -124,14 +134,13 @@ def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, sche
             stage = np.einsum("ci,ij,cj->c", x, loop["Q"], x) + np.einsum("ci,ij,cj->c", u, loop["R"], u)
             stage += 2 * np.einsum("ci,ij,cj->c", x, loop["N"], u)
             total += stage if tick >= 0 else 0.0
-            noise = draws.multivariate_normal(np.zeros(len(loop["A"])), loop["W"], channels)
-            loop["x"] = x @ loop["A"].T + u @ loop["B"].T + noise
+            loop["x"] = x @ loop["A"].T + u @ loop["B"].T + drawn(loop["W"])
             loop["seen"] = loop["seen"] @ loop["A"].T + u @ loop["B"].T
             loop["model"] = loop["model"] @ (loop["A"] + loop["B"] @ loop["L"]).T
     return (total / ticks).tolist()
 
 
-@pytest.mark.parametrize("scheduler", ["price", "largest", "once-discard"])
+@pytest.mark.parametrize("scheduler", few(["price", "largest", "once-discard"], quick=1, start=1))
 def test_whole_plants_with_their_filters_cost_what_errors_alone_say(scheduler: str) -> None:
     """The reduced simulation knows errors and a completed square; this one knows neither."""
     plants = {
@@ -141,8 +150,8 @@ def test_whole_plants_with_their_filters_cost_what_errors_alone_say(scheduler: s
     costs = {"slow": taciturn.Cost(np.eye(2), [[0.3]], [[0.1], [0.0]]), "fast": taciturn.Cost([[1.0]], [[0.1]])}
     problems = {name: Problem(plants[name], costs[name], Network(), "all-time", {}) for name in plants}
     copies, capacity = [4, 3], 2
-    found: Sharing = share_channel(problems, copies=copies, capacity=capacity, scheduler=scheduler, ticks=20_000)  # pyright: ignore[reportArgumentType]
-    plain = np.array(by_hand(problems, copies, capacity, scheduler, 500))
+    found: Sharing = share_channel(problems, copies=copies, capacity=capacity, scheduler=scheduler, ticks=4000)  # pyright: ignore[reportArgumentType]
+    plain = np.array(by_hand(problems, copies, capacity, scheduler, 300))
     spread = np.hypot(plain.std(ddof=1) / np.sqrt(len(plain)), found.cost.standard_error)
     assert abs(plain.mean() - found.cost.value) < 4 * spread
-    assert spread < 0.01 * found.cost.value
+    assert spread < 0.03 * found.cost.value

@@ -13,19 +13,19 @@ from taciturn.model.policy import Policy
 from taciturn.simulation.average import completed_squares, plain_average
 
 SEEDS = st.integers(0, 2**32 - 1)
-FEW = settings(max_examples=6, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+FEW = settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 DRAWN = given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))
 LAWS = ["wiener", "normal", "uniform", "two-point"]
 
 
-def it_beats_periodic_control(seed: int, law: str, share: float) -> None:
+def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 400_000) -> None:
     """V_p(r_p) ≤ V ≤ V_p(r), and V + δr ≤ V_p(r_p) + δr_p, as simulated."""
     plant, cost, period = continuous_system(seed, law)
     price = price_of(plant, cost)
     delta = share * price.slope_in_rate(period)
     assume(delta > 0)
     policy = design.consistent(plant, cost, period=period, delta=delta)
-    found = average(close(plant, policy), seed=seed, steps=400_000)
+    found = average(close(plant, policy), seed=seed, steps=steps)
     per_tick, error = found.rates["sensor"], 4 * found.cost.standard_error
     assume(found.reached and per_tick.value > 0)
     least = (per_tick.value - 4 * per_tick.standard_error) / period  # periodic control is dearest at the lowest rate
@@ -39,12 +39,8 @@ def it_beats_periodic_control(seed: int, law: str, share: float) -> None:
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_consistent_policy_beats_periodic_control_at_its_own_rate(law: str) -> None:
-    """Six random plants for each law of the noise, thresholds up to the largest consistent one."""
-    FEW(
-        given(seed=SEEDS, share=st.sampled_from([0.3, 1.0]))(
-            lambda seed, share: it_beats_periodic_control(seed, law, share)
-        )
-    )()
+    """A random plant for each law of the noise, thresholds up to the largest consistent one."""
+    settings(FEW, max_examples=1)(DRAWN(lambda seed, share: it_beats_periodic_control(seed, law, share, 100_000)))()
 
 
 @pytest.mark.evidence
@@ -70,16 +66,22 @@ def test_without_disturbances_nothing_is_sent(seed: int) -> None:
     assert not path.sends["sensor"].any()
 
 
-@FEW
-@given(seed=SEEDS, law=st.sampled_from(LAWS))
-def test_the_exact_cost_is_the_average_of_the_stage_cost(seed: int, law: str) -> None:
+@pytest.mark.parametrize("examples", [2, pytest.param(6, marks=pytest.mark.evidence)])
+def test_the_exact_cost_is_the_average_of_the_stage_cost(examples: int) -> None:
+    """Random plants under any law of the noise."""
+    drawn = given(seed=SEEDS, law=st.sampled_from(LAWS))
+    steps = 500_000 if examples > 2 else 100_000
+    settings(FEW, max_examples=examples)(drawn(lambda seed, law: exact_is_average(seed, law, steps)))()
+
+
+def exact_is_average(seed: int, law: str, steps: int) -> None:
     """V = V_p + E[(1−σ)e'Γe]/τ against the plant's own cost, inter-sample noise included."""
     plant, cost, period = continuous_system(seed, law)
     assume(price_of(plant, cost).slope_in_rate(period) > 0)
     loop = close(plant, design.consistent(plant, cost, period=period))
     assume(loop.policy.settling < 100)
-    exact = average(loop, completed_squares(loop), seed=seed, steps=500_000)
-    plain = average(loop, plain_average(loop), seed=seed + 1, steps=1_000_000)
+    exact = average(loop, completed_squares(loop), seed=seed, steps=steps)
+    plain = average(loop, plain_average(loop), seed=seed + 1, steps=2 * steps)
     assume(exact.reached and plain.reached)
     spread = np.hypot(exact.cost.standard_error, plain.cost.standard_error)
     assert abs(exact.cost.value - plain.cost.value) <= 4.5 * spread
@@ -146,7 +148,7 @@ def test_what_does_not_fit_is_refused(change: dict, sentence: str) -> None:
 
 def extrapolated(a: float, gain: float, period: float, delta: float) -> tuple[np.ndarray, np.ndarray]:
     """Return cost and rate per second of a plant dx = (ax + u)dt + dw under u = −gain·x̂, on a fine grid, by path."""
-    rng, paths, looks, parts = np.random.default_rng(0), 4000, 150, 50
+    rng, paths, looks, parts = np.random.default_rng(0), 1000, 150, 25
     h = period / parts
     flow, push, spread = np.exp(a * h), np.expm1(a * h) / a, np.sqrt(np.expm1(2 * a * h) / (2 * a))
     x, seen, costs, sends = np.zeros((4, paths))
@@ -169,14 +171,14 @@ def test_the_actuator_predicts_with_the_model_of_the_design() -> None:
     """Where the plant in the loop is another one: an integrator is expected, an unstable plant is there."""
     cost, period = Cost([[1.0]], [[100.0]]), 4.0
     policy = design.consistent(ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), cost, period=period)
-    found = average(close(ContinuousPlant([[0.05]], [[1.0]], [[1.0]]), policy), standard_error=0.05)
+    found = average(close(ContinuousPlant([[0.05]], [[1.0]], [[1.0]]), policy), standard_error=0.1)
     # Γ(τ) = τ L'RL to scale: the plant of the design has A = 0, so δ* = L'RL τ²/2
     costs, sends = extrapolated(0.05, 0.1, period, 0.1**2 * 100 * period**2 / 2)
     for value, error, seen in (
         (found.cost.value, found.cost.standard_error, costs),
         (found.rates["sensor"].value / period, found.rates["sensor"].standard_error / period, sends),
     ):
-        assert abs(seen.mean() - value) <= 4 * np.hypot(error, seen.std() / np.sqrt(len(seen))) + 2e-3 * value
+        assert abs(seen.mean() - value) <= 4 * np.hypot(error, seen.std() / np.sqrt(len(seen))) + 4e-3 * value
 
 
 @pytest.mark.parametrize("kind", ["consistent", "integral"])

@@ -65,7 +65,7 @@ def saved_at_the_same_rate(
     return saved, error, saved / (joint.cost.value - all_time)
 
 
-def ranking(systems: int, actuation: Actuation, seed: int) -> np.ndarray:
+def ranking(systems: int, actuation: Actuation, seed: int, steps: int = STEPS) -> np.ndarray:
     """Return what is saved on random systems at random θ, (systems, 3)."""
     draws, found = np.random.default_rng(seed), []
     while len(found) < systems:
@@ -74,7 +74,7 @@ def ranking(systems: int, actuation: Actuation, seed: int) -> np.ndarray:
         system = make_system(int(draws.integers(2**32)), n, m, p, bool(draws.integers(2)))
         theta = float(10 ** draws.uniform(-1.3, 0.3))
         if well_posed(system.plant.A, system.plant.B) and well_posed(system.plant.A.T, system.plant.C.T):
-            saved = saved_at_the_same_rate(system, theta, actuation)
+            saved = saved_at_the_same_rate(system, theta, actuation, steps)
             found += [] if saved is None else [saved]
     return np.array(found)
 
@@ -83,9 +83,9 @@ def ranking(systems: int, actuation: Actuation, seed: int) -> np.ndarray:
 def test_the_excess_trigger_costs_less_than_the_joint_one_at_the_same_rate_on_most_systems(
     actuation: Actuation,
 ) -> None:
-    """Two of three random systems at least, beyond four standard errors."""
-    saved, error, _ = ranking(3, actuation, seed=2).T
-    assert (saved > 4 * error).sum() >= 2
+    """Of two random systems both, beyond four standard errors."""
+    saved, error, _ = ranking(2, actuation, seed=2, steps=400_000).T
+    assert (saved > 4 * error).all()
 
 
 @pytest.mark.evidence
@@ -167,6 +167,7 @@ def test_the_two_masses_cost_what_is_known_of_both_triggers(
     assert at_rate < joint - 5e-5
 
 
+@pytest.mark.evidence
 def test_the_two_masses_leave_little_between_the_lower_bound_and_the_nearly_optimal_schedule() -> None:
     """At 0.282 sends per step, beyond sending always: .0118 joint, .0064 excess, .00615 nearly optimal."""
     problem = taciturn.load("two-mass")

@@ -56,14 +56,14 @@ def bracket_the_paths(chain):
 
 
 @given(FEW_DIMENSIONS)
-@settings(max_examples=10)
+@settings(max_examples=4)
 def test_certified_bounds_bracket_the_exact_rate(chain):
     """One and two states, stable, neutral and unstable; thresholds from a tenth to twenty noise variances."""
     bracket_the_quadrature(chain)
 
 
 @given(MANY_DIMENSIONS)
-@settings(max_examples=5)
+@settings(max_examples=2)
 def test_certified_bounds_bracket_the_rate_in_many_dimensions(chain):
     """Three to six states, noise and Ψ of any rank."""
     bracket_the_paths(chain)

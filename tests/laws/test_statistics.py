@@ -1,10 +1,10 @@
-"""95 % intervals hold the truth in 92 to 98 of a hundred runs, whatever the estimator: 400 seeds each."""
+"""95 % intervals hold the truth as often as they should, whatever the estimator: over 60 seeds, as evidence 400."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from laws.test_estimates import COST, PLANT, coverage
+from laws.test_estimates import COST, PLANT, SEEDS, coverage, covers
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
@@ -18,12 +18,7 @@ from taciturn.simulation.average import average, completed_squares
 from taciturn.simulation.course import course
 from taciturn.simulation.statistics import batch_means, controlled_mean, mean, regenerative
 
-SEEDS = 400
-
-
-def covers(share: float) -> bool:
-    """Tell whether a share of intervals is 95 %, to 2.75 binomial standard deviations."""
-    return 0.92 <= share <= 0.98
+RECORDS = 100
 
 
 def scalar() -> Loop:
@@ -38,26 +33,29 @@ def masses() -> Loop:
     return problem.close(problem.design())
 
 
-def test_intervals_with_control_variates_cover_a_long_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The long run uses none: half as sharp per seed, and as long as three hundred of them."""
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_intervals_with_control_variates_cover_a_long_run(seeds: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The long run uses none, and is much longer than what it is held against."""
     loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)
     estimator = completed_squares(loop)
     assert estimator.controlled is not None
     with monkeypatch.context() as patch:
         patch.setattr(sampling.Sampling, "_add_controls", lambda self, paths: False)
-        truth = average(loop, estimator, seed=1000, steps=160_000_000).cost
+        truth = average(loop, estimator, seed=1000, steps=400_000 * seeds).cost
     monkeypatch.setattr(sampling, "PATHS", 128)
-    found = [average(loop, estimator, seed=seed, steps=440_000).cost for seed in range(SEEDS)]
-    assert truth.standard_error < 0.1 * found[0].standard_error
-    assert covers(coverage([(e.value, e.standard_error) for e in found], truth.value))
+    found = [average(loop, estimator, seed=seed, steps=440_000).cost for seed in range(seeds)]
+    assert truth.standard_error < (0.3 if seeds < 100 else 0.1) * found[0].standard_error
+    widened = [(e.value, float(np.hypot(e.standard_error, truth.standard_error))) for e in found]
+    assert covers(coverage(widened, truth.value), seeds)
 
 
-def test_intervals_of_rates_cover_the_quadrature() -> None:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_intervals_of_rates_cover_the_quadrature(seeds: int) -> None:
     """The rate of sends, a mean over paths."""
     loop = scalar()
     truth = solve_renewal(loop).rate
-    found = [average(loop, seed=seed, steps=60_000).rates["sensor"] for seed in range(SEEDS)]
-    assert covers(coverage([(e.value, e.standard_error) for e in found], truth))
+    found = [average(loop, seed=seed, steps=60_000).rates["sensor"] for seed in range(seeds)]
+    assert covers(coverage([(e.value, e.standard_error) for e in found], truth), seeds)
 
 
 def records(loop: Loop, paths: int, ticks: int) -> tuple[np.ndarray, np.ndarray]:
@@ -69,19 +67,21 @@ def records(loop: Loop, paths: int, ticks: int) -> tuple[np.ndarray, np.ndarray]
     return outputs["square"][500:], outputs["sent sensor"][500:]
 
 
-def test_intervals_of_batch_means_and_of_cycles_cover_the_quadrature() -> None:
+@pytest.mark.parametrize("paths", [RECORDS, pytest.param(400, marks=pytest.mark.evidence)])
+def test_intervals_of_batch_means_and_of_cycles_cover_the_quadrature(paths: int) -> None:
     """One record of a loop each: its rate, and what silence costs; both by batches and by cycles between sends."""
     loop = scalar()
-    exact, (squares, sent) = solve_renewal(loop), records(loop, SEEDS, 6400)
-    begins = np.vstack([np.zeros((1, SEEDS)), sent[:-1]])  # a cycle begins at the tick after a send
+    exact, (squares, sent) = solve_renewal(loop), records(loop, paths, 6400)
+    begins = np.vstack([np.zeros((1, paths)), sent[:-1]])  # a cycle begins at the tick after a send
     for record, truth in ((sent, exact.rate), (squares, exact.excess)):
         batches = [batch_means(path) for path in record.T]
-        assert covers(coverage([(e.value, e.standard_error) for e in batches], truth))
+        assert covers(coverage([(e.value, e.standard_error) for e in batches], truth), paths)
         cycles = [regenerative(*pair) for pair in zip(record.T, begins.T, strict=True)]
-        assert covers(coverage([(e.value, e.standard_error) for e in cycles], truth))
+        assert covers(coverage([(e.value, e.standard_error) for e in cycles], truth), paths)
 
 
-def test_intervals_of_a_course_cover_what_noise_does_to_a_state() -> None:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_intervals_of_a_course_cover_what_noise_does_to_a_state(seeds: int) -> None:
     """The mean stage cost at one tick from a known state: x'Qx of an input-free integrator."""
     plant, cost = Plant([[1.0]], [[1.0]], [[0.5]], mean=[2.0]), Cost([[1.0]], [[1.0]])
     policy = design.all_time(plant, cost)
@@ -92,11 +92,12 @@ def test_intervals_of_a_course_cover_what_noise_does_to_a_state() -> None:
         second = closed**2 * second + 0.5
     truth = (1 + gain**2) * second
     loop = close(plant, policy)
-    found = [course(loop, 4, paths=64, seed=seed) for seed in range(SEEDS)]
-    assert covers(coverage([(run.cost[3], run.standard_error[3]) for run in found], truth))
+    found = [course(loop, 4, paths=64, seed=seed) for seed in range(seeds)]
+    assert covers(coverage([(run.cost[3], run.standard_error[3]) for run in found], truth), seeds)
 
 
-def test_intervals_of_missions_cover_the_exact_cost() -> None:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_intervals_of_missions_cover_the_exact_cost(seeds: int) -> None:
     """Twelve ticks from a known state under linear feedback: the second moment, tick by tick."""
     plant, weights = Plant([[1.1]], [[1.0]], [[0.5]], mean=[2.0]), ([[1.0]], [[1.0]])
     policy = design.all_time(plant, Cost(*weights))
@@ -106,8 +107,8 @@ def test_intervals_of_missions_cover_the_exact_cost() -> None:
         truth += (1 + gain**2) * second
         second = (1.1 + gain) ** 2 * second + 0.5
     loop = close(plant, policy, cost=Cost(*weights, horizon=12, terminal=[[2.0]]))
-    found = [average(loop, seed=seed, steps=1200).cost for seed in range(SEEDS)]
-    assert covers(coverage([(e.value, e.standard_error) for e in found], truth + 2 * second))
+    found = [average(loop, seed=seed, steps=1200).cost for seed in range(seeds)]
+    assert covers(coverage([(e.value, e.standard_error) for e in found], truth + 2 * second), seeds)
 
 
 def test_the_sends_of_a_course_have_a_standard_error() -> None:
@@ -154,7 +155,7 @@ def test_a_fit_takes_out_what_controls_explain() -> None:
 def test_long_runs_use_control_variates_and_short_ones_do_not() -> None:
     """So a sharp cost takes fewer steps; both agree."""
     loop = masses()
-    short, long = average(loop, steps=5_000_000).cost, average(loop, seed=1, steps=60_000_000).cost
+    short, long = average(loop, steps=2_000_000).cost, average(loop, seed=1, steps=24_000_000).cost
     assert long.standard_error < short.standard_error / np.sqrt(12) / 1.5
     assert abs(long.value - short.value) < 4 * short.standard_error
 
@@ -196,7 +197,7 @@ def test_a_loop_that_hardly_ever_sends_is_no_average() -> None:
     assert early.rates["actuator"].value > 0
     assert early.notes[0].startswith("the loop has not settled within 20000 steps")
     assert not early.settled
-    loose = average(walk(theta=1e4), standard_error=1e3)  # which the walk keeps long before it has sent
+    loose = average(walk(theta=1e3), standard_error=1e3)  # which the walk keeps long before it has sent
     assert loose.rates["actuator"].value > 0.01
     assert average(walk(theta=1e6, A=0.9), steps=500_000).notes == ()
     assert average(walk(), steps=500_000).notes == ()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from counts import few
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, Policy, close, design
 from taciturn.simulation.average import average, completed_squares, plain_average
@@ -86,7 +87,7 @@ def assert_same_loop(kind: str, seed: int) -> list[float]:
     return sends
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", few(KINDS))
 def test_a_loop_in_other_units_makes_the_same_decisions_at_the_same_cost(kind: str) -> None:
     """J_all, cost and rates of the same draws agree to 1e-8, and something is decided."""
     assert 0 < min(assert_same_loop(kind, 3)) < 1
@@ -100,7 +101,7 @@ def test_loops_in_other_units_make_the_same_decisions_at_the_same_cost(kind: str
     assert_same_loop(kind, seed)
 
 
-@pytest.mark.parametrize("actuation", ["hold", "model"])
+@pytest.mark.parametrize("actuation", few(["hold", "model"], quick=1))
 def test_a_badly_scaled_loop_costs_the_same_by_squares_and_by_simulating_the_plant(actuation) -> None:
     """Completion of squares and the plain average agree within their standard errors, in units of 1e-8 … 1e8."""
     plant, cost, _ = stated(5, 8.0, continuous=False)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import assume, given
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._modes import radius
@@ -27,14 +28,14 @@ def assert_consistent(found, A, C, W, V):
     assert radius(A - A @ found.gain @ C) < 1
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_steady_filter_satisfies_its_equations(draw, seed):
     """Full-rank noise, stable and unstable plants."""
     c = draw(seed)
     assert_consistent(steady_filter(c.A, c.C, c.W, c.V), c.A, c.C, c.W, c.V)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_steady_filter_exists_for_noise_of_any_rank(draw, seed):
     """Process and measurement noise of random ranks, zero included, away from the unit circle."""
     c = draw(seed)
@@ -44,7 +45,7 @@ def test_the_steady_filter_exists_for_noise_of_any_rank(draw, seed):
     assert_consistent(steady_filter(c.A, c.C, G @ G.T, D @ D.T), c.A, c.C, G @ G.T, D @ D.T)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_filter_in_time_tends_to_the_steady_one(draw, seed):
     """From any start the covariances and gains settle."""
     c = draw(seed)
@@ -57,7 +58,7 @@ def test_the_filter_in_time_tends_to_the_steady_one(draw, seed):
     assert timed.gains[-1] == pytest.approx(steady.gain, rel=1e-6, abs=1e-7 * np.abs(steady.gain).max())
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_filter_in_time_is_gaussian_conditioning(draw, seed):
     """Prior and posterior equal the conditional covariances of one large joint Gaussian."""
     c = draw(seed)
@@ -176,7 +177,7 @@ def test_the_filter_in_time_of_a_constant_averages():
     assert found.gains[:, 0, 0] == pytest.approx(1 / np.arange(1, 11), rel=1e-8)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_a_riccati_step_is_the_formula(draw, seed):
     """Ric(Σ) = AΣA' + W − AΣC'(CΣC'+V)^{-1}CΣA'."""
     c = draw(seed)

@@ -8,6 +8,8 @@ from itertools import product
 import numpy as np
 import pytest
 import scipy.linalg
+from counts import few
+from drawn import law
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -90,8 +92,7 @@ def cost_to_go(L, X, S, problem, following, channel) -> float:
 
 
 @links
-@settings(max_examples=40, deadline=None)
-@given(seed=SEEDS)
+@law(3, 40, seed=SEEDS)
 def test_one_step_is_the_best_answer_to_the_next(link, seed):
     """K and P price the step that L makes, every other gain costs its square more, and silence costs x̂'Γx̂ more."""
     problem = system(seed, 4)
@@ -183,8 +184,7 @@ IDEAL = [Network(), Network(delay=1)]
 
 @pytest.mark.parametrize("tracked", [False, True], ids=["", "tracking"])
 @pytest.mark.parametrize("link", [*LINKS, *IDEAL], ids=lambda c: str(c)[:90])
-@settings(max_examples=10, deadline=None)
-@given(seed=SEEDS)
+@law(2, 10, seed=SEEDS)
 def test_the_all_time_cost_of_a_mission_is_that_of_the_propagated_moments(link, tracked, seed):
     """Random start, unstable plants, losses on both links, whatever is acknowledged or late, a reference or none."""
     A, B, Q, R = system(seed, 4)
@@ -203,8 +203,7 @@ def test_the_all_time_cost_of_a_mission_is_that_of_the_propagated_moments(link, 
 
 
 @pytest.mark.parametrize("link", [*LINKS, *IDEAL], ids=lambda c: str(c)[:90])
-@settings(max_examples=6, deadline=None)
-@given(seed=SEEDS)
+@law(2, 6, seed=SEEDS)
 def test_the_all_time_average_is_that_of_the_stationary_moments(link, seed):
     """Stable and unstable plants, losses that can be survived."""
     A, B, Q, R = system(seed, 3)
@@ -220,8 +219,7 @@ def test_the_all_time_average_is_that_of_the_stationary_moments(link, seed):
 
 
 @links
-@settings(max_examples=5, deadline=None)
-@given(seed=SEEDS)
+@law(2, 5, seed=SEEDS)
 def test_the_fixed_point_is_the_limit_of_the_recursions(link, seed):
     """From K = Q and P = 0 the steps tend to the gains of the average."""
     problem = system(seed, 4)
@@ -262,8 +260,7 @@ def test_one_input_survives_losses_below_the_product_of_its_unstable_modes(A):
         assert sensor == pytest.approx(max(grown) ** -2, abs=1e-6)
 
 
-@settings(max_examples=4, deadline=None)
-@given(seed=SEEDS)
+@law(2, 4, seed=SEEDS)
 def test_as_many_inputs_as_states_survive_losses_below_one_over_the_squared_radius(seed):
     """1/ρ² (schenato2007): with an invertible B every packet moves everything."""
     rng = np.random.default_rng(seed)
@@ -275,8 +272,7 @@ def test_as_many_inputs_as_states_survive_losses_below_one_over_the_squared_radi
 
 
 @links
-@settings(max_examples=5, deadline=None)
-@given(seed=SEEDS)
+@law(2, 5, seed=SEEDS)
 def test_a_stable_plant_survives_every_loss(link, seed):
     """1 and 1, at any loss of the other link."""
     lost = np.random.default_rng(seed).uniform(0, 1, 2)
@@ -296,7 +292,7 @@ def diverges(problem: tuple[np.ndarray, ...], channel: Channel) -> bool:
     raise AssertionError("neither settles nor diverges")
 
 
-@links
+@pytest.mark.parametrize("link", few(LINKS, quick=1, start=1), ids=str)
 @settings(max_examples=2, deadline=None)
 @given(seed=SEEDS)
 def test_missions_settle_below_the_critical_losses_and_diverge_above(link, seed):
@@ -323,7 +319,7 @@ def test_less_knowledge_survives_fewer_losses(seed):
         assert all(less <= more + 1e-8 for less, more in zip(worse, better, strict=True))
 
 
-@links
+@pytest.mark.parametrize("link", few(LINKS, quick=1, start=2), ids=str)
 @settings(max_examples=2, deadline=None)
 @given(seed=SEEDS)
 def test_the_units_of_states_and_inputs_decide_nothing(link, seed):
@@ -341,8 +337,7 @@ def test_the_units_of_states_and_inputs_decide_nothing(link, seed):
 
 
 @links
-@settings(max_examples=10, deadline=None)
-@given(seed=SEEDS)
+@law(2, 10, seed=SEEDS)
 def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
     """The gain that comes with it attains it, and no random gain beats it, near or far."""
     A, B, _, _ = system(seed, 3, 1.02, 1.6)
@@ -357,7 +352,7 @@ def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
             assert rate <= mean_square_rate(A, B, gain, channel) * (1 + 1e-9)
 
 
-@links
+@pytest.mark.parametrize("link", few(LINKS, quick=1), ids=str)
 def test_two_plants_that_share_nothing_but_the_links_survive_what_the_weaker_survives(link):
     """Two axes with an input each: growth and critical losses are those of the worse axis."""
     axes = [

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from digits import regulated, sampled
-from hypothesis import assume, given, settings
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Plant, design
@@ -35,8 +36,7 @@ def in_units(c, x: np.ndarray, u: np.ndarray, cost: float) -> tuple[np.ndarray, 
 
 
 @times
-@settings(max_examples=40)
-@given(seed=seeds)
+@law(3, 40, seed=seeds)
 def test_units_from_1e_8_to_1e8_leave_the_regulator_as_it_is(draw, seed, continuous):
     """K and L of a problem in other units are those of sixty digits, to 1e-8 of the cost and gain of each state."""
     c = draw(seed)
@@ -51,8 +51,7 @@ def test_units_from_1e_8_to_1e8_leave_the_regulator_as_it_is(draw, seed, continu
 
 
 @times
-@settings(max_examples=40)
-@given(seed=seeds, weak=st.integers(0, 6))
+@law(3, 40, seed=seeds, weak=st.integers(0, 6))
 def test_the_error_of_a_solution_is_within_what_is_claimed(draw, seed, weak, continuous):
     """K − exact lies between − and + error, for inputs that reach the states unequally well."""
     c = draw(seed)
@@ -66,8 +65,7 @@ def test_the_error_of_a_solution_is_within_what_is_claimed(draw, seed, weak, con
     assert np.linalg.eigvalsh(claimed + error)[0] > -1e-16
 
 
-@settings(max_examples=40)
-@given(seed=seeds)
+@law(3, 40, seed=seeds)
 def test_units_from_1e_8_to_1e8_leave_the_filter_as_it_is(draw, seed):
     """Covariance and gain in other units are those of sixty digits; no variance is taken for rounding."""
     c = draw(seed)
@@ -235,8 +233,7 @@ def test_thirty_masses_in_a_row_are_solved_and_lose_packets():
     assert np.trace(lossy.error) < 1e-8 * np.trace(lossy.K)
 
 
-@settings(max_examples=30)
-@given(seed=seeds, told=st.booleans(), lost=st.floats(0, 0.9), unseen=st.floats(0, 0.9))
+@law(2, 30, seed=seeds, told=st.booleans(), lost=st.floats(0, 0.9), unseen=st.floats(0, 0.9))
 def test_two_lyapunov_equations_grow_and_sum_like_the_stacked_rows(draw, seed, told, lost, unseen):
     """The mean square of a loop by equations of n rows is that of one linear map of 2n² rows."""
     c = draw(seed)

@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import assume, given
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._modes import radius
@@ -53,7 +54,7 @@ def moments_cost(c, seen, L, every):
 
 
 @pytest.mark.parametrize("every", [1, 2, 3, 5])
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_cost_is_that_of_the_moments_of_the_closed_loop(draw, every, seed):
     """The filter runs at every step, the input is renewed every k steps from the filtered estimate."""
     c = draw(seed)
@@ -64,7 +65,7 @@ def test_the_cost_is_that_of_the_moments_of_the_closed_loop(draw, every, seed):
     assert found.cost == pytest.approx(expected, rel=1e-6)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_renewing_at_every_step_is_all_time_control(draw, seed):
     """For k = 1 the cost is tr(QΣ) + tr(K(Σ̃−Σ))."""
     c = draw(seed)
@@ -75,7 +76,7 @@ def test_renewing_at_every_step_is_all_time_control(draw, seed):
     assert found.regulator.L == pytest.approx(control.L, rel=1e-9, abs=1e-9)
 
 
-@given(seed=seeds, every=st.integers(2, 4))
+@law(8, 100, seed=seeds, every=st.integers(2, 4))
 def test_no_other_gain_of_the_same_period_costs_less(draw, seed, every):
     """Disturbing the optimal gain can only raise the cost of the moments."""
     c = draw(seed)
@@ -87,7 +88,7 @@ def test_no_other_gain_of_the_same_period_costs_less(draw, seed, every):
     assert found.cost <= disturbed * (1 + 1e-6)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_renewing_less_often_in_multiples_costs_more(draw, seed):
     """A controller of period 2k is one of period k that wastes every second update."""
     c = draw(seed)
@@ -97,7 +98,7 @@ def test_renewing_less_often_in_multiples_costs_more(draw, seed):
     assert costs[1] <= costs[2] * (1 + 1e-9)
 
 
-@given(seed=seeds, every=st.integers(1, 6))
+@law(8, 100, seed=seeds, every=st.integers(1, 6))
 def test_lifting_is_the_sum_over_the_steps(draw, seed, every):
     """Every field of the lifted problem, term by term."""
     c = draw(seed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 from scipy.integrate import quad, quad_vec
 from scipy.linalg import expm, solve_continuous_are
@@ -39,8 +40,7 @@ def test_the_double_integrator_has_the_polynomial_of_the_thesis() -> None:
     assert found.initial_slope == pytest.approx(9.155694, abs=5e-7)
 
 
-@settings(max_examples=40, deadline=None)
-@given(seed=SEEDS, length=st.floats(0.01, 1.5))
+@law(3, 40, seed=SEEDS, length=st.floats(0.01, 1.5))
 def test_spread_weight_and_growth_are_their_integrals(seed: int, length: float) -> None:
     """V, Γ and g by adaptive quadrature of what defines them; P and L by scipy's equation."""
     found, (A, B, Q, R, N, W) = random_cost(seed)
@@ -60,8 +60,7 @@ def test_spread_weight_and_growth_are_their_integrals(seed: int, length: float) 
     assert found.growth(length) == pytest.approx(mean, rel=1e-6)
 
 
-@settings(max_examples=30, deadline=None)
-@given(seed=SEEDS, length=st.floats(0.01, 0.5), size=st.sampled_from([0.03, 0.3, 1.0]))
+@law(2, 30, seed=SEEDS, length=st.floats(0.01, 0.5), size=st.sampled_from([0.03, 0.3, 1.0]))
 def test_no_other_gain_costs_less_between_sends(seed: int, length: float, size: float) -> None:
     """Sampled with the model of its own gain: J_per(h) with L, and more with any other."""
     found, (A, B, Q, R, N, W) = random_cost(seed)
@@ -79,8 +78,7 @@ def test_no_other_gain_costs_less_between_sends(seed: int, length: float, size: 
     assert sent_every_period(found.L + D) > best
 
 
-@settings(max_examples=20, deadline=None)
-@given(seed=SEEDS)
+@law(2, 20, seed=SEEDS)
 def test_the_growth_rises_from_zero_with_half_of_tr_sw(seed: int) -> None:
     """g is a mean of what only rises, and g(h)/h comes to ½ tr(SW) as h → 0."""
     found, (A, *_) = random_cost(seed)
@@ -91,8 +89,7 @@ def test_the_growth_rises_from_zero_with_half_of_tr_sw(seed: int) -> None:
     assert 2 * near[1] - near[0] == pytest.approx(found.initial_slope, rel=1e-5)
 
 
-@settings(max_examples=60, deadline=None)
-@given(seed=SEEDS, length=st.floats(0.05, 2.0))
+@law(5, 60, seed=SEEDS, length=st.floats(0.05, 2.0))
 def test_the_slope_in_the_rate_is_the_derivative_of_the_periodic_cost_and_the_curve_is_convex(seed, length) -> None:
     """δ* = −dV_p/dr; every chord of V_p lies above it."""
     found, _ = random_cost(seed)
@@ -105,8 +102,7 @@ def test_the_slope_in_the_rate_is_the_derivative_of_the_periodic_cost_and_the_cu
     assert (np.diff(chords) >= -1e-9 * np.abs(chords).max()).all()
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=SEEDS, shortest=st.sampled_from([0.0, 0.3]))
+@law(2, 15, seed=SEEDS, shortest=st.sampled_from([0.0, 0.3]))
 def test_no_line_below_the_least_ratio_meets_the_growth(seed: int, shortest: float) -> None:
     """g(h) ≥ C h for the infimum C of g(h)/h, and it is attained where it is said to be."""
     found, _ = random_cost(seed)

@@ -6,7 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from drawn import law
+from hypothesis import assume
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
 from taciturn import Cost, Plant, UnstableError, design
@@ -39,8 +40,7 @@ times = pytest.mark.parametrize("time", TIMES, ids=str)
 
 
 @times
-@settings(max_examples=4, deadline=None)
-@given(seed=SEEDS)
+@law(2, 4, seed=SEEDS)
 def test_a_policy_prices_an_error_as_its_regulator_does(time, seed):
     """P = (αA'KB + N)(R + αB'KB)^{-1}(αB'KA + N'), of the step where the horizon is finite."""
     plant = random_plant(seed)
@@ -79,8 +79,7 @@ def propagated(plant: Plant, cost: Cost, steps: int, asked: list[bool], cycle: i
 
 
 @times
-@settings(max_examples=6, deadline=None)
-@given(seed=SEEDS)
+@law(2, 6, seed=SEEDS)
 def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, seed):
     """J_all and what the exact identity starts from: average, discount and mission, N ≠ 0, a random start."""
     plant = random_plant(seed, largest=4)
@@ -102,8 +101,7 @@ def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, s
     assert policy.identity.constant == pytest.approx(found, rel=1e-10)
 
 
-@settings(max_examples=10, deadline=None)
-@given(seed=SEEDS)
+@law(2, 10, seed=SEEDS)
 def test_the_four_choices_of_a_step_are_two_comparisons(seed):
     """Query or not, send or not, then always both, what was sent counting 1 + θ: h − ζ decides one, Γ the other."""
     plant = random_plant(seed)
@@ -150,8 +148,7 @@ def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:
 
 
 @pytest.mark.parametrize("time", [{}, {"discount": 0.8}, {"horizon": 30}], ids=str)
-@settings(max_examples=6, deadline=None)
-@given(seed=SEEDS)
+@law(2, 6, seed=SEEDS)
 def test_a_schedule_queries_where_it_is_worth_its_price_and_repeats_for_ever(time, seed):
     """Every tick, five more periods included: query iff h(Σ) > ζ, with the covariance that follows from it."""
     plant = random_plant(seed)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 from watched import SEEDS, TIMES, follow, random_plant, semidefinite, sixty_digits
 
@@ -19,8 +20,7 @@ KINDS = ["output", "full state", "singular W", "some outputs without noise"]
 
 @pytest.mark.parametrize("discount", [1.0, 0.7])
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8, deadline=None)
-@given(seed=SEEDS)
+@law(2, 8, seed=SEEDS)
 def test_the_value_of_a_query_is_the_sum_of_what_every_later_error_costs_less(kind, discount, seed):
     """Average and discount, errors and weights of any rank, against sixty digits of plain subtraction."""
     plant = random_plant(seed, kind)
@@ -32,8 +32,7 @@ def test_the_value_of_a_query_is_the_sum_of_what_every_later_error_costs_less(ki
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=8, deadline=None)
-@given(seed=SEEDS)
+@law(2, 8, seed=SEEDS)
 def test_of_a_mission_only_the_errors_until_its_end_count(kind, seed):
     """At tick k the weights of k + 1 … N − 1 are summed, each with its own error; the last query is worth nothing."""
     plant = random_plant(seed, kind)
@@ -57,8 +56,7 @@ def test_the_tail_of_a_slow_filter_is_summed_at_once(A):
     assert value == pytest.approx(sixty_digits(plant, 1.01 * steady.prior, np.eye(n), terms=2500), rel=1e-9)
 
 
-@settings(max_examples=60, deadline=None)
-@given(seed=SEEDS, discount=st.sampled_from([1.0, 0.6]))
+@law(5, 60, seed=SEEDS, discount=st.sampled_from([1.0, 0.6]))
 def test_a_state_that_is_read_exactly_is_worth_the_error_it_ends(seed, discount):
     """C = I and V = 0: h(Σ) = α tr(PAΣA'), whatever the ranks of noise, error and weight."""
     plant, rng = random_plant(seed, "full state", 4), np.random.default_rng(seed + 1)
@@ -82,8 +80,7 @@ def test_a_query_that_tells_nothing_is_worth_nothing() -> None:
 
 
 @times
-@settings(max_examples=15, deadline=None)
-@given(seed=SEEDS)
+@law(2, 15, seed=SEEDS)
 def test_the_closed_form_of_a_query_is_what_following_it_tick_by_tick_gives(time, seed):
     """Two computations of h over random plants, from a vague start, a known one and the middle of a silence."""
     plant, weights = random_plant(seed), priced(seed, time)

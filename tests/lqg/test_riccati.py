@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.linalg
-from hypothesis import assume, given
+from drawn import law
+from hypothesis import assume
 from hypothesis import strategies as st
 
 from taciturn._modes import accumulate, radius
@@ -18,7 +19,7 @@ from taciturn.lqg.riccati import regulate, regulate_continuous, regulate_discoun
 seeds = st.integers(0, 2**32 - 1)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_regulator_solves_the_riccati_equation_and_stabilises(draw, seed):
     """K, L and H satisfy their equations to rounding and A + BL is stable."""
     c = draw(seed)
@@ -30,7 +31,7 @@ def test_the_regulator_solves_the_riccati_equation_and_stabilises(draw, seed):
     assert radius(c.A + c.B @ L) < 1
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_doubling_starts_where_scipy_ends(draw, seed):
     """Two computations of the same matrix: the cost of 2^k steps, and an invariant subspace."""
     c = draw(seed)
@@ -40,7 +41,7 @@ def test_doubling_starts_where_scipy_ends(draw, seed):
     assert pytest.approx(theirs, rel=1e-6, abs=1e-6 * np.abs(theirs).max()) == K
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_any_other_gain_costs_the_completed_square(draw, seed):
     """The cost matrix X of a gain L + D is K plus the sum of D'HD along its own loop."""
     c = draw(seed)
@@ -54,7 +55,7 @@ def test_any_other_gain_costs_the_completed_square(draw, seed):
     assert X == pytest.approx(found.K + square, rel=1e-8, abs=1e-9 * np.abs(X).max())
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_a_long_horizon_approaches_the_infinite_one(draw, seed):
     """K_0 and L_0 of 150 steps agree with the steady gains as far as the loop has settled."""
     c = draw(seed)
@@ -65,7 +66,7 @@ def test_a_long_horizon_approaches_the_infinite_one(draw, seed):
     assert finite.L[0] == pytest.approx(found.L, rel=1e-7, abs=1e-7 * np.abs(found.L).max())
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_finite_horizon_agrees_with_one_large_least_squares_problem(draw, seed):
     """x_0'K_0x_0 is the minimum of the quadratic form in all inputs of four steps at once."""
     c = draw(seed)
@@ -86,7 +87,7 @@ def test_the_finite_horizon_agrees_with_one_large_least_squares_problem(draw, se
     assert found.H[-1] == pytest.approx(c.R + c.B.T @ c.W @ c.B)
 
 
-@given(seed=seeds, discount=st.floats(0.3, 1.0))
+@law(8, 100, seed=seeds, discount=st.floats(0.3, 1.0))
 def test_the_discounted_regulator_satisfies_the_formulas_of_the_thesis(draw, seed, discount):
     """L = −(R+αB'KB)^{-1}(αB'KA+N') and K = Q + αA'KA − P, written out."""
     c = draw(seed)
@@ -100,7 +101,7 @@ def test_the_discounted_regulator_satisfies_the_formulas_of_the_thesis(draw, see
     assert found.H == pytest.approx(H)
 
 
-@given(seed=seeds)
+@law(8, 100, seed=seeds)
 def test_the_continuous_regulator_solves_its_riccati_equation_and_stabilises(draw, seed):
     """0 = A'K + KA + Q − L'RL and A + BL is Hurwitz."""
     c = draw(seed)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost
@@ -84,8 +84,7 @@ def test_fast_and_slow_and_unstable_modes_share_one_exact_answer():
     assert found.noise_cost == pytest.approx(np.sum(Q * W * (grown - h) / sums), rel=1e-12)
 
 
-@settings(deadline=None, max_examples=20)
-@given(seed=seeds, h=st.floats(0.05, 3))
+@law(2, 20, seed=seeds, h=st.floats(0.05, 3))
 def test_sampling_agrees_with_brute_force_quadrature(draw, seed, h):
     """Every integral by adaptive quadrature of matrix exponentials."""
     c = draw(seed)
@@ -111,8 +110,7 @@ def test_sampling_agrees_with_brute_force_quadrature(draw, seed, h):
     assert np.hstack([found.A, found.B]) == pytest.approx(scipy.linalg.expm(F * h)[:n], rel=1e-9, abs=1e-12)
 
 
-@settings(deadline=None, max_examples=20)
-@given(seed=seeds, h=st.floats(0.05, 2))
+@law(2, 20, seed=seeds, h=st.floats(0.05, 2))
 def test_sampling_a_prediction_agrees_with_brute_force_quadrature(draw, seed, h):
     """The input L x̂(t) follows the model; every integral by adaptive quadrature."""
     c = draw(seed)
@@ -136,7 +134,7 @@ def test_sampling_a_prediction_agrees_with_brute_force_quadrature(draw, seed, h)
     assert found.W == pytest.approx(held.W, rel=1e-11, abs=1e-12 * np.abs(held.W).max())
 
 
-@given(seed=seeds, h=st.floats(0.01, 5), parts=st.integers(2, 7))
+@law(8, 100, seed=seeds, h=st.floats(0.01, 5), parts=st.integers(2, 7))
 def test_a_period_is_the_sum_of_its_parts(draw, seed, h, parts):
     """Sampling h/k and holding the input for k steps is sampling h, noise cost included."""
     c = draw(seed)
@@ -149,7 +147,7 @@ def test_a_period_is_the_sum_of_its_parts(draw, seed, h, parts):
     assert joined.noise_cost + parts * part.noise_cost == pytest.approx(whole.noise_cost, rel=1e-11)
 
 
-@given(seed=seeds, first=st.floats(0.01, 3), second=st.floats(0.01, 3))
+@law(8, 100, seed=seeds, first=st.floats(0.01, 3), second=st.floats(0.01, 3))
 def test_two_unequal_periods_compose(draw, seed, first, second):
     """The semigroup law for A, B, W and the noise cost with unequal parts, also for predictions."""
     c = draw(seed)

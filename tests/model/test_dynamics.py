@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from drawn import law
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -30,7 +30,7 @@ def plant_of(function: Callable[..., Any], A: float = 1.2, B: float = 1.0, W: fl
     return Plant([[A]], [[B]], [[W]], function=function)
 
 
-@given(seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-3, 1.0, 1e3]))
+@law(8, 100, seed=st.integers(0, 2**32 - 1), scale=st.sampled_from([1e-3, 1.0, 1e3]))
 def test_a_linearisation_is_that_of_calculus(seed: int, scale: float) -> None:
     """Of sines, exponentials, products and quotients of random matrices, anywhere, to ten digits of the largest."""
     draws = np.random.default_rng(seed)

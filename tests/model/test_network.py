@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, differences, same
 
@@ -30,8 +30,7 @@ def refusal(action: Callable[[], object]) -> str:
     return str(found.value)
 
 
-@settings(max_examples=60, deadline=None)
-@given(to_bad=SHARES, to_good=SHARES, good=SHARES, bad=SHARES)
+@law(5, 60, to_bad=SHARES, to_good=SHARES, good=SHARES, bad=SHARES)
 def test_the_stationary_losses_are_those_of_the_chain(to_bad: float, to_good: float, good: float, bad: float) -> None:
     """The share of bad ticks is the fixed point of the chain, and the loss is its mean."""
     burst = Burst(to_bad, to_good, good, bad)

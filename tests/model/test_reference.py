@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 
 from taciturn import Cost, Network, Plant, Policy, ProblemError, Reference, average, close, design
@@ -104,8 +104,7 @@ def test_a_reference_of_another_size_is_refused(reference: Reference, sentence: 
     assert refusal(lambda: design.lossy_lqg(plant(), COST, price=1, reference=reference)).startswith(sentence)
 
 
-@settings(max_examples=25, deadline=None)
-@given(seed=SEEDS, size=st.floats(1e-6, 1e6))
+@law(2, 25, seed=SEEDS, size=st.floats(1e-6, 1e6))
 def test_states_written_with_eleven_digits_are_a_motion_and_with_eight_are_none(seed: int, size: float) -> None:
     """Each step is tested alone, so an unstable plant that is pushed for long needs no more digits than another."""
     unstable, steps = Plant([[1.3]], [[1.0]], [[0.01]]), 200

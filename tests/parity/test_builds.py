@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import CLOSED_FORM, POLICIES, STATIONARY, closed
-from hypothesis import given, settings
+from counts import few
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, every_feature, programs, same, with_functions, with_precision
 from systems import System, make_system, systems, well_posed
@@ -45,7 +46,7 @@ def masses(name: str) -> Loop:
     return problem.close(policy)
 
 
-@pytest.mark.parametrize("name", [*MASSES, "periodic", "lossy", "limited"])
+@pytest.mark.parametrize("name", few([*MASSES, "periodic", "lossy", "limited"], quick=3))
 def test_the_loops_of_the_two_masses_agree_bit_for_bit(name: str) -> None:
     """Hold and model, joint and separate, by the clock, over a lossy link, saturating; with the plant and without."""
     loop = masses(name)
@@ -61,8 +62,7 @@ def close_random(system: System, name: str) -> Loop | None:
         return None
 
 
-@settings(max_examples=70)
-@given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS, precision=PRECISIONS)
+@law(5, 70, system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS, precision=PRECISIONS)
 def test_loops_of_random_systems_agree_bit_for_bit(system: System, name: str, seed: int, precision: Precision) -> None:
     """Unstable plants, cross terms, several inputs, every policy of the catalogue, in either precision."""
     loop = close_random(system, name)
@@ -72,8 +72,7 @@ def test_loops_of_random_systems_agree_bit_for_bit(system: System, name: str, se
             assert_parity(loop, program, seed)
 
 
-@settings(max_examples=60)
-@given(system=systems(), seed=SEEDS, precision=PRECISIONS)
+@law(5, 60, system=systems(), seed=SEEDS, precision=PRECISIONS)
 def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(
     system: System, seed: int, precision: Precision
 ) -> None:
@@ -84,8 +83,7 @@ def test_losses_schedules_memories_draws_and_three_labels_agree_bit_for_bit(
     )  # unstable: floats end at 1e38
 
 
-@settings(max_examples=25)
-@given(system=systems(states=4), seed=SEEDS, precision=PRECISIONS)
+@law(2, 25, system=systems(states=4), seed=SEEDS, precision=PRECISIONS)
 def test_steps_that_are_functions_agree_bit_for_bit(system: System, seed: int, precision: Precision) -> None:
     """An extended Kalman filter, a trigger and an input made of sines, roots and exponentials."""
     loop = with_precision(with_functions(system, seed), precision)
@@ -138,15 +136,14 @@ def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 
     return float(parity[sent].mean())
 
 
-@pytest.mark.parametrize("name", ["hold", "model", "separate"])
+@pytest.mark.parametrize("name", few(["hold", "model", "separate"], quick=1, start=1))
 def test_the_fast_build_decides_as_the_parity_build(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """Over 1e5 steps on the same draws, except where trigger and threshold agree to 1e-10."""
     loop = masses(name)
     assert 0.1 < assert_same_decisions(undrawn(monkeypatch, loop), loop, seed=8) < 0.9
 
 
-@settings(max_examples=25)
-@given(system=systems(), seed=SEEDS)
+@law(2, 25, system=systems(), seed=SEEDS)
 def test_the_fast_build_decides_as_the_parity_build_with_every_feature(system: System, seed: int) -> None:
     """Among three labels, by memories, draws, locations and what links lose: up to the first tie of each path."""
     loop = every_feature(system, seed)
@@ -168,8 +165,7 @@ def test_the_fast_build_decides_as_the_parity_build_with_every_feature(system: S
         assert abs(first - second) < 1e-10 * size
 
 
-@settings(max_examples=8)
-@given(system=systems(), name=st.sampled_from(sorted(set(STATIONARY) - set(CLOSED_FORM))), seed=SEEDS)
+@law(2, 8, system=systems(), name=st.sampled_from(sorted(set(STATIONARY) - set(CLOSED_FORM))), seed=SEEDS)
 def test_the_fast_build_decides_as_the_parity_build_on_random_systems(system: System, name: str, seed: int) -> None:
     """Over 1e5 steps of each."""
     loop = close_random(system, name)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
 from parity.loops import differences, every_feature, same
 from systems import make_system
 
@@ -32,7 +33,7 @@ def loop(request: pytest.FixtureRequest) -> Loop:
 
 
 @pytest.mark.parametrize("build", BUILDS)
-@pytest.mark.parametrize("threads", [2, 3, 5, 100])
+@pytest.mark.parametrize("threads", few([2, 3, 5, 100], quick=2))
 def test_threads_do_not_change_a_bit(loop: Loop, build: machine.Build, threads: int) -> None:
     """More threads than processors, and than blocks."""
     program = loop.program()
@@ -42,7 +43,7 @@ def test_threads_do_not_change_a_bit(loop: Loop, build: machine.Build, threads: 
 
 
 @pytest.mark.parametrize("build", BUILDS)
-@pytest.mark.parametrize("fewer", [1, 2, 7, 8, 9, 52])
+@pytest.mark.parametrize("fewer", few([1, 2, 7, 8, 9, 52], quick=3))
 def test_a_path_does_not_depend_on_how_many_are_run(loop: Loop, build: machine.Build, fewer: int) -> None:
     """The first paths of many are those of few: generators, noise and starts alike."""
     program = loop.program()

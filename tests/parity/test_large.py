@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, differences, programs, with_precision
 from systems import make_system
@@ -37,8 +37,7 @@ def products(program: Program) -> int:
     return sum(op.name == "product" for op in program.ops)
 
 
-@settings(max_examples=6)
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(17, 24), precision=PRECISIONS)
+@law(2, 6, seed=st.integers(0, 2**32 - 1), n=st.integers(17, 24), precision=PRECISIONS)
 def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) -> None:
     """With plant and filter, and in the innovations form."""
     loop = with_precision(large(seed, n, 3, 5), precision)
@@ -61,8 +60,7 @@ def test_products_are_what_single_coefficients_would_give(monkeypatch: pytest.Mo
     assert np.abs(one.outputs["x 0"] - other.outputs["x 0"]).max() < 1e-9 * size
 
 
-@settings(max_examples=60)
-@given(seed=st.integers(0, 2**32 - 1), rows=st.integers(1, 40), columns=st.integers(1, 40), share=st.floats(0, 1))
+@law(5, 60, seed=st.integers(0, 2**32 - 1), rows=st.integers(1, 40), columns=st.integers(1, 40), share=st.floats(0, 1))
 def test_a_transform_is_the_matrix_times_the_numbers(seed: int, rows: int, columns: int, share: float) -> None:
     """Whatever its zeros: dense, sparse, with empty rows and columns."""
     draws = np.random.default_rng(seed)

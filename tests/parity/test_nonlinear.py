@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from counts import few
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity
 from systems import System, systems
@@ -28,15 +29,14 @@ def built_in(name: str, precision: Precision) -> Loop:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, quick=1))
 def test_loops_with_a_function_agree_bit_for_bit(name: str, precision: Precision) -> None:
     """Sines, quotients and Runge–Kutta steps, in either precision."""
     loop = built_in(name, precision)
     assert_parity(loop, loop.program(), seed=3, paths=19, ticks=300)
 
 
-@settings(max_examples=25)
-@given(system=systems(states=4), seed=st.integers(0, 2**32 - 1), precision=st.sampled_from(["float64", "float32"]))
+@law(2, 25, system=systems(states=4), seed=st.integers(0, 2**32 - 1), precision=st.sampled_from(["float64", "float32"]))
 def test_random_functions_agree_bit_for_bit(system: System, seed: int, precision: Precision) -> None:
     """Of sines, exponentials, roots, quotients, clips and choices; linear at 0 as the random plant."""
     draws, linear = np.random.default_rng(seed), system.plant
@@ -59,7 +59,7 @@ def test_random_functions_agree_bit_for_bit(system: System, seed: int, precision
     assert found.states.tobytes() == meaning.states.tobytes()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, quick=1, start=1))
 def test_the_fast_build_decides_as_the_parity_build(name: str) -> None:
     """Fused multiplications and additions move the states in their last bits, and no decision."""
     loop = built_in(name, "float64")
@@ -73,7 +73,7 @@ def test_the_fast_build_decides_as_the_parity_build(name: str) -> None:
         np.testing.assert_allclose(fast[f"x {i}"], parity[f"x {i}"], rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", few(NAMES, quick=1, start=2))
 def test_the_plant_of_a_network_has_the_bits_of_numpy(name: str) -> None:
     """Its tick as a Python function of numbers."""
     loop = built_in(name, "float64")

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from counts import few
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import same
 from program.printed import by_c, by_machine, by_numpy, by_python, program_of
@@ -78,7 +79,7 @@ def units_off(case: Case, precision: Precision, found: np.ndarray, arguments: li
 
 
 @pytest.mark.skipif(not EXTENDED, reason="NOT SHOWN: needs numbers longer than doubles to compare with")
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", few(PRECISIONS, quick=1))
 @pytest.mark.parametrize("name", CASES)
 def test_functions_have_all_digits_but_the_last(name: str, precision: Precision) -> None:
     """Of arguments of every size, in their meaning, in the parity build and in the fast one."""
@@ -92,8 +93,7 @@ def test_functions_have_all_digits_but_the_last(name: str, precision: Precision)
 
 
 @pytest.mark.skipif(not EXTENDED, reason="NOT SHOWN: needs numbers longer than doubles to compare with")
-@settings(max_examples=200)
-@given(name=st.sampled_from(sorted(CASES)), precision=st.sampled_from(PRECISIONS), data=st.data())
+@law(16, 200, name=st.sampled_from(sorted(CASES)), precision=st.sampled_from(PRECISIONS), data=st.data())
 def test_functions_have_all_digits_but_the_last_anywhere(name: str, precision: Precision, data: st.DataObject) -> None:
     """Wherever a search looks for a place where they have not: whole numbers, powers of two, the ends of the range."""
     case = CASES[name]
@@ -247,8 +247,7 @@ def test_what_is_made_of_them_has_nearly_all_digits(name: str, low: float, high:
     assert float((np.abs(found - expected) / np.spacing(np.abs(expected.astype(float)))).max()) <= 4
 
 
-@settings(max_examples=300)
-@given(x=st.floats(-1e6, 1e6), y=st.floats(1e-3, 1e3))
+@law(25, 300, x=st.floats(-1e6, 1e6), y=st.floats(1e-3, 1e3))
 def test_a_remainder_lies_beside_its_divisor(x: float, y: float) -> None:
     """x mod y is off by what rounding x/y and its product takes, on a circle of length y."""
     program = program_of(lambda b, one, other: b.value(NUMBERS["remainder"](b, one, other)), 2)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from drawn import law
 from hypothesis import strategies as st
 
 import taciturn
@@ -81,7 +81,7 @@ def _random_operations(b: Builder, states: list[int], draws: np.random.Generator
     return picked[: len(states)], picked[len(states) :]
 
 
-@given(seed=SEEDS, copies=st.integers(1, 3))
+@law(8, 100, seed=SEEDS, copies=st.integers(1, 3))
 def test_merging_and_dropping_leave_every_bit_of_the_outputs(seed: int, copies: int) -> None:
     """The program as written and the merged one say the same."""
     program = random_program(seed, copies)
@@ -91,7 +91,7 @@ def test_merging_and_dropping_leave_every_bit_of_the_outputs(seed: int, copies: 
     assert all(same(written.outputs[name], merged.outputs[name]) for name in program.outputs)
 
 
-@given(seed=SEEDS)
+@law(8, 100, seed=SEEDS)
 def test_keeping_a_part_leaves_its_meaning(seed: int) -> None:
     """What is kept has the bits it had beside what is dropped."""
     program = random_program(seed)
@@ -105,13 +105,13 @@ def test_keeping_a_part_leaves_its_meaning(seed: int) -> None:
     assert len(part.ops) <= len(program.ops)
 
 
-@given(seed=SEEDS, copies=st.integers(2, 4))
+@law(8, 100, seed=SEEDS, copies=st.integers(2, 4))
 def test_copies_of_one_system_merge_into_one(seed: int, copies: int) -> None:
     """However many copies obey the same equations from the same start, the states of one remain."""
     assert merge_states(random_program(seed, copies)).states == merge_states(random_program(seed, 1)).states
 
 
-@given(seed=SEEDS)
+@law(8, 100, seed=SEEDS)
 def test_merging_twice_is_merging_once(seed: int) -> None:
     """Nothing is left to merge or drop."""
     once = merge_states(random_program(seed, 2))
@@ -145,7 +145,7 @@ def test_states_that_nothing_depends_on_disappear() -> None:
     assert [state.index for state in program.states] == [0]
 
 
-@given(seed=SEEDS)
+@law(8, 100, seed=SEEDS)
 def test_sums_and_forms_are_those_of_the_matrices(seed: int) -> None:
     """Zeros, ones, minus ones and entries read from tables, in any mixture."""
     draws = np.random.default_rng(seed)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import POLICIES, closed
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
 from systems import System, systems
@@ -128,22 +128,19 @@ def assert_told(loop: Loop, seed: int, ticks: int = 30, paths: int = 4) -> None:
         assert result.sums["cost"][path] == pytest.approx(total, rel=1e-6)
 
 
-@settings(max_examples=40)
-@given(system=systems(), seed=SEEDS)
+@law(3, 40, system=systems(), seed=SEEDS)
 def test_losses_schedules_memories_draws_and_three_labels_mean_what_they_say(system: System, seed: int) -> None:
     """The policy with every feature, on random systems."""
     assert_told(every_feature(system, seed), seed)
 
 
-@settings(max_examples=25)
-@given(system=systems(states=4), seed=SEEDS)
+@law(2, 25, system=systems(states=4), seed=SEEDS)
 def test_steps_that_are_functions_mean_what_they_say(system: System, seed: int) -> None:
     """What NumPy makes of floats, call by call."""
     assert_told(with_functions(system, seed), seed)
 
 
-@settings(max_examples=40)
-@given(system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
+@law(3, 40, system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
 def test_the_policies_of_the_catalogue_mean_what_they_say(system: System, name: str, seed: int) -> None:
     """Hold and model, by the clock and by the trigger, remote and lossy, averages and missions."""
     try:
@@ -153,7 +150,7 @@ def test_the_policies_of_the_catalogue_mean_what_they_say(system: System, name: 
     assert_told(loop, seed)
 
 
-@given(seed=SEEDS, labels=st.integers(2, 5))
+@law(8, 100, seed=SEEDS, labels=st.integers(2, 5))
 def test_the_first_of_the_cheapest_labels_is_picked(seed: int, labels: int) -> None:
     """Among up to five labels, with ties."""
     values = np.random.default_rng(seed).integers(0, 3, (20, labels)).astype(float)

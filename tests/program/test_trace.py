@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from drawn import law
 from hypothesis import strategies as st
 
 from taciturn import ProblemError
@@ -103,8 +103,7 @@ def value_of(tree: Any, x: Any) -> Any:
     return (UNARY | BINARY)[name](*(value_of(one, x) for one in rest))  # type: ignore[operator]
 
 
-@settings(max_examples=300)
-@given(tree=TREES, seed=st.integers(0, 2**32 - 1))
+@law(25, 300, tree=TREES, seed=st.integers(0, 2**32 - 1))
 def test_a_program_has_the_bits_of_floats(tree: Any, seed: int) -> None:
     """Arithmetic, roots, choices, slices, stacks and arrays that are filled, in any order."""
     x = {"x": np.round(numbers(seed)["x"], seed % 4)}  # numbers that agree, too
@@ -123,8 +122,7 @@ SMOOTH: dict[str, Callable[[Any], Any]] = {  # that change a relative error by l
 }  # fmt: skip
 
 
-@settings(max_examples=200)
-@given(names=st.lists(st.sampled_from(sorted(SMOOTH)), min_size=1, max_size=5), seed=st.integers(0, 2**32 - 1))
+@law(16, 200, names=st.lists(st.sampled_from(sorted(SMOOTH)), min_size=1, max_size=5), seed=st.integers(0, 2**32 - 1))
 def test_a_program_has_nearly_all_digits_of_floats(names: list[str], seed: int) -> None:
     """Each function errs by three units at most, and those before it by eight times what they did."""
 
@@ -140,8 +138,7 @@ def test_a_program_has_nearly_all_digits_of_floats(names: list[str], seed: int) 
         assert evaluate(program, x, fast) == pytest.approx(expected, rel=len(names) * 30 * 2.2e-16 * 8 ** len(names))
 
 
-@settings(max_examples=50)
-@given(seed=st.integers(0, 2**32 - 1), size=st.integers(1, 4), columns=st.integers(0, 2))
+@law(4, 50, seed=st.integers(0, 2**32 - 1), size=st.integers(1, 4), columns=st.integers(0, 2))
 def test_a_system_of_equations_is_solved(seed: int, size: int, columns: int) -> None:
     """Of matrices that need their rows exchanged, too; to the digits that their condition leaves."""
     draws = np.random.default_rng(seed)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
 
 from taciturn import Cost, Network, Plant, UnstableError, design
 from taciturn.lqg.lossy import Channel, critical_losses
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-@pytest.mark.parametrize("largest", [1.25, 3.0])
+@pytest.mark.parametrize("largest", few([1.25, 3.0], quick=1))
 def test_without_acknowledgements_the_critical_losses_trade_as_published(largest: float, share: float) -> None:
     """|λ|²(γ + ν − 2γν) < γ + ν − γν of the arrivals ν and γ, for scalar plants and wherever B is invertible."""
     sensor = share / largest**2  # part of what the sensor link alone may lose

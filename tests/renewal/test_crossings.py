@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
+from drawn import rows
 from numpy.polynomial import Polynomial
 from renewal.crossings import SlowPath, critical_points, error_polynomials, first_crossing, form, jumps, size
 
@@ -76,7 +78,7 @@ def humped(f: Polynomial, wait: float) -> float | None:
     return humps[0] if humps else None
 
 
-@pytest.mark.parametrize("n", CHAINS)
+@pytest.mark.parametrize("n", few(CHAINS, quick=1, start=1))
 @pytest.mark.parametrize("kind", ["integral", "level"])
 def test_crossings_of_wild_errors_are_those_of_the_slow_way(n: int, kind: str) -> None:
     """Random starts: many turn, many cross several times."""
@@ -102,8 +104,8 @@ def threshold(process: JumpProcess, trigger: Trigger, e: Array, gone: float, tim
     return gone + form(process.S, entries).integ() - trigger.c * Polynomial([time, 1.0])
 
 
-@pytest.mark.parametrize("n", [3, 4])
-@pytest.mark.parametrize("touch", TOUCHES)
+@pytest.mark.parametrize("n", few([3, 4], quick=1))
+@pytest.mark.parametrize("touch", few(TOUCHES, quick=2))
 def test_humps_that_touch_the_threshold_are_seen(n: int, touch: float) -> None:
     """Double roots: a hump below passes, one that reaches the threshold does not."""
     random = np.random.default_rng([n, 7])
@@ -145,7 +147,7 @@ def test_a_crossing_beside_a_jump_is_on_its_own_side(n: int, beside: float) -> N
         assert (ends > 1 + wait - 1e-12).all()
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", few(range(12), quick=2))
 def test_crossings_under_dynamics_without_end_are_those_of_exponentials(seed: int) -> None:
     """Taylor's pieces lose nothing: spirals, decay and growth against sums of exponentials on a fine grid."""
     random = np.random.default_rng(seed)
@@ -190,16 +192,19 @@ def earlier_hump(value, end: float, found: float) -> bool:  # type: ignore[no-un
 
 @pytest.mark.parametrize(
     ("law", "trigger"),
-    [
-        ("normal", IntegralTrigger(6.0)),
-        ("uniform", IntegralTrigger(6.0, h_max=0.9)),
-        ("two-point", IntegralTrigger(6.0, h_min=0.3, h_max=1.5)),
-        ("normal", IntegralTrigger(6.0, saturation=0.4)),
-        ("uniform", IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0)),
-        ("two-point", IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0)),
-        ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
-        ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
-    ],
+    rows(
+        [
+            ("normal", IntegralTrigger(6.0)),
+            ("uniform", IntegralTrigger(6.0, h_max=0.9)),
+            ("two-point", IntegralTrigger(6.0, h_min=0.3, h_max=1.5)),
+            ("normal", IntegralTrigger(6.0, saturation=0.4)),
+            ("uniform", IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0)),
+            ("two-point", IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0)),
+            ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
+            ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
+        ],
+        quick=3,
+    ),
     ids=["linear", "longest", "shortest", "saturating", "all", "saturated-at-first", "level", "level-longest"],
 )
 def test_whole_cycles_are_those_of_the_slow_way(law: str, trigger: Trigger) -> None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from counts import few
+from drawn import rows
 
 from taciturn.errors import ProblemError
 from taciturn.renewal import dual
@@ -47,7 +49,8 @@ def bound(fitted: Fitted, confidence: float = 0.9999, seed: int = 0) -> DualBoun
 
 
 @pytest.mark.parametrize(
-    ("F", "price"), [(0.5, 2.0), (0.5, 4.5), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)]
+    ("F", "price"),
+    rows([(0.5, 2.0), (0.5, 4.5), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)], quick=2),
 )
 def test_on_a_scalar_the_bound_is_within_half_a_percent_of_the_optimum(F: float, price: float) -> None:
     """Below it, stable and unstable."""
@@ -87,14 +90,17 @@ def test_a_bound_is_above_the_optimum_no_more_often_than_it_says() -> None:
 
 @pytest.mark.parametrize(
     "silly",
-    [
-        lambda f: replace(f, gain=1.3 * f.gain),
-        lambda f: replace(f, gain=0.9 * f.gain),
-        lambda f: replace(f, height=0.0),
-        lambda f: replace(f, height=2 * f.height),
-        lambda f: replace(f, Pi=10 * f.Pi),
-        lambda f: replace(f, Pi=0 * f.Pi),
-    ],
+    few(
+        [
+            lambda f: replace(f, gain=1.3 * f.gain),
+            lambda f: replace(f, gain=0.9 * f.gain),
+            lambda f: replace(f, height=0.0),
+            lambda f: replace(f, height=2 * f.height),
+            lambda f: replace(f, Pi=10 * f.Pi),
+            lambda f: replace(f, Pi=0 * f.Pi),
+        ],
+        quick=2,
+    ),
 )
 def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float]) -> None:
     """Whatever the martingale is made of, nothing costs less; nothing is better than what is fitted."""
@@ -102,6 +108,19 @@ def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tu
     found = bound_schedules(UNIT, UNIT, UNIT, 4.0, silly(fitted), 0.9999)
     assert 0 <= found.gain <= solve_optimal(UNIT, UNIT, UNIT, 4.0).cost
     assert found.gain < good
+
+
+def test_a_noise_and_its_mirror_image_are_weighed_by_one_exponential() -> None:
+    """The mean over both of what is saved is that of each by itself, for bells of any width and errors of any size."""
+    draws = np.random.default_rng(2)
+    F, noise, Gamma = PLANE
+    root = np.linalg.cholesky(noise)
+    errors = draws.standard_normal((3, 50, 2)) * draws.lognormal(0.0, 2.0, (3, 50, 1))
+    w = draws.standard_normal((3, 16, 2)) @ root.T
+    for narrow in (1e-3, 1.0, 1e3):
+        game = dual._Game(F, root, Gamma, Fitted(2.0, 3.0, narrow * np.linalg.inv(noise), 3.0))
+        both = [game.now((errors @ F.T)[:, :, None] + sign * w[:, None]).mean(axis=2) for sign in (1.0, -1.0)]
+        np.testing.assert_allclose(game.after(errors, w), np.mean(both, axis=0), rtol=0, atol=1e-12)
 
 
 def test_a_bound_is_never_more_than_sending_always() -> None:

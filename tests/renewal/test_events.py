@@ -7,6 +7,7 @@ from math import inf
 import numpy as np
 import pytest
 import scipy.linalg
+from counts import few
 from renewal.crossings import jumps
 from scipy import stats
 
@@ -52,7 +53,7 @@ def gain(A: Array, weight: Array) -> Array:
     return np.asarray(np.linalg.solve(weight, scipy.linalg.solve_continuous_are(A, np.eye(2), weight, weight)))
 
 
-@pytest.mark.parametrize("C", FIXED_POINTS)
+@pytest.mark.parametrize("C", few(FIXED_POINTS, quick=2, start=1))
 def test_the_fixed_points_of_the_double_integrator_are_the_known_ones(C: int) -> None:
     """The mean interval at c = Cα* is α*, and the cost is that of the table."""
     alpha, cost = FIXED_POINTS[C]
@@ -61,7 +62,7 @@ def test_the_fixed_points_of_the_double_integrator_are_the_known_ones(C: int) ->
     assert near(found.cost, cost - JUMP_COST, 0.001 * (1 + C))
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", few(LAWS, quick=1, start=1))
 @pytest.mark.parametrize(
     "trigger",
     [IntegralTrigger(5.0, h_max=0.3), IntegralTrigger(9.0, 0.2, 0.1), LevelTrigger(np.eye(2), 0.4, h_max=0.2)],
@@ -107,7 +108,7 @@ def test_the_counterexample_costs_what_is_known() -> None:
 
 
 @pytest.mark.parametrize("c", [0.3, 5.0, 40.0])
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", few(LAWS, quick=1, start=2))
 def test_a_linear_threshold_without_end_costs_its_slope(c: float, law: str) -> None:
     """Every cycle ends where its cost is cβ, so that g = c to rounding."""
     jumps = Jumps(5.0, np.array([[0.3, 0.1], [0.1, 0.5]]), law)  # type: ignore[arg-type]
@@ -117,7 +118,7 @@ def test_a_linear_threshold_without_end_costs_its_slope(c: float, law: str) -> N
         assert found.cost.standard_error < 1e-9 * c
 
 
-@pytest.mark.parametrize("h", [0.3, 1.0, 2.5])
+@pytest.mark.parametrize("h", few([0.3, 1.0, 2.5], quick=1, start=1))
 def test_a_trigger_that_never_fires_sends_periodically(h: float) -> None:
     """All intervals are h_max, and the cost is the cubic of the periodic design."""
     for trigger in (LevelTrigger(np.eye(2), 1e12, h), IntegralTrigger(1e12, h_max=h)):
@@ -162,7 +163,9 @@ def test_a_standard_error_is_met() -> None:
     assert 0.0003 < finer.interval.standard_error < 0.00052
 
 
-@pytest.mark.parametrize("A", [DOUBLE.A, np.array([[0.1, 2.0], [-2.0, -0.3]])], ids=["integrators", "spiral"])
+@pytest.mark.parametrize(
+    "A", few([DOUBLE.A, np.array([[0.1, 2.0], [-2.0, -0.3]])], quick=1, start=1), ids=["integrators", "spiral"]
+)
 @pytest.mark.parametrize(
     ("law", "trigger"),
     [
@@ -197,7 +200,9 @@ def test_without_llvm_the_estimates_agree(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("W", [np.array([[2.0, 0.6], [0.6, 0.5]]), np.diag([0.0, 0.5])], ids=["full", "singular"])
+@pytest.mark.parametrize(
+    "W", few([np.array([[2.0, 0.6], [0.6, 0.5]]), np.diag([0.0, 0.5])], quick=1, start=1), ids=["full", "singular"]
+)
 def test_jumps_have_their_covariance_and_their_law(law: str, W: Array) -> None:
     """Whitened, each entry has the fourth moment of its law; waits are exponential; nothing is correlated in time."""
     process = JumpProcess(np.zeros((2, 2)), Jumps(5.0, W, law), np.eye(2))  # type: ignore[arg-type]

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
+from drawn import rows
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -26,7 +28,9 @@ def squares(error: np.ndarray, weight: np.ndarray) -> np.ndarray:
     return ((error @ weight) * error).sum(axis=1)
 
 
-@pytest.mark.parametrize(("F", "price"), [(0.5, 2.0), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)])
+@pytest.mark.parametrize(
+    ("F", "price"), rows([(0.5, 2.0), (0.9, 5.0), (1.0, 10.0), (1.0, 0.5), (1.3, 20.0), (-1.1, 3.0)], quick=2, start=1)
+)
 def test_a_fitted_threshold_on_a_scalar_loses_less_than_a_lower_bound_can_tell(F: float, price: float) -> None:
     """What is sent lies beyond one point; as a threshold there it is solved exactly, and held against the optimum."""
     A = np.array([[F]])
@@ -44,7 +48,7 @@ def test_a_fitted_threshold_on_a_scalar_loses_less_than_a_lower_bound_can_tell(F
 
 
 @pytest.mark.parametrize("states", [1, 2])
-@pytest.mark.parametrize("delta", [1.0, 3.0, 8.0])
+@pytest.mark.parametrize("delta", few([1.0, 3.0, 8.0], quick=1, start=1))
 def test_the_errors_that_a_threshold_keeps_come_at_its_rate(states: int, delta: float) -> None:
     """Mean interval and mean cost against quadrature; intervals vary less than those of a coin."""
     F, noise, seen = (SPIRAL, NOISE, SEEN) if states == 2 else (UNIT, UNIT, UNIT)
@@ -69,7 +73,7 @@ def test_units_of_error_and_cost_decide_nothing() -> None:
     np.testing.assert_allclose(1e6 * large.Pi, found.Pi, rtol=1e-4, atol=1e-5)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", few(range(3), quick=1))
 def test_what_no_noise_reaches_and_no_cost_sees_decides_nothing(seed: int) -> None:
     """A third state without noise, and a fourth that costs nothing: about the gain of the two others."""
     alone = fit_schedule(SPIRAL, NOISE, SEEN, 5.0, seed)

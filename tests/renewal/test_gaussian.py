@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import scipy.special
 import scipy.stats
+from counts import few
+from drawn import rows
 
 from taciturn.errors import ProblemError
 from taciturn.lqg.riccati import regulate_continuous
@@ -74,15 +76,18 @@ def agree(one, other):
 
 @pytest.mark.parametrize(
     ("period", "rate", "cost", "digits"),
-    [
-        (0.1, 0.50154718815, 22.48453691579, 11),
-        (0.2, 0.50689726308, 23.63130472075, 11),
-        (0.5, 0.52107412179, 27.43720939010, 11),
-        (1.0, 0.53982843573, 35.10015091224, 11),
-        (2.0, 0.28283645 * 2, 56.1351962, 7),
-        (0.25, 2.03778693 * 0.25, 24.2270133, 7),
-        (0.05, 9.97478298 * 0.05, 21.9330583, 7),
-    ],
+    rows(
+        [
+            (0.1, 0.50154718815, 22.48453691579, 11),
+            (0.2, 0.50689726308, 23.63130472075, 11),
+            (0.5, 0.52107412179, 27.43720939010, 11),
+            (1.0, 0.53982843573, 35.10015091224, 11),
+            (2.0, 0.28283645 * 2, 56.1351962, 7),
+            (0.25, 2.03778693 * 0.25, 24.2270133, 7),
+            (0.05, 9.97478298 * 0.05, 21.9330583, 7),
+        ],
+        quick=3,
+    ),
 )
 def test_the_double_integrator_of_the_thesis_has_its_numbers(period, rate, cost, digits):
     """Rate per check and cost of the consistent trigger are the known ones to every digit."""
@@ -115,7 +120,9 @@ def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square
         assert found.rate_error <= 1e-6 * found.rate
 
 
-@pytest.mark.parametrize(("F", "delta"), [(0.5, 1.0), (0.95, 9.0), (1.0, 25.0), (1.3, 4.0), (-2.0, 9.0), (8.0, 4.0)])
+@pytest.mark.parametrize(
+    ("F", "delta"), rows([(0.5, 1.0), (0.95, 9.0), (1.0, 25.0), (1.3, 4.0), (-2.0, 9.0), (8.0, 4.0)], quick=2)
+)
 def test_a_scalar_chain_is_that_of_a_dense_grid(F, delta):
     """Rate, excess, survival and its decay are those of 1200 nodes of Gauss, without any symmetry."""
     x, weight = np.polynomial.legendre.leggauss(1200)
@@ -135,7 +142,9 @@ def test_a_scalar_chain_is_that_of_a_dense_grid(F, delta):
     assert found.intervals.decay == pytest.approx(np.abs(np.linalg.eigvals(kernel)).max(), abs=1e-6)
 
 
-@pytest.mark.parametrize("seed", sorted(set(range(31)) - {0, 3, 7, 8, 16, 22}))  # these need thousands of nodes
+@pytest.mark.parametrize(
+    "seed", few(sorted(set(range(31)) - {0, 3, 7, 8, 16, 22}), quick=5)
+)  # these need thousands of nodes
 def test_claimed_errors_hold_against_a_much_finer_answer(seed):
     """Over random plants, for an accuracy that is asked for and one that is easily had."""
     chain = random_chain(seed)
@@ -144,7 +153,7 @@ def test_claimed_errors_hold_against_a_much_finer_answer(seed):
         assert agree(solve_gaussian(chain, accuracy), fine)
 
 
-@pytest.mark.parametrize("seed", [2, 6])
+@pytest.mark.parametrize("seed", few([2, 6], quick=1))
 def test_claimed_errors_hold_with_three_states(seed):
     """Over random plants of full noise."""
     chain = random_chain(seed, 3)
@@ -158,7 +167,7 @@ def _answer(chain, accuracy):
         pytest.skip(str(refusal))
 
 
-@pytest.mark.parametrize(("seed", "states"), [(1, 1), (4, 2), (5, 2), (2, 3), (6, 3)])
+@pytest.mark.parametrize(("seed", "states"), rows([(1, 1), (4, 2), (5, 2), (2, 3), (6, 3)], quick=2))
 def test_sums_on_a_grid_say_what_a_matrix_says(seed, states, monkeypatch):
     """Rate, excess and survival, for few and many nodes."""
     chain = random_chain(seed, states)
@@ -196,7 +205,7 @@ def agrees_with_simulation(found, chain, seed):
     assert abs(excess - found.excess) <= 4 * excess_spread + found.excess_error
 
 
-@pytest.mark.parametrize(("seed", "states"), [(1, 1), (2, 2), (5, 2), (4, 2), (2, 3)])
+@pytest.mark.parametrize(("seed", "states"), rows([(1, 1), (2, 2), (5, 2), (4, 2), (2, 3)], quick=2))
 def test_a_simulation_agrees_within_four_standard_errors(seed, states):
     """Rate and excess of one, two and three states."""
     chain = random_chain(seed, states)
@@ -216,7 +225,7 @@ def test_fifty_plants_agree_with_simulation_and_with_finer_answers(seed):
     agrees_with_simulation(found, chain, seed)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", few(range(4), quick=1))
 def test_coordinates_and_units_of_the_states_decide_nothing(seed):
     """A turned, stretched and rescaled chain has the same numbers."""
     chain, _ = double_integrator(0.3)
@@ -270,7 +279,7 @@ def test_a_singular_trigger_that_sees_later_is_solved():
     assert agree(found, near)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4, 5, 6])
+@pytest.mark.parametrize("seed", few([1, 2, 4, 5, 6], quick=2))
 def test_intervals_sum_to_one_and_their_mean_is_one_over_the_rate(seed):
     """Survival falls from one; the probabilities of all intervals sum to one, their mean is the checks per send."""
     found = _answer(random_chain(seed), 1e-6)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
+from drawn import rows
 from numpy.polynomial.legendre import leggauss
 from scipy.stats import poisson, qmc
 
@@ -161,8 +163,8 @@ def mass_over_times(shower: Shower, within: np.ndarray, seed: int) -> float:
     return found
 
 
-@pytest.mark.parametrize("flat", [True, False], ids=["rank one", "rank two"])
-@pytest.mark.parametrize("period", [0.25, 0.5])
+@pytest.mark.parametrize("flat", few([True, False], quick=1), ids=["rank one", "rank two"])
+@pytest.mark.parametrize("period", few([0.25, 0.5], quick=1))
 def test_the_density_of_a_period_has_the_mass_that_drawn_times_give(period: float, flat: bool) -> None:
     """Over an ellipse, along rays and over the times of the jumps, within four standard errors of about 1e-6."""
     A = np.array([[0.1, 1.0], [-0.3, 0.0]])
@@ -204,14 +206,15 @@ def test_a_scalar_chain_agrees_with_a_dense_grid() -> None:
 
 
 @pytest.mark.parametrize(
-    ("a", "rate", "delta"), [(0.0, 5.0, 4.0), (0.7, 2.0, 3.0), (-0.8, 3.0, 1.0), (-0.3, 0.4, 1.0), (0.5, 60.0, 9.0)]
+    ("a", "rate", "delta"),
+    rows([(0.0, 5.0, 4.0), (0.7, 2.0, 3.0), (-0.8, 3.0, 1.0), (-0.3, 0.4, 1.0), (0.5, 60.0, 9.0)], quick=2),
 )
 def test_a_scalar_chain_agrees_with_its_simulation(a: float, rate: float, delta: float) -> None:
     """Stable and unstable errors, rare and frequent jumps."""
     agree(chain(a, 1.0, rate, 0.5, delta))
 
 
-@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.parametrize("seed", few([0, 2], quick=1))
 def test_a_chain_in_the_plane_agrees_with_its_simulation(seed: int) -> None:
     """Jumps of either rank."""
     agree(random_chain(seed), 500, 200)
@@ -253,7 +256,7 @@ def test_claimed_errors_in_the_plane_are_no_less_than_the_true_ones(seed: int, m
     honest(random_chain(seed), 1e-2, monkeypatch)
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", few(range(4), quick=1, start=1))
 def test_claimed_errors_on_a_line_are_no_less_than_the_true_ones(seed: int) -> None:
     """At the first refinement, against the finest."""
     rng = np.random.default_rng(seed)
@@ -278,7 +281,7 @@ def test_many_small_jumps_are_gaussian_noise() -> None:
     assert limit == pytest.approx(1 / checks, rel=1e-4)
 
 
-@pytest.mark.parametrize("of", [chain(0.4, 1.0, 1.0, 0.5, 3.0), random_chain(2)], ids=["line", "plane"])
+@pytest.mark.parametrize("of", few([chain(0.4, 1.0, 1.0, 0.5, 3.0), random_chain(2)], quick=1), ids=["line", "plane"])
 def test_intervals_sum_to_one_and_their_mean_is_the_inverse_rate(of: Chain) -> None:
     """The survival function starts at one, falls, and its sum is the mean."""
     found = solve_jumps(of, 1e-2)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import scipy.integrate
 import scipy.stats
+from counts import few
+from drawn import rows
 
 from taciturn.errors import ProblemError
 from taciturn.lqg.riccati import regulate_continuous
@@ -51,7 +53,7 @@ def simulated(found, F, noise, Gamma, seed, paths=1500, checks=120, settle=40):
     return [(seen.mean(), seen.std(ddof=1) / np.sqrt(paths)) for seen in (sent, cost)]
 
 
-@pytest.mark.parametrize("states", [1, 2, 3])
+@pytest.mark.parametrize("states", few([1, 2, 3], quick=2))
 @pytest.mark.parametrize("price", [0.1, 2.0, 9.0])
 def test_without_memory_the_optimum_sends_what_costs_more_than_the_price(states, price):
     """For F = 0 nothing is to come, so U = e'e − λ: the rate is a tail of χ², the excess the rest of its mean."""
@@ -76,7 +78,7 @@ def test_a_walk_looked_at_often_has_the_threshold_of_a_brownian_motion():
         assert not found.sends([[threshold - 2 * 0.5826]])
 
 
-@pytest.mark.parametrize(("F", "price"), [(0.6, 2.0), (1.0, 20.0), (-1.4, 5.0), (2.5, 30.0)])
+@pytest.mark.parametrize(("F", "price"), rows([(0.6, 2.0), (1.0, 20.0), (-1.4, 5.0), (2.5, 30.0)], quick=1, start=1))
 def test_a_scalar_optimum_is_that_of_value_iteration_on_a_grid(F, price):
     """Cost and boundary are those of E min(0, U) iterated on a dense line.
 
@@ -109,7 +111,7 @@ def _value_iteration(F, price, points):
     return g, end, np.interp(end, x, np.gradient(U, x)), x[1] - x[0]
 
 
-@pytest.mark.parametrize(("F", "price"), [(0.6, 2.0), (1.0, 20.0), (-1.4, 5.0)])
+@pytest.mark.parametrize(("F", "price"), rows([(0.6, 2.0), (1.0, 20.0), (-1.4, 5.0)], quick=1, start=2))
 def test_the_equation_of_optimality_holds_by_adaptive_quadrature(F, price):
     """In one direction U(e) = e² − g + E min(0, U(F e + w)) with an integral that knows nothing of the nodes."""
     found = solve_optimal([[F]], [[1.0]], [[1.0]], price, 1e-9)
@@ -122,7 +124,7 @@ def test_the_equation_of_optimality_holds_by_adaptive_quadrature(F, price):
         assert abs(float(found.value([e])) - (e * e - found.cost + ahead)) <= 1e-8 * price + off
 
 
-@pytest.mark.parametrize("F", [TURNING, 0.5 * TURNING, np.array([[1.0, 0.7], [0.0, 1.0]])])
+@pytest.mark.parametrize("F", few([TURNING, 0.5 * TURNING, np.array([[1.0, 0.7], [0.0, 1.0]])], quick=1))
 def test_the_equation_of_optimality_holds_by_drawn_noise(F):
     """In two directions, at random errors, within four standard errors of drawn expectations."""
     found = solve_optimal(F, SKEW, UNIT, 6.0, 1e-6)
@@ -135,7 +137,7 @@ def test_the_equation_of_optimality_holds_by_drawn_noise(F):
 
 
 @pytest.mark.parametrize(
-    ("F", "price"), [(TURNING, 6.0), (0.5 * TURNING, 2.0), (np.array([[1.0, 0.7], [0.0, 1.0]]), 10.0)]
+    ("F", "price"), rows([(TURNING, 6.0), (0.5 * TURNING, 2.0), (np.array([[1.0, 0.7], [0.0, 1.0]]), 10.0)], quick=1)
 )
 def test_a_simulation_of_the_scheduler_agrees_within_four_standard_errors(F, price):
     """Rate and excess of what ``sends`` says, stable, unstable and neutral."""
@@ -158,12 +160,15 @@ def test_a_simulation_of_the_scheduler_agrees_in_three_directions():
 
 @pytest.mark.parametrize(
     ("F", "noise", "Gamma", "price"),
-    [
-        ([[1.0]], [[1.0]], [[1.0]], 20.0),
-        ([[-1.4]], [[2.0]], [[1.0]], 5.0),
-        (TURNING, SKEW, UNIT, 6.0),
-        (0.5 * TURNING, SKEW, np.diag([1.0, 0.0]), 2.0),
-    ],
+    rows(
+        [
+            ([[1.0]], [[1.0]], [[1.0]], 20.0),
+            ([[-1.4]], [[2.0]], [[1.0]], 5.0),
+            (TURNING, SKEW, UNIT, 6.0),
+            (0.5 * TURNING, SKEW, np.diag([1.0, 0.0]), 2.0),
+        ],
+        quick=1,
+    ),
 )
 def test_the_slope_of_the_least_cost_over_the_price_is_the_rate(F, noise, Gamma, price):
     """The envelope theorem, dg/dλ = rate: two numbers that come from different integrals."""
@@ -179,7 +184,7 @@ def test_the_slope_of_the_least_cost_over_the_price_is_the_rate(F, noise, Gamma,
     assert tolerance <= 2e-6 * found.rate
 
 
-@pytest.mark.parametrize("period", [0.1, 0.5, 1.0])
+@pytest.mark.parametrize("period", few([0.1, 0.5, 1.0], quick=1, start=2))
 def test_no_threshold_costs_less_for_the_double_integrator_and_the_best_hardly_more(period):
     """At the price that the consistent threshold is: less than every threshold, by less than 1.2 % of the whole."""
     chain, periodic = double_integrator(period)
@@ -190,7 +195,7 @@ def test_no_threshold_costs_less_for_the_double_integrator_and_the_best_hardly_m
     assert min(costs) - found.cost <= 0.012 * period * whole
 
 
-@pytest.mark.parametrize("period", [0.5, 1.0])
+@pytest.mark.parametrize("period", few([0.5, 1.0], quick=1, start=1))
 def test_at_its_own_rate_the_optimum_has_less_excess_than_a_threshold_of_that_rate(period):
     """The threshold is found by bisection; the difference is more than both claim."""
     chain, _ = double_integrator(period)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 import scipy.special
 import scipy.stats
+from counts import few
+from drawn import rows
 from renewal.chains import KINDS, large_chain, simulated
 
 import taciturn
@@ -27,7 +29,7 @@ def agrees(found, rate, excess):
         assert abs(one.value - value) <= 4 * np.hypot(one.standard_error, error) + 1e-13 * abs(value)
 
 
-@pytest.mark.parametrize("states", [1, 2, 4, 6])
+@pytest.mark.parametrize("states", few([1, 2, 4, 6], quick=2, start=1))
 @pytest.mark.parametrize("delta", [0.5, 3.0])
 def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square(states, delta):
     """For F = 0 the rate is P(χ² > δ) and the excess n P(χ²_{n+2} ≤ δ)."""
@@ -37,7 +39,7 @@ def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square
     agrees(found, (scipy.stats.chi2.sf(delta, states), 0.0), (excess, 0.0))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", few(range(6), quick=3))
 def test_the_quadrature_agrees_within_four_standard_errors(seed):
     """Rate, excess and survival of chains in one, two and three dimensions of each kind."""
     states = 1 + seed % 3
@@ -54,14 +56,17 @@ def test_the_quadrature_agrees_within_four_standard_errors(seed):
 
 @pytest.mark.parametrize(
     ("states", "noises", "seen", "kind"),
-    [
-        (4, 4, None, "stable"),
-        (4, 2, None, "unstable"),
-        (4, 2, 1, "neutral"),
-        (5, 1, None, "neutral"),
-        (6, 3, 2, "stable"),
-        (6, 1, 1, "unstable"),
-    ],
+    rows(
+        [
+            (4, 4, None, "stable"),
+            (4, 2, None, "unstable"),
+            (4, 2, 1, "neutral"),
+            (5, 1, None, "neutral"),
+            (6, 3, 2, "stable"),
+            (6, 1, 1, "unstable"),
+        ],
+        quick=2,
+    ),
 )
 def test_a_simulation_in_many_dimensions_agrees_within_four_standard_errors(states, noises, seen, kind):
     """Four to six states, noise of full and of low rank, kept sets that are ellipsoids, cylinders and slabs."""
@@ -113,7 +118,7 @@ def test_the_weights_of_resampled_paths_stay_unbiased(monkeypatch):
     agrees(found, (exact.rate, exact.rate_error), (exact.excess, exact.excess_error))
 
 
-@pytest.mark.parametrize("states", [1, 4])
+@pytest.mark.parametrize("states", few([1, 4], quick=1, start=1))
 def test_standard_errors_are_those_of_repeated_runs(states):
     """Over 30 seeds the answers spread as they claim, and their covariance is theirs: a chi-square test of 29."""
     chain = large_chain(2, states, min(states, 2), delta=3.0)

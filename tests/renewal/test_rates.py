@@ -9,6 +9,7 @@ import pytest
 import scipy.integrate
 import scipy.special
 import scipy.stats
+from counts import few
 from renewal.chains import large_chain
 from renewal.test_gaussian import double_integrator, scalar
 
@@ -48,7 +49,7 @@ def test_equal_weights_have_a_chi_square_law(states, limit):
     assert high - low <= 1e-13 * (truth + 1e-3)
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", few(range(12), quick=3))
 def test_the_series_the_contour_and_imhofs_integral_agree(seed):
     """Over random weights of three to six states: three formulas that share nothing."""
     draws = np.random.default_rng(seed)
@@ -164,7 +165,7 @@ def renewals(chain, checks, paths, seed):
     return sent
 
 
-@pytest.mark.parametrize("checks", [1, 5, 40])
+@pytest.mark.parametrize("checks", few([1, 5, 40], quick=1, start=1))
 @pytest.mark.parametrize("confidence", [0.5, 0.99])
 def test_windows_of_a_simulation_stay_below_their_bound(checks, confidence):
     """Mean and quantile, within four standard errors."""

@@ -198,6 +198,7 @@ def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> No
     assert len(files(tmp_path / "s")) == 6
 
 
+@pytest.mark.evidence
 def test_a_disk_that_is_full_at_the_end_is_a_sentence_too(tmp_path: Path) -> None:
     """Room for the cells, none for the whole: nothing that looks like a result is left; then there is room again."""
     ran = run_with_files_of(4096, tmp_path / "s")

@@ -137,6 +137,7 @@ def by_two_ranks(folder: Path, name: str, grid: dict[str, list[Any]], **effort: 
     return xarray.load_dataset(out, engine="h5netcdf")
 
 
+@pytest.mark.evidence
 def test_two_ranks_of_mpi_give_the_same_bits(whole: xarray.Dataset, tmp_path: Path) -> None:
     """By the pip package of an MPI."""
     xarray.testing.assert_identical(by_two_ranks(tmp_path, "two-mass", GRID, standard_error=EFFORT), whole)
@@ -280,6 +281,7 @@ def test_no_scheduler_answers(address: str) -> None:
         pass
 
 
+@pytest.mark.evidence
 def test_a_worker_killed_in_a_dask_sweep_costs_its_cells_only(whole: xarray.Dataset, tmp_path: Path) -> None:
     """As soon as something came back, one of two worker processes is killed; the other and its successor go on."""
     distributed: Any = pytest.importorskip("distributed")

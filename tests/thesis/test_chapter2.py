@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import pytest
+from counts import few
+from drawn import rows
 
 import taciturn
 from taciturn.simulation.average import Averages, average, plain_average
@@ -37,7 +39,7 @@ def run(actuation: str, theta: float, trigger: str) -> Averages:
     return average(problem.close(problem.design()), seed=20, standard_error=COST_ERROR)
 
 
-@pytest.mark.parametrize(("theta", "trigger"), CASES)
+@pytest.mark.parametrize(("theta", "trigger"), rows(CASES, quick=3))
 def test_costs_and_rates_of_table_2_1(theta: float, trigger: str) -> None:
     """The twelve costs and rates agree within four standard errors and half a printed digit."""
     column = 0 if trigger == "separate" else 1
@@ -81,7 +83,7 @@ FIGURE_2_2 = {0.1: (0.1697, 0.37835, 0.38913), 0.5: (0.26, 0.4012, 0.4149), 1.3:
 INTER_SAMPLE = {0.1: 0.0043, 0.5: 0.0102, 1.3: 0.0168}  # c/h of the periodic column; .0016 for the other
 
 
-@pytest.mark.parametrize("theta", FIGURE_2_2)
+@pytest.mark.parametrize("theta", few(FIGURE_2_2, quick=2))
 def test_pairs_of_figure_2_2(theta: float) -> None:
     """Event-triggered against optimal periodic control at the same mean period, costs per second."""
     from taciturn.study.periodic import periodic_cost_at

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, design
@@ -23,7 +24,7 @@ COUNTER = ContinuousPlant([[1.0, 0.01], [0.0, 1.0]], np.eye(2), jumps=Jumps(50.0
 WEIGHTS = Cost(np.diag([10.0, 0.001]), np.diag([10.0, 0.001]))
 
 
-@pytest.mark.parametrize("slope", TABLE)
+@pytest.mark.parametrize("slope", few(TABLE, quick=1))
 def test_fixed_points_and_costs(slope: int) -> None:
     """Each slope of the table, the cost by cycles of its own."""
     alpha, cost = TABLE[slope]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from counts import few
 
 import taciturn
 from taciturn.simulation.average import average, plain_average
@@ -11,7 +12,7 @@ from taciturn.simulation.average import average, plain_average
 MISSIONS = {0.6322: (103.65, 112.63), 0.7: (126.73, 137.74)}
 
 
-@pytest.mark.parametrize("start", MISSIONS)
+@pytest.mark.parametrize("start", few(MISSIONS, quick=1))
 def test_costs_and_rates_of_the_mission(start: float) -> None:
     """Totals by the identity and by the plain sum with its terminal weight; 11 queries; 7.5 % of the inputs."""
     all_time, cost = MISSIONS[start]

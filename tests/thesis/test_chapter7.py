@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
+from drawn import rows
 
 import taciturn
 from taciturn import Cost, Network, Plant, Reference, close, design
@@ -24,7 +26,7 @@ FIGURE_7_2 = {
 }
 
 
-@pytest.mark.parametrize(("protocol", "price"), FIGURE_7_2)
+@pytest.mark.parametrize(("protocol", "price"), rows(FIGURE_7_2, quick=1))
 def test_the_points_of_figure_7_2(protocol: str, price: float) -> None:
     """Cost, rate and both bounds of the three protocols."""
     cost, spread, rate, half = FIGURE_7_2[protocol, price]
@@ -59,7 +61,7 @@ TRACKING = {
 }
 
 
-@pytest.mark.parametrize("price", TRACKING)
+@pytest.mark.parametrize("price", few(TRACKING, quick=1))
 def test_tracking_two_circles_with_a_step_of_delay(price: float) -> None:
     """Rates, costs and bounds of section 7.5 in simulation, around the reference and at rest alike."""
     rate, cost, bound = TRACKING[price]
