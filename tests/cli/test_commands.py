@@ -20,18 +20,6 @@ if TYPE_CHECKING:
 
 ALL_TIME = '[policy]\nkind = "all-time"\n'
 PERIODIC = '[policy]\nkind = "periodic"\nevery = 2\n'
-NEVER = {
-    "scipy",
-    "scipy.linalg",
-    "numpy.ma",
-    "matplotlib",
-    "xarray",
-    "h5py",
-    "pandas",
-    "cvxpy",
-    "rich",
-    "multiprocessing",
-}
 PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
 
 
@@ -83,32 +71,6 @@ def test_a_refusal_is_one_line_and_exit_code_2() -> None:
     done = execute("evaluate", "nowhere")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
     assert done.stderr.startswith("taciturn: there is no file 'nowhere'")
-
-
-def test_help_lists_the_commands_and_imports_nothing_heavy() -> None:
-    """So that it comes at once."""
-    code = (
-        "import sys\nfrom taciturn.cli import main\nsys.argv = ['taciturn', '--help']\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
-        f"print('heavy:', sorted({ {'numpy', 'pydantic', 'llvmlite', *NEVER}!r} & set(sys.modules)))"
-    )
-    done = execute(code=code)
-    assert "heavy: []" in done.stdout
-    for command in ("evaluate", "tradeoff", "reproduce"):
-        assert f"\n  {command}" in done.stdout
-
-
-def test_evaluating_imports_only_what_it_needs() -> None:
-    """The Riccati equations of usual problems need no scipy, and a number no tables, no pictures and no processes."""
-    code = (
-        "import sys\nfrom taciturn.cli import main\n"
-        "sys.argv = ['taciturn', 'evaluate', 'two-mass', '--steps', '20000']\n"
-        "try:\n    main()\nexcept SystemExit as end:\n    assert end.code == 0\n"
-        f"print('heavy:', sorted({NEVER!r} & set(sys.modules)))"
-    )
-    done = execute(code=code)
-    assert "heavy: []" in done.stdout
-    assert "cost " in done.stdout
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:
