@@ -20,24 +20,14 @@ if TYPE_CHECKING:
 
 ALL_TIME = '[policy]\nkind = "all-time"\n'
 PERIODIC = '[policy]\nkind = "periodic"\nevery = 2\n'
-    "scipy",
-    "scipy.linalg",
-    "numpy.ma",
-    "matplotlib",
-    "xarray",
-    "h5py",
-    "pandas",
-    "cvxpy",
-    "rich",
-    "multiprocessing",
-}
 PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
 
 
-def execute(*arguments: str, code: str = "") -> subprocess.CompletedProcess[str]:
-    """Run the command line, or a line of Python, as a process of its own."""
-    started = ["-c", code] if code else ["-m", "taciturn.cli"]
-    return subprocess.run([sys.executable, *started, *arguments], capture_output=True, text=True, check=False)
+def execute(*arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the command line as a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "taciturn.cli", *arguments], capture_output=True, text=True, check=False
+    )
 
 
 def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
