@@ -126,6 +126,7 @@ def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path, monkeypatch: py
     assert abs(found["vision"]["x"]["bias_mm"]) <= 3
     counts_add_up(found)
     counts_add_up(found["all_time"])
+    assert targets["video"].read_bytes()[8:12] == b"WEBP"
     assert all(target.stat().st_size > 1000 for target in targets.values())
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from counts import few
 from twin.browser import await_ticks, await_true, browse, missing
 from twin.feeds import OMNI, ROVER, picture, rows
 
@@ -86,7 +87,7 @@ def drawn(tab: Any, panel: str) -> str:
     return tab.evaluate(f"document.querySelector('#{panel} canvas').toDataURL()")
 
 
-@pytest.mark.parametrize("about", [ROVER, OMNI], ids=["rover", "omni"])
+@pytest.mark.parametrize("about", few([ROVER, OMNI], 1), ids=lambda about: about.robot)
 def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about: Any) -> None:
     """Every panel is drawn anew, the numbers are those of the latest row, and the next round starts anew."""
     if about is OMNI:
@@ -112,6 +113,7 @@ def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about
     assert "round 9, tick 1 of" in tab.inner_text("#progress")
 
 
+@pytest.mark.evidence
 def test_a_tab_that_joins_late_shows_the_same(tabs: Tabs, page: Page) -> None:
     """The whole round, the picture and the notes."""
     for row in ROWS:
@@ -127,6 +129,7 @@ def test_a_tab_that_joins_late_shows_the_same(tabs: Tabs, page: Page) -> None:
     assert both[0].inner_text("#now") == both[1].inner_text("#now")
 
 
+@pytest.mark.evidence
 def test_the_picture_is_the_newest(tabs: Tabs, page: Page) -> None:
     """However fast they come, the last one is shown."""
     tab = tabs.open(page.url)
@@ -179,6 +182,7 @@ def test_pause_and_push_reach_the_run_and_the_other_tabs(tabs: Tabs, page: Page)
     first.wait_for_selector("#status[data-state=connected]")
 
 
+@pytest.mark.evidence
 def test_a_page_with_a_token_shows_and_acts(tabs: Tabs) -> None:
     """By the address that the run prints."""
     with Page(("0.0.0.0", 0), token="a+b/c&d") as page:
@@ -229,6 +233,7 @@ def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
         assert tab.inner_text("#trigger h2") == title
 
 
+@pytest.mark.evidence
 def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no word comes, and no end of the connection either, the page listens anew after some seconds."""
     monkeypatch.setattr(server, "PULSE", 60.0)
@@ -258,9 +263,12 @@ def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None
     assert len(set(shapes)) == 3
 
 
-@pytest.mark.parametrize(("about", "size"), [(ROVER, WIDE), (OMNI, WIDE), (OMNI, PHONE)])
-def test_it_fits_a_screen_and_a_phone(tabs: Tabs, page: Page, about: Any, size: dict[str, int]) -> None:
+@pytest.mark.parametrize(
+    "screen", few([(ROVER, WIDE), (OMNI, WIDE), (OMNI, PHONE)], 1, 2), ids=["screen", "other", "phone"]
+)
+def test_it_fits_a_screen_and_a_phone(tabs: Tabs, page: Page, screen: tuple[Any, dict[str, int]]) -> None:
     """At 1280 by 800 nothing needs scrolling; on a phone nothing is wider than it, and buttons fit a thumb."""
+    about, size = screen
     page.begin(about)
     for row in rows(about, 40):
         page.put(row)

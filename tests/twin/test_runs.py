@@ -16,7 +16,7 @@ from taciturn.runtime.namespaces import predict_drops
 from taciturn.study.network import kernel_losses, losses
 from taciturn.twin.faults import parse_fault
 from taciturn.twin.outcome import Trial
-from taciturn.twin.record import to_dataset, write_record, write_video
+from taciturn.twin.record import to_dataset, write_record
 from taciturn.twin.run import TwinRun, run_twin
 from taciturn.twin.trial import Setup
 
@@ -74,7 +74,7 @@ def _first(trial: Trial) -> Trial:
 
 
 def _written(run: Any, folder: Path) -> None:
-    """Check the record, the video and the document of a run."""
+    """Check the record and the document of a run."""
     import xarray
 
     write_record(run, folder / "run.nc")
@@ -85,8 +85,6 @@ def _written(run: Any, folder: Path) -> None:
     expected = {"rates", "cost", "cost_all_time", "cost_bound", "vision", "datagrams", "seconds"}
     assert expected <= document.keys()
     assert document["rates"].keys() == {"sensor", "actuator"}
-    write_video(run, folder / "run.webp")
-    assert (folder / "run.webp").read_bytes()[8:12] == b"WEBP"
     assert len(run.plot().axes) == 3
 
 
@@ -111,9 +109,9 @@ def test_the_omni_follows_its_path_over_links_that_lose_what_is_foretold(tmp_pat
 def test_what_nftables_lose_is_foretold_packet_for_packet(tmp_path: Path) -> None:
     """Pictures of many fragments and commands of a few bytes: what comes is what the rule's hash lets through."""
     prepared, file = stand_in("omni"), short_mission("omni", TICKS["omni"], tmp_path, price=0.0)
-    trial = run_twin(prepared, Setup(seed=6, namespaces=True), file=file, compare=False).trial
+    trial = run_twin(prepared, Setup(seed=1, namespaces=True), file=file, compare=False).trial
     accounted(trial)
-    for link, loss in kernel_losses(load(file).network, 6).items():
+    for link, loss in kernel_losses(load(file).network, 1).items():
         dropped = predict_drops(loss.seed, loss.permille, range(int(trial.sent[link].sum())))
         assert list(trial.sequences[link][0]) == np.flatnonzero(~dropped).tolist()
         assert trial.datagrams[link]["as_predicted"]
