@@ -23,7 +23,8 @@ NOISES = 64  # over which a conditional mean is taken, and as many mirrored
 FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
 ASIDE = 2.0  # times the certain error of a pilot: how far on either side of the root its slope is taken
-SAFETY = 1.5
+SAFETY = 1.1
+LIKELY = 2.0  # prices that hardly any path still saves: where those of a pilot end
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
@@ -147,7 +148,8 @@ def sample_dual(
     of a leaves, the most that is ever saved is at most E max(max_{t≤T} (g t − r_t), g T − r_T + itself): a β at which
     the right-hand side is below β is larger. A path that is not certain after the last check is charged β.
 
-    A pilot tells about where the root is. Draws of their own tell h there and, on either side, its slope.
+    A pilot, which need not be certain of its minima, tells about where the root is. Draws of their own tell h there
+    and, on either side, its slope.
 
     Args:
         among: how many such bounds are added up: each may be so many times less precise, to the root.
@@ -155,8 +157,7 @@ def sample_dual(
     game = _Game(F, root(noise), Gamma, fitted)
     draws = np.random.default_rng(seed)
     highest = _highest(F, noise, Gamma, fitted.gain)
-    saved = _most_saved(game, highest, fitted.interval, draws)
-    (pilot,) = _Duel(game, [fitted.gain], saved, draws).run(ABREAST)
+    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws).run(ABREAST)
     spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
     wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2 / among
     batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
@@ -164,6 +165,7 @@ def sample_dual(
     gain = float(np.clip(gain, TINY, highest))
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
+    saved = _most_saved(game, sides[2], fitted.interval, draws)
     below, here, beyond = _Duel(game, sides, saved, draws).run(batches)
     above = price - gain + float(here.least.mean())
     before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
