@@ -3,6 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -103,3 +108,30 @@ def test_a_network_or_jumps_are_refused(run: Run, write: Write) -> None:
         encoding="utf-8",
     )
     assert "plant.jumps is given" in run("channel", str(jumps), *share).sentence
+
+
+@pytest.mark.evidence
+def test_workers_print_what_one_process_prints(run: Run) -> None:
+    """Two processes work on the kinds; all numbers but the seconds are the same bits."""
+    names = ["wiener-double-integrator", "inverted-pendulum"]
+    share = ["--copies", "6,4", "--capacity", "2", "--ticks", "2000", "--json"]
+    found = [json.loads(run("channel", *names, *share, "--workers", workers).out) for workers in ("1", "2")]
+    for one in found:
+        del one["seconds"]
+    assert found[0] == found[1]
+
+
+@pytest.mark.evidence
+@pytest.mark.skipif(os.name == "nt", reason="no signals to processes on Windows")
+def test_ctrl_c_ends_it_with_all_its_workers(tmp_path: Path) -> None:
+    """One line on standard error, the exit code of an interrupt, and nobody left behind."""
+    names = [str(tmp_path / f"plant{i}.toml") for i in range(6)]
+    for i, name in enumerate(names):
+        Path(name).write_text(PLANT.replace("1.2", f"1.{i + 1}") + '[policy]\nkind = "all-time"\n', encoding="utf-8")
+    command = [sys.executable, "-m", "taciturn.cli", "channel", *names, "--copies", "20", "--capacity", "60"]
+    with subprocess.Popen([*command, "--workers", "2"], stderr=subprocess.PIPE, text=True) as running:
+        time.sleep(4)
+        running.send_signal(signal.SIGINT)
+        _, told = running.communicate(timeout=60)
+    assert running.returncode == 130
+    assert "Traceback" not in told

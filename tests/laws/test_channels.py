@@ -15,7 +15,7 @@ from taciturn.lqg.riccati import regulate
 from taciturn.model.network import Network
 from taciturn.study.channel import Sharing, share_channel
 from taciturn.study.kinds import gather
-from taciturn.study.prices import Curve, find_price
+from taciturn.study.prices import Curves
 from taciturn.study.schedulers import SCHEDULERS
 
 FEW = settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck))
@@ -85,14 +85,15 @@ def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, sche
     """Return the mean cost of a tick on each of some channels: plants, filters, models and a queue, in plain NumPy."""
     channels, draws = 300, np.random.default_rng(7)
     kinds = gather(problems, copies)
-    price = find_price([Curve(kind) for kind in kinds], capacity, 1.0)
+    curves = Curves(kinds)
+    price = curves.price_of(capacity, 1.0)
     loops: list[dict[str, np.ndarray]] = []
-    for kind, one in zip(kinds, problems.values(), strict=True):
+    for kind, one, settled in zip(kinds, problems.values(), curves.settle(price), strict=True):
         plant, cost = one.plant, one.cost
         assert isinstance(plant, Plant)
         best = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
         gain = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
-        form = Curve(kind).schedule(price).urgency
+        form = settled.schedule.urgency
         for _ in range(kind.count):
             zero = np.zeros((channels, plant.states))
             loops.append(

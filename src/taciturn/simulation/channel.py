@@ -84,17 +84,17 @@ class SharedChannel:
                 turn = _Turn(index, program, np.arange(first, first + loops))
                 alike.setdefault((program.structure, group.every, phase), []).append(turn)
                 first += loops
-        self._cohorts = [_Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
+        self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
     def run(self, ticks: int) -> Stretch:
         """Run on for some ticks, a multiple of the ticks between two looks of every group."""
         channels = self._channels
         busy, waiting = np.zeros(channels), np.zeros(channels)
-        active: dict[tuple[bool, ...], tuple[list[_Cohort], Places]] = {}
+        active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
         for tick in range(self._tick, self._tick + ticks):
-            key = tuple(tick % cohort.every == cohort.phase for cohort in self._cohorts)
+            key = tuple(tick % cohort.every == cohort.phase for cohort in self.cohorts)
             if key not in active:
-                looking = [cohort for cohort, looks in zip(self._cohorts, key, strict=True) if looks]
+                looking = [cohort for cohort, looks in zip(self.cohorts, key, strict=True) if looks]
                 places = np.concatenate([cohort.places for cohort in looking] or [np.arange(0)])
                 active[key] = looking, places
             cohorts, places = active[key]
@@ -109,7 +109,7 @@ class SharedChannel:
                 cohort.look(grant.sent[:, end : (end := end + len(cohort.places))])
         self._tick += ticks
         cost, sends = np.zeros((channels, len(self._groups))), np.zeros((channels, len(self._groups)))
-        for cohort in self._cohorts:
+        for cohort in self.cohorts:
             for group, added, sent in cohort.take():
                 cost[:, group] += added / ticks
                 sends[:, group] += sent / ticks
@@ -125,10 +125,11 @@ class _Turn:
     places: Places
 
 
-class _Cohort:
+class Cohort:
     """Loops of groups that look at the same ticks and run together; paths are ordered by loop, then by channel."""
 
     def __init__(self, turns: Sequence[_Turn], every: int, phase: int, channels: int, seed: int) -> None:
+        """Begin with errors of 0, of which none wants to be sent."""
         self.every, self.phase, self._turns, self._channels = every, phase, turns, channels
         self.places = np.concatenate([turn.places for turn in turns])
         states = [start(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns]
