@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -47,7 +47,10 @@ QUADRATURE = 2  # states up to which a bound by quadrature takes less time than 
 ACCURATE = 1e-3  # relative, of a bound by quadrature, from which its error is taken
 LOOSER = 2  # times the error of a bound that stands alone: nearer than what loops on a channel cost is known
 CLOSE = 5e-4  # relative: bounds that are so near to what can be had need not be better
+MOST_KNOWN = 4096  # answers that a process remembers
 ALWAYS = Form(constant=1.0)
+Answer = TypeVar("Answer")
+_KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +80,30 @@ class Settled:
 
     schedule: Schedule
     least: float | Sampled | None
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A kind that is worked on.
+
+    Args:
+        kind: of loops.
+        price: of a send.
+        seed: of the draws.
+        confidence: of a bound of the sum over kinds; 0: none.
+        among: bounds that are added up, as ``renewal.dual.sample_dual`` counts them.
+    """
+
+    kind: Kind
+    price: float
+    seed: int
+    confidence: float = 0.0
+    among: int = 0
+
+    @property
+    def key(self) -> Hashable:
+        """All that an answer depends on."""
+        return _numbers(self.kind), self.price, self.seed, self.confidence, self.among
 
 
 @dataclass(frozen=True)
@@ -143,10 +170,7 @@ class Curves:
             price: of a send.
             confidence: of a bound of the sum; 0: none.
         """
-        among = LOOSER**2 * len(self._different)
-        jobs = [(kind, price, _seed_of(kind, self._seed), confidence, among) for kind in self._different]
-        found = answer_all(self._executor, _settle, jobs, self._came)
-        self._rounds += 1
+        found = self._ask(_settle, price, confidence, LOOSER**2 * len(self._different) if confidence else 0)
         return [found[which] for which in self._which]
 
     def price_of(self, capacity: float, guess: float) -> float:
@@ -210,11 +234,23 @@ class Curves:
 
     def _at(self, place: int) -> Array:
         if place not in self.table:
-            price = 2.0 ** (place / PER_OCTAVE)
-            jobs = [(kind, price, _seed_of(kind, self._seed)) for kind in self._different]
-            self.table[place] = np.array(answer_all(self._executor, _rate, jobs, self._came))
-            self._rounds += 1
+            self.table[place] = np.array(self._ask(_rate, 2.0 ** (place / PER_OCTAVE)))
         return self.table[place]
+
+    def _ask(
+        self, question: Callable[[Job], Answer], price: float, confidence: float = 0.0, among: int = 0
+    ) -> list[Answer]:
+        """Return the answers for all different kinds; those that this process knows already are not computed again."""
+        jobs = [Job(kind, price, _seed_of(kind, self._seed), confidence, among) for kind in self._different]
+        keys = [(question, job.key) for job in jobs]
+        found = {key: _KNOWN[key] for key in keys if key in _KNOWN}
+        missing = {key: job for key, job in zip(keys, jobs, strict=True) if key not in found}
+        found |= zip(missing, answer_all(self._executor, question, list(missing.values()), self._came), strict=True)
+        _KNOWN.update(found)
+        for oldest in list(_KNOWN)[: max(len(_KNOWN) - MOST_KNOWN, 0)]:
+            _KNOWN.pop(oldest, None)
+        self._rounds += 1
+        return [found[key] for key in keys]
 
     def _came(self, fraction: float) -> None:
         self._progress(1 - 0.5 ** (self._rounds + fraction))
@@ -230,20 +266,19 @@ def _seed_of(kind: Kind, seed: int) -> int:
     return int.from_bytes(hashlib.blake2b(_numbers(kind), digest_size=6, key=str(seed).encode()[:64]).digest())
 
 
-def _rate(job: tuple[Kind, float, int]) -> float:
+def _rate(job: Job) -> float:
     """Return the sends per look of a kind at a price."""
-    kind, price, seed = job
-    return _schedule(kind, price, _fit(kind, price, seed, FEW), seed).rate.value
+    fitted = _fit(job.kind, job.price, job.seed, FEW)
+    return _schedule(job.kind, job.price, fitted, job.seed).rate.value
 
 
-def _settle(job: tuple[Kind, float, int, float, int]) -> Settled:
-    """Return what is known of a kind at a price, whose bound is one of several that are added up."""
+def _settle(job: Job) -> Settled:
+    """Return what is known of a kind at a price."""
     from taciturn.renewal.fitted import POINTS
 
-    kind, price, seed, confidence, among = job
-    fitted = _fit(kind, price, seed, POINTS)
-    least = _least_gain(kind, price, fitted, confidence, among, seed) if confidence else None
-    return Settled(_schedule(kind, price, fitted, seed), least)
+    fitted = _fit(job.kind, job.price, job.seed, POINTS)
+    least = _least_gain(job, fitted) if job.confidence else None
+    return Settled(_schedule(job.kind, job.price, fitted, job.seed), least)
 
 
 def _fit(kind: Kind, price: float, seed: int, points: int) -> Fitted | None:
@@ -310,14 +345,13 @@ def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[E
         looks = min(4 * looks, LONGEST)
 
 
-def _least_gain(
-    kind: Kind, price: float, fitted: Fitted | None, confidence: float, among: int, seed: int
-) -> float | Sampled:
+def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
     """Return what bounds the least mean cost of a look at a price from below."""
     from taciturn.renewal.dual import sample_dual
     from taciturn.renewal.fitted import fit_schedule
     from taciturn.renewal.optimal import solve_optimal
 
+    kind, price = job.kind, job.price
     error = kind.F, kind.noise, kind.Gamma
     rare, interval = bound_rare_sends(*error, price), kind.clocked.interval(price)
     had = kind.clocked.cost(1 / interval) + price / interval
@@ -331,8 +365,8 @@ def _least_gain(
         except NoQuadratureError:
             pass
         try:
-            fitted = fitted or fit_schedule(*error, price, seed)
-            return sample_dual(*error, price, fitted, confidence, [seed, 1], among)
+            fitted = fitted or fit_schedule(*error, price, job.seed)
+            return sample_dual(*error, price, fitted, job.confidence, [job.seed, 1], job.among)
         except ProblemError:
             price, fitted = price / 2, None  # hardly anything is sent at it; the least mean grows with the price
     return rare.gain
