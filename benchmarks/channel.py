@@ -23,7 +23,7 @@ import taciturn
 from taciturn import Problem, share_channel
 from taciturn.simulation.channel import Group, measure_freely
 from taciturn.study.kinds import Kind, gather
-from taciturn.study.prices import Curve
+from taciturn.study.prices import Curves
 from taciturn.study.schedulers import SCHEDULERS, Game
 
 DOUBLE, PENDULUM, MASSES = "wiener-double-integrator", "inverted-pendulum", "two-mass"
@@ -70,17 +70,17 @@ def twenty() -> dict[str, Any]:
         R = [[float(base.cost.R[0, 0]) * (0.5 + i / 10)]]
         problems[f"{name} {i}"] = base.changed({"plant.W": W, "cost.R": R})
     began = time.perf_counter()
-    game = Game(gather(problems, [50]), 100, 0, lambda fraction: None)
+    game = Game(gather(problems, [50]), 100, 0)
     load = SCHEDULERS["price"](game).load
     seconds = time.perf_counter() - began
     assert load is not None
     return {"kinds": 20, "loops": 1000, "capacity": 100, "seconds": seconds, "price": game.price, "load": load.value,
-            "prices_per_kind": sum(len(curve.table) for curve in game.curves) / 20}  # fmt: skip
+            "prices_per_kind": len(game.curves.table)}  # fmt: skip
 
 
 def growth(loops: int) -> dict[str, Any]:
     """Return nanoseconds and bytes per loop: of a tick of the price policy, and of memory."""
-    game = Game(gather({DOUBLE: taciturn.load(DOUBLE)}, [loops]), loops // 10, 0, lambda fraction: None)
+    game = Game(gather({DOUBLE: taciturn.load(DOUBLE)}, [loops]), loops // 10, 0)
     plan = SCHEDULERS["price"](game)
     channel = game.play(plan, game.channels)
     channel.run(TICKS)
@@ -100,11 +100,11 @@ def growth(loops: int) -> dict[str, Any]:
 
 def excess_at(kind: Kind, rate: float) -> float:
     """Return what a look costs beyond sending always under the nearly best triggers of a rate, by simulation."""
-    curve, low, high = Curve(kind), 1e-9, 1e9
+    curve, low, high = Curves([kind]), 1e-9, 1e9
     for _ in range(60):
         middle = (low * high) ** 0.5
-        low, high = (middle, high) if curve.rate(middle) > rate else (low, middle)
-    group = Group(kind.F, kind.noise, kind.Gamma, curve.schedule(high).urgency, 16_384)
+        low, high = (middle, high) if curve.rates(middle)[0] > rate else (low, middle)
+    group = Group(kind.F, kind.noise, kind.Gamma, curve.settle(high)[0].schedule.urgency, 16_384)
     return float(measure_freely(group, int(60 / rate), seed=0)[1].mean())
 
 

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
-from cli.conftest import PLANT, Run, Write
+from cli.conftest import COST, PLANT, Run, Write
 
 import taciturn
 
@@ -103,3 +108,56 @@ def test_a_network_or_jumps_are_refused(run: Run, write: Write) -> None:
         encoding="utf-8",
     )
     assert "plant.jumps is given" in run("channel", str(jumps), *share).sentence
+
+
+@pytest.mark.evidence
+def test_workers_print_what_one_process_prints(run: Run) -> None:
+    """Two processes work on the kinds; all numbers but the seconds are the same bits."""
+    names = ["wiener-double-integrator", "inverted-pendulum"]
+    share = ["--copies", "6,4", "--capacity", "2", "--ticks", "2000", "--json"]
+    found = [json.loads(run("channel", *names, *share, "--workers", workers).out) for workers in ("1", "2")]
+    for one in found:
+        del one["seconds"]
+    assert found[0] == found[1]
+
+
+def in_a_terminal() -> None:
+    """Let Ctrl-C be heard, which whoever runs the tests in the background may have had ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def alive(process: str) -> bool:
+    """Tell whether a process runs, and is not only still listed."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text(encoding="utf-8").rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+@pytest.mark.evidence
+@pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")
+def test_ctrl_c_ends_it_with_all_its_workers(tmp_path: Path) -> None:
+    """Nothing on standard error, the exit code of an interrupt, and nobody left behind."""
+    names = [str(tmp_path / f"plant{i}.toml") for i in range(6)]
+    for i, name in enumerate(names):
+        text = PLANT.replace("1.2", f"1.{i + 1}") + COST + '[policy]\nkind = "all-time"\n'
+        Path(name).write_text(text, encoding="utf-8")
+    command = [sys.executable, "-m", "taciturn.cli", "channel", *names, "--copies", "20", "--capacity", "60"]
+    running = subprocess.Popen(
+        [*command, "--workers", "2"],
+        preexec_fn=in_a_terminal,
+        start_new_session=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    children, told = Path(f"/proc/{running.pid}/task/{running.pid}/children"), ""
+    while len(workers := children.read_text(encoding="utf-8").split()) < 3 and running.poll() is None:
+        time.sleep(0.01)  # two, and the one that counts semaphores
+    time.sleep(1.0)
+    os.killpg(running.pid, signal.SIGINT)
+    _, told = running.communicate(timeout=60)
+    assert (running.returncode, told) == (130, "")
+    until = time.monotonic() + 30
+    while (left := [worker for worker in workers if alive(worker)]) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not left

@@ -19,7 +19,7 @@ from taciturn.lqg.riccati import regulate
 from taciturn.model.network import Network
 from taciturn.study.channel import Sharing, share_channel
 from taciturn.study.kinds import gather
-from taciturn.study.prices import Curve, find_price
+from taciturn.study.prices import Curves
 from taciturn.study.schedulers import SCHEDULERS
 
 SOME = settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
@@ -93,14 +93,15 @@ def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, sche
         return draws.standard_normal((channels, half.shape[1])) @ half.T
 
     kinds = gather(problems, copies)
-    price = find_price([Curve(kind) for kind in kinds], capacity, 1.0) if scheduler == "price" else None
+    curves = Curves(kinds)
+    settled = curves.settle(curves.price_of(capacity, 1.0)) if scheduler == "price" else [None] * len(kinds)
     loops: list[dict[str, np.ndarray]] = []
-    for kind, one in zip(kinds, problems.values(), strict=True):
+    for kind, one, curve in zip(kinds, problems.values(), settled, strict=True):
         plant, cost = one.plant, one.cost
         assert isinstance(plant, Plant)
         best = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N)
         gain = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
-        form = None if price is None else Curve(kind).schedule(price).urgency
+        form = None if curve is None else curve.schedule.urgency
         for _ in range(kind.count):
             zero = np.zeros((channels, plant.states))
             loops.append(

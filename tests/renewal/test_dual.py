@@ -136,3 +136,36 @@ def test_what_silence_may_never_cost_is_refused() -> None:
     fitted = fit_schedule(F, UNIT, UNIT, price)
     with pytest.raises(ProblemError, match=r"kept for more than 4096 checks .*; expected a lower price or a higher"):
         bound_schedules(F, UNIT, UNIT, price, fitted, 0.999)
+
+
+def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.Sampled]], float]:
+    """Return what draws tell of different scalars, weighted, and the sum of their least mean costs by quadrature."""
+    terms: list[tuple[float, dual.Sampled]] = []
+    exact = 0.0
+    for k in range(many):
+        data = np.array([[0.8 + 0.4 * k / many]]), UNIT * (1 + k), UNIT
+        price, weight = 2.0 * (1 + k), 1.0 / (1 + k)
+        fitted = fit_schedule(*data, price)
+        terms.append((weight, dual.sample_dual(*data, price, fitted, 0.9, [seed, k], among=many)))
+        exact += weight * solve_optimal(*data, price).cost
+    return terms, exact
+
+
+def test_a_sum_of_bounds_is_a_bound_and_above_the_sum_of_its_parts() -> None:
+    """Each part at a share of the risk says less than the whole; estimates agree with quadrature."""
+    many, confidence = 6, 0.999
+    terms, exact = scalars(many, 0)
+    found = dual.bound_sum(terms, confidence)
+    parts = sum(dual.bound_sum([term], 1 - (1 - confidence) / many) for term in terms)
+    assert parts < found <= exact
+    assert found > 0.98 * exact
+    for _, one in terms:
+        assert 0 < one.least < one.most <= 1
+    assert dual.bound_sum([], confidence) == 0
+
+
+@pytest.mark.evidence
+def test_a_sum_of_bounds_is_above_the_optimum_no_more_often_than_it_says() -> None:
+    """200 seeds of six scalars at a confidence of 90 %: at most 20 and four standard deviations are above."""
+    found = [scalars(6, seed) for seed in range(200)]
+    assert sum(dual.bound_sum(terms, 0.9) > exact for terms, exact in found) <= 20 + 4 * np.sqrt(18)

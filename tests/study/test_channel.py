@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 import taciturn
 from taciturn import Cost, Estimate, Plant, Problem, ProblemError, UnstableError
@@ -18,7 +21,7 @@ from taciturn.simulation.access import MostUrgent, RandomAccess, RoundRobin, Tim
 from taciturn.simulation.channel import ERROR, Group, SharedChannel, contend, measure_freely
 from taciturn.study.channel import share_channel
 from taciturn.study.kinds import gather
-from taciturn.study.prices import Curve, bound_schedulers, find_price
+from taciturn.study.prices import Curves
 from taciturn.study.schedulers import SCHEDULERS
 
 UNIT = np.eye(1)
@@ -113,12 +116,13 @@ def test_a_loop_that_looks_half_as_often_counts_as_it_should() -> None:
 def test_the_price_loads_the_channel_as_asked() -> None:
     """By quadrature, which the search does not use: the rate at the price, where the best trigger is known."""
     kinds = gather({"walk": WALK}, [100])
-    price = find_price([Curve(kinds[0])], 20.0, 1.0)
+    curves = Curves(kinds)
+    price = curves.price_of(20.0, 1.0)
     exact = solve_optimum(
         taciturn.close(WALK.plant, taciturn.design.excess(WALK.plant, WALK.cost, delta=1.0, actuation="model")), price
     )
     assert exact.rate == pytest.approx(0.2, rel=0.015)
-    bound = bound_schedulers(kinds, 20.0, price)
+    bound = curves.bound(curves.settle(price, 0.999), 20.0, price)
     dual = 100 * (kinds[0].cost_all_time + exact.cost) - 20 * price
     assert bound.confidence is None
     assert bound.cost == pytest.approx(dual, rel=1e-3)
@@ -192,8 +196,7 @@ def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: 
 def test_the_rate_falls_with_the_price_however_fast_an_error_grows() -> None:
     """Where no fit converges, thresholds that send more often than at half the price are not the best there are."""
     (kind,) = gather({"wild": Problem(Plant([[3.0]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})}, [1])
-    curve = Curve(kind)
-    rates = [curve.rate(4.0**octaves) for octaves in range(5, 14, 2)]
+    rates = [Curves([kind]).load(4.0**octaves) for octaves in range(5, 14, 2)]
     assert (np.diff(rates) < 0).all()
     assert rates[-1] > 0.05
 
@@ -268,6 +271,106 @@ def test_a_loop_that_gets_too_little_is_refused_with_the_rate_it_needs() -> None
     assert fine.shares[1].rate.value > least
     with pytest.raises(UnstableError, match="wild: its loops are unstable"):
         share_channel({"wild": wild}, copies=60, capacity=6, scheduler="random-access", ticks=2000)
+
+
+def different(seed: int, many: int, states: int = 1) -> dict[str, Problem]:
+    """Return random problems of equal structure, stable and unstable."""
+    draws = np.random.default_rng(seed)
+    found: dict[str, Problem] = {}
+    for i in range(many):
+        A = draws.standard_normal((states, states))
+        A *= draws.uniform(0.8, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+        root = draws.standard_normal((states, states))
+        plant = Plant(A, draws.standard_normal((states, 1)), root @ root.T + 0.1 * np.eye(states))
+        found[f"kind {i}"] = Problem(plant, Cost(np.eye(states), [[0.1]]), Network(), "all-time", {})
+    return found
+
+
+@settings(max_examples=3, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["largest", "once-discard", "round-robin", "tdma", "random-access"]))
+def test_copies_of_one_problem_are_as_many_equal_problems(seed: int, scheduler: str) -> None:
+    """Given as copies or one by one, the loops have the same draws: the same sends, costs equal to rounding."""
+    (one,) = different(seed, 1, states=1 + seed % 3).values()
+    told = {"capacity": 2, "scheduler": scheduler, "ticks": 128, "confidence": 0.0, "seed": seed % 1000}
+    if scheduler == "random-access":  # whose collisions leave an unstable loop too little
+        told |= {"capacity": 5}
+    try:
+        copies = share_channel({"one": one}, copies=6, **told)  # pyright: ignore[reportArgumentType]
+    except UnstableError:
+        with pytest.raises(UnstableError):
+            share_channel({f"kind {i}": one for i in range(6)}, copies=1, **told)  # pyright: ignore[reportArgumentType]
+        return
+    kinds = share_channel({f"kind {i}": one for i in range(6)}, copies=1, **told)  # pyright: ignore[reportArgumentType]
+    assert kinds.load == copies.load
+    assert kinds.cost.value == pytest.approx(copies.cost.value, rel=1e-12)
+    assert kinds.cost_periodic == pytest.approx(copies.cost_periodic, rel=1e-12)
+
+
+def test_equal_problems_share_their_price_and_their_bound() -> None:
+    """Six copies, six equal problems, and four and two copies: one price, one bound."""
+    found = [
+        share_channel(dict.fromkeys(names, WALK), copies=copies, capacity=2, ticks=128)
+        for names, copies in (("a", [6]), ("abcdef", [1]), ("ab", [4, 2]))
+    ]
+    assert len({one.price for one in found}) == 1
+    assert len({one.cost.value for one in found}) <= 2
+    for one in found[1:]:
+        assert one.lower_bound.cost == pytest.approx(found[0].lower_bound.cost, rel=1e-12)
+        assert one.cost.value == pytest.approx(found[0].cost.value, rel=1e-12)
+
+
+def test_the_order_of_the_loops_does_not_matter() -> None:
+    """Their costs within standard errors; schedules and the bound to rounding, by workers or without."""
+    problems = different(5, 4)
+    turned = dict(reversed(problems.items()))
+    first, other = (
+        share_channel(each, copies=3, capacity=4, scheduler="largest", ticks=1000, confidence=0)
+        for each in (problems, turned)
+    )
+    spread = np.hypot(first.cost.standard_error, other.cost.standard_error)
+    assert abs(first.cost.value - other.cost.value) < 4 * spread
+    assert other.cost_periodic == pytest.approx(first.cost_periodic, rel=1e-9)
+    few = different(6, 2, states=3)
+    here = Curves(gather(few, [3]), 4)
+    settled = here.settle(2.0, 0.99)
+    with ThreadPoolExecutor(2) as pool:
+        there = Curves(gather(dict(reversed(few.items())), [3]), 4, pool)
+        again = there.settle(2.0, 0.99)
+    for one, same in zip(settled, reversed(again), strict=True):
+        assert one.least == same.least
+        assert one.schedule.rate == same.schedule.rate
+        assert one.schedule.urgency.constant == same.schedule.urgency.constant
+    bounds = here.bound(settled, 0.5, 2.0, 0.99), there.bound(again, 0.5, 2.0, 0.99)
+    assert bounds[1].cost == pytest.approx(bounds[0].cost, rel=1e-12)
+    assert bounds[0].cost > sum(kind.count * kind.cost_all_time for kind in here.kinds)
+
+
+def test_progress_only_grows_and_ends_at_one() -> None:
+    """From the first rate of the first kind to the last tick."""
+    told: list[float] = []
+    share_channel(different(3, 3), copies=1, capacity=1, ticks=256, progress=told.append)
+    assert told == sorted(told)
+    assert 0 < told[0] < 0.5
+    assert told[-1] == 1.0
+
+
+def test_loops_of_different_numbers_run_as_each_would_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Constants of each path, of all paths, or NumPy: the same sends, and the same costs to rounding."""
+    groups = [
+        Group(UNIT * (1.1 + i / 9), UNIT * (1.5 + i), UNIT, Form((ERROR,), UNIT * (1.2 + i / 7), -2.1 - i), 3 + i)
+        for i in range(4)
+    ]
+    channel = SharedChannel(groups, MostUrgent(5), channels=3, seed=4)
+    assert len(channel.cohorts) == 1
+    together = channel.run(60)
+    monkeypatch.setattr("taciturn.program.engine.MANY", 12)
+    parted = SharedChannel(groups, MostUrgent(5), channels=3, seed=4).run(60)
+    monkeypatch.setattr("taciturn.program.machine.available", lambda: False)
+    plain = SharedChannel(groups, MostUrgent(5), channels=3, seed=4).run(60)
+    assert (together.sends == parted.sends).all()
+    assert (together.cost == parted.cost).all()
+    assert (together.sends == plain.sends).all()
+    assert plain.cost == pytest.approx(together.cost, rel=1e-12)
 
 
 def test_what_is_no_problem_is_refused() -> None:

@@ -253,17 +253,19 @@ def channel(
     standard_error: Annotated[float | None, typer.Option(help="Of the sum of costs. Default: 1e-3 of it.")] = None,
     ticks: Annotated[int | None, typer.Option(help="Measure so many ticks of each channel instead.")] = None,
     confidence: Confidence = None,
+    workers: Workers = 1,
 ) -> None:
     """Many loops on one channel: the sum of their costs, beside what none can beat and the best periodic allocation."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn.analyse.limits import USUAL
+    from taciturn.study.workers import processes
 
     check_effort(standard_error)
     if plot is not None:
         check_format(plot)
     problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
-    with progress_bar("sharing") as progress:
+    with progress_bar("sharing") as progress, processes(workers) as executor:
         found = taciturn.share_channel(
             problems,
             copies=_numbers("--copies", copies),
@@ -273,6 +275,7 @@ def channel(
             standard_error=standard_error,
             ticks=ticks,
             confidence=USUAL if confidence is None else confidence,
+            executor=executor,
             progress=progress,
         )
     if as_json:

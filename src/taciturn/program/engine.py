@@ -1,7 +1,7 @@
 """Runs programs on the fastest interpreter there is: LLVM, or NumPy where llvmlite is missing.
 
 There are three ways: many ticks of one program (``prepare``), any ticks of many programs (``Stepper``), and one tick
-after the other of a program that is told something in each (``Resident``).
+after the other of programs that are told something in each (``Resident``).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.numpy import Run
 
+MANY = 1024  # paths of a program, from which on its constants are read once for all of them
 Runner: TypeAlias = Callable[[Array, int, int | None], Run]
 """States (states, paths), ticks and threads (None: all processors; the result does not depend on it) → what is left."""
 
@@ -58,35 +59,83 @@ class Stepper:
 
 
 class Resident:
-    """Paths of one program that are run tick by tick, with what they are told in each.
+    """Paths of programs that are run tick by tick, with what they are told in each.
+
+    Neighbours run together, each path with the constants of its program; a program of many paths runs alone, with
+    machine code that reads its constants once. The result does not depend on that.
 
     Args:
-        program: with inputs.
-        states: the first ones, (states, paths).
+        programs: with inputs, of equal ``Program.structure``.
+        paths: how many each has.
+        states: the first ones, (states, paths), program by program.
     """
 
-    def __init__(self, program: Program, states: Array) -> None:
-        """Compile."""
-        self._program, self._states, self._added = program, states, dict[str, Array]()
-        available = machine.available()
-        self._there = machine.Resident(machine.Kernel(program), program, states) if available else None
-        self._ticks = 0
+    def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
+        """Compile, with constants for each path, for all, or both."""
+        self._parts: list[tuple[slice, _Compiled | _Interpreted]] = []
+        ends, first = [0, *np.cumsum(paths).tolist()], 0
+        while first < len(paths):
+            end = first + 1
+            while end < len(paths) and max(paths[first], paths[end]) < MANY:
+                end += 1
+            columns = slice(ends[first], ends[end])
+            kind = _Compiled if machine.available() else _Interpreted
+            self._parts.append((columns, kind(programs[first:end], paths[first:end], states[:, columns])))
+            first = end
 
     def tick(self, inputs: Array) -> Array:
         """Run one tick: what it is told, (inputs, paths), to what comes out, (outputs, paths)."""
-        self._ticks += 1
-        if self._there is not None:
-            return self._there.tick(inputs)
-        run = interpreter.run(self._program, self._states, 1, inputs[None])
-        self._states = run.states
-        self._added = {name: self._added.get(name, 0.0) + added for name, added in run.sums.items()}
-        return np.concatenate(list(run.outputs.values()))
+        return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
     def take_sums(self) -> dict[str, Array]:
         """Return the sums over the ticks since this was last asked, (paths,) each."""
-        ticks, self._ticks = self._ticks, 0
-        if self._there is None:
-            taken, self._added = self._added, {}
-            return taken
-        totals = self._program.totals.items()
-        return {name: total.of(row, ticks) for (name, total), row in zip(totals, self._there.take_sums(), strict=True)}
+        taken = [part.take_sums() for _, part in self._parts]
+        return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
+
+
+class _Compiled:
+    """Paths of programs that run together by LLVM."""
+
+    def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
+        own = len(programs) > 1
+        kernel = machine.Kernel(programs[0], own=own)
+        constants = kernel.pack(programs, paths) if own else None
+        self._there, self._ticks = machine.Resident(kernel, programs[0], states, constants), 0
+        self._totals = [program.totals for program in programs]
+        self._paths = paths
+
+    def tick(self, inputs: Array) -> Array:
+        self._ticks += 1
+        return self._there.tick(inputs)
+
+    def take_sums(self) -> dict[str, Array]:
+        rows, ticks, self._ticks = self._there.take_sums(), self._ticks, 0
+        factors, offsets = (
+            {name: np.repeat([total[name][k] for total in self._totals], self._paths) for name in self._totals[0]}
+            for k in (1, 2)
+        )
+        return {
+            name: factors[name] * row + offsets[name] * ticks for name, row in zip(self._totals[0], rows, strict=True)
+        }
+
+
+class _Interpreted:
+    """Paths of programs by NumPy."""
+
+    def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
+        self._programs, self._added = programs, [dict[str, Array]() for _ in programs]
+        self._cuts = np.cumsum(paths)[:-1]
+        self._states = np.split(states, self._cuts, axis=1)
+
+    def tick(self, inputs: Array) -> Array:
+        found: list[Array] = []
+        for k, told in enumerate(np.split(inputs, self._cuts, axis=1)):
+            run = interpreter.run(self._programs[k], self._states[k], 1, told[None])
+            self._states[k] = run.states
+            self._added[k] = {name: self._added[k].get(name, 0.0) + added for name, added in run.sums.items()}
+            found.append(np.concatenate(list(run.outputs.values())))
+        return np.concatenate(found, axis=1)
+
+    def take_sums(self) -> dict[str, Array]:
+        taken, self._added = self._added, [dict[str, Array]() for _ in self._programs]
+        return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}

@@ -61,9 +61,10 @@ class Kernel:
         self._sizes = _sizes(program)
         self._code = _load(_print(_Printable(program.structure, program), host(), self.lanes, build, own))
 
-    def pack(self, programs: Sequence[Program]) -> Array:
-        """Return the constants of programs that run side by side, (blocks, constants, lanes)."""
-        return _into_blocks(np.array([constants_of(program) for program in programs]).T, self.lanes)
+    def pack(self, programs: Sequence[Program], paths: Sequence[int] | int = 1) -> Array:
+        """Return the constants of programs that run side by side, so many paths of each, (blocks, constants, lanes)."""
+        known = np.array([constants_of(program) for program in programs])
+        return _into_blocks(np.repeat(known, paths, axis=0).T, self.lanes)
 
     def run(
         self,
@@ -125,19 +126,22 @@ class Resident:
     """Paths of a program that stay where they are while they are run tick by tick, with inputs from outside.
 
     Args:
-        kernel: of the program, compiled without constants of its own.
+        kernel: of the program.
         program: the program.
         states: (states, paths).
+        constants: of each path, where the kernel has them (``Kernel.pack``).
     """
 
-    def __init__(self, kernel: Kernel, program: Program, states: Array) -> None:
+    def __init__(self, kernel: Kernel, program: Program, states: Array, constants: Array | None = None) -> None:
         """Bring the states into the order of the machine."""
         self._kernel, self._paths = kernel, states.shape[1]
+        assert kernel.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
         state = _into_blocks(states, kernel.lanes)
         self._sums, self._inputs, self._outputs = (
             np.zeros((len(state), len(part), kernel.lanes)) for part in (program.sums, program.inputs, program.outputs)
         )
-        self._arrays = state, self._sums, shared_constants(program), self._inputs, self._outputs
+        known = shared_constants(program) if constants is None else constants
+        self._arrays = state, self._sums, known, self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
         """Run one tick: (inputs, paths) to (outputs, paths)."""

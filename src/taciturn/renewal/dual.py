@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import stdtrit
 
-from taciturn._arrays import Array
+from taciturn._arrays import TINY, Array
 from taciturn._modes import root, stationary
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
@@ -21,11 +22,60 @@ PRECISE = 5e-4  # of the bound: what the confidence should cost
 NOISES = 64  # over which a conditional mean is taken, and as many mirrored
 FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
-SAFETY = 1.5
+ASIDE = 2.0  # times the certain error of a pilot: how far on either side of the root its slope is taken
+SAFETY = 1.1
+LIKELY = 2.0  # prices that hardly any path still saves: where those of a pilot end
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
 BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """What draws tell of the root g° of h(g) = λ − g + D(g), below which the least mean cost of a check is not.
+
+    h is concave, and its slope is minus a mean number of checks. So whatever the sign of h(g),
+
+        g° ≥ g + ρ h(g),   ρ = 1/|h'(g°)|.
+
+    Args:
+        gain: g, about the root.
+        above: an estimate of h(g) without bias.
+        error: its standard error.
+        batches: independent ones, of which that is the mean.
+        least: what ρ is at least.
+        most: what ρ is at most; as ``least``, where it is not told, by the slope of h on either side of the root.
+        expected: about the root.
+        checks: that the longest path took.
+    """
+
+    gain: float
+    above: float
+    error: float
+    batches: int
+    least: float
+    most: float
+    expected: float
+    checks: int
+
+
+def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> float:
+    """Return a lower bound of a sum of roots Σ c_i g°_i, from independent draws.
+
+    Whoever is right, the ρ_i are numbers and no draws: Σ c_i ρ_i h_i is estimated without bias, and has the standard
+    error of independent terms. It is taken where it is least within the bounds of the ρ_i. No share of the confidence
+    is lost to the number of terms.
+
+    Args:
+        terms: c_i ≥ 0, and what is known of each root.
+        confidence: in (0, 1), one-sided.
+    """
+    if not terms:
+        return 0.0
+    middle = sum(c * (one.gain + min(one.least * one.above, one.most * one.above)) for c, one in terms)
+    spread = float(np.linalg.norm([c * one.most * one.error for c, one in terms]))
+    return middle - float(stdtrit(min(one.batches for _, one in terms) - 1, confidence)) * spread
 
 
 @dataclass(frozen=True)
@@ -48,19 +98,6 @@ def bound_schedules(
 ) -> DualBound:
     """Return a lower bound of min E[e'Γe(1−σ) + λσ] over all schedules σ of e⁺ = F e(1−σ) + w that look back only.
 
-    With the first send of a cycle at the check t, c_j = e_j'Γe_j and any martingale M_t,
-
-        D(g) = E min_{t≥1} [Σ_{j<t} (c_j − g) − M_t]  ≤  inf_t E Σ_{j<t} (c_j − g),
-
-    and a g with λ − g + D(g) ≥ 0 is not above the least mean. M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
-    φ = min(0, U) of a fitted U is nearly the best. Conditional means are those of lattice points shifted at random,
-    which keeps M a martingale.
-
-    A path ends where the minimum is certain: whatever it sees later, no schedule saves more than β from there on.
-    From any error a, with n_j the errors from 0 and r_t = min_a Σ_{j<t} c(F^j a + n_j) what a least-squares fit
-    of a leaves, the most that is ever saved is at most E max(max_{t≤T} (g t − r_t), g T − r_T + itself): a β at which
-    the right-hand side is below β is larger. A path that is not certain after the last check is charged β.
-
     Args:
         F: (n, n).
         noise: covariance of w, (n, n).
@@ -82,29 +119,67 @@ def bound_schedules(
         >>> 0.98 < bound_schedules(unit, unit, unit, 10.0, fitted, 0.999).gain / fitted.gain < 1.02
         True
     """
+    found = sample_dual(F, noise, Gamma, price, fitted, confidence, seed)
+    return DualBound(max(bound_sum([(1.0, found)], confidence), 0.0), found.expected, found.checks)
+
+
+def sample_dual(
+    F: Array,
+    noise: Array,
+    Gamma: Array,
+    price: float,
+    fitted: Fitted,
+    confidence: float,
+    seed: int | Sequence[int] = 0,
+    among: int = 1,
+) -> Sampled:
+    """Return what bounds the least mean cost of a check from below, arguments as in ``bound_schedules``.
+
+    With the first send of a cycle at the check t, c_j = e_j'Γe_j and any martingale M_t,
+
+        D(g) = E min_{t≥1} [Σ_{j<t} (c_j − g) − M_t]  ≤  inf_t E Σ_{j<t} (c_j − g),
+
+    and a g with λ − g + D(g) ≥ 0 is not above the least mean. M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
+    φ = min(0, U) of a fitted U is nearly the best. Conditional means are those of lattice points shifted at random,
+    which keeps M a martingale.
+
+    A path ends where the minimum is certain: whatever it sees later, no schedule saves more than β from there on.
+    From any error a, with n_j the errors from 0 and r_t = min_a Σ_{j<t} c(F^j a + n_j) what a least-squares fit
+    of a leaves, the most that is ever saved is at most E max(max_{t≤T} (g t − r_t), g T − r_T + itself): a β at which
+    the right-hand side is below β is larger. A path that is not certain after the last check is charged β.
+
+    A pilot, which need not be certain of its minima, tells about where the root is. Draws of their own tell h there
+    and, on either side, its slope.
+
+    Args:
+        among: how many such bounds are added up: each may be so many times less precise, to the root.
+    """
     game = _Game(F, root(noise), Gamma, fitted)
     draws = np.random.default_rng(seed)
     highest = _highest(F, noise, Gamma, fitted.gain)
-    saved = _most_saved(game, highest, fitted.interval, draws)
-    pilot = _Duel(game, fitted.gain, saved, draws).run(ABREAST)
-    above = price - fitted.gain + pilot.values
-    spread, sure = float(above.std(ddof=1)), (1 + confidence) / 2  # of each of two runs at most
-    quantile = float(stdtrit(ABREAST - 1, sure))
-    wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2
+    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws).run(ABREAST)
+    spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
+    wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2 / among
     batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
-    gain, slope, found = fitted.gain, pilot.slope, DualBound(0.0, fitted.gain, pilot.checks)
-    for _ in range(2):
-        lower = (quantile + 1) * spread / np.sqrt(batches)
-        gain = min(max(gain + (float(above.mean()) - lower) / slope, 0.0), highest)
-        final = _Duel(game, gain, saved, draws).run(batches)
-        above, slope = price - gain + final.values, final.slope
-        mean, error = float(above.mean()), float(above.std(ddof=1)) / np.sqrt(batches)
-        short = min(mean - float(stdtrit(batches - 1, sure)) * error, 0.0)
-        lower = max(found.gain, gain + short)  # λ − g + D(g) falls at least as fast as g grows
-        found = DualBound(float(lower), float(gain + mean / slope), max(found.checks, final.checks))
-        if not short:  # else too much was asked for, and what was seen says what to ask of new draws
-            break
-    return found
+    gain = fitted.gain + (price - fitted.gain + float(pilot.least.mean())) / pilot.slope
+    gain = float(np.clip(gain, TINY, highest))
+    aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
+    sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
+    saved = _most_saved(game, sides[2], fitted.interval, draws)
+    below, here, beyond = _Duel(game, sides, saved, draws).run(batches)
+    above = price - gain + float(here.least.mean())
+    before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
+    after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
+    return Sampled(
+        gain,
+        above,
+        float(here.least.std(ddof=1)) / np.sqrt(batches),
+        batches,
+        1 / beyond.end(beyond.when, 1) if after else 0.0,
+        1 / max(below.end(below.when, -1), 1.0) if before else 1.0,
+        gain + above / here.slope,
+        here.checks,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,33 +222,49 @@ class _Game:
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """Mean of the minimum of each batch, how fast it falls with g (and 1), and the checks of the longest path."""
+    """What batches find at one g.
 
-    values: Array
-    slope: float
+    Args:
+        least: the mean minimum of each batch, (batches,).
+        when: the mean check it is at, which is how fast h falls with g, (batches,).
+        checks: of the longest path.
+    """
+
+    least: Array
+    when: Array
     checks: int
+
+    @property
+    def slope(self) -> float:
+        """How fast h falls."""
+        return float(self.when.mean())
+
+    def end(self, values: Array, side: int) -> float:
+        """Return the lower (−1) or upper (1) end of a mean, which is certain."""
+        return float(values.mean() + side * CERTAIN * values.std(ddof=1) / np.sqrt(len(values)))
 
 
 class _Duel:
-    """Paths of which each takes its minimum, in batches that share the noises of conditional means."""
+    """Paths of which each takes its minimum at some g, in batches that share the noises of conditional means."""
 
-    def __init__(self, game: _Game, gain: float, saved: float, draws: np.random.Generator) -> None:
-        self.game, self.gain, self.saved, self.draws = game, gain, saved, draws
+    def __init__(self, game: _Game, gains: Sequence[float], saved: float, draws: np.random.Generator) -> None:
+        self.game, self.gains, self.saved, self.draws = game, np.array(gains)[:, None, None], saved, draws
         self.rank = game.half.shape[1]
         self.lattice = Lattice(NOISES, self.rank)
 
-    def run(self, batches: int) -> _Outcome:
-        """Return what so many batches find, a multiple of those that run side by side."""
+    def run(self, batches: int) -> list[_Outcome]:
+        """Return what so many batches find at each g, a multiple of those that run side by side."""
         found = [self._side_by_side() for _ in range(batches // ABREAST)]
-        slope = float(np.mean([when.mean() for _, when, _ in found]))
-        return _Outcome(np.concatenate([least for least, _, _ in found]), slope, max(last for _, _, last in found))
+        sums = np.concatenate([sums for sums, _ in found], axis=2) / PATHS
+        return [_Outcome(*sums[:, k], max(last for _, last in found)) for k in range(len(self.gains))]
 
-    def _side_by_side(self) -> tuple[Array, Array, int]:
-        """Return the mean minimum of each batch, the mean check it is at, and how many checks were needed."""
+    def _side_by_side(self) -> tuple[Array, int]:
+        """Return the sums of the minima and of their checks, (2, gains, batches), and how many checks were needed."""
         game, n = self.game, len(self.game.F)
         error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
-        total, least, when = np.zeros(going.shape), np.full(going.shape, np.inf), np.zeros(going.shape)
-        sums = np.zeros((2, ABREAST))
+        total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
+        least, when = np.full(shape, np.inf), np.zeros(shape)
+        sums = np.zeros((2, len(self.gains), ABREAST))
         for check in range(1, LONGEST + 1):
             live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
             w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
@@ -181,22 +272,24 @@ class _Duel:
             drawn = self.draws.standard_normal((*going.shape, self.rank))
             error = error @ game.F.T + drawn @ game.half.T
             total = total + expected - game.now(error)
-            lower = total < least
-            least, when = np.where(lower, total, least), np.where(lower, check, when)
-            total = total + squares(error, game.Gamma) - self.gain
+            sent = total - (check - 1) * self.gains
+            lower = sent < least
+            least, when = np.where(lower, sent, least), np.where(lower, check, when)
+            total = total + squares(error, game.Gamma)
+            saves = total - check * self.gains - self.saved
             if check == LONGEST:
-                least = np.minimum(least, total - self.saved)
-            certain: Bits = np.asarray(total - self.saved >= least, dtype=np.bool_)
+                least, when = np.minimum(least, saves), np.where(saves < least, check + 1, when)
+            certain: Bits = np.asarray((saves >= least).all(axis=0), dtype=np.bool_)
             ends = going & (certain | (check == LONGEST))
-            sums += np.stack([np.where(ends, least, 0.0).sum(axis=1), np.where(ends, when, 0.0).sum(axis=1)])
+            sums += np.stack([np.where(ends, least, 0.0).sum(axis=2), np.where(ends, when, 0.0).sum(axis=2)])
             going = going & ~ends
             width = int(going.sum(axis=1).max())
             if not width:
-                return sums[0] / PATHS, sums[1] / PATHS, check
+                return sums, check
             if width < NARROWER * going.shape[1]:
                 first = np.argsort(~going, axis=1, kind="stable")[:, :width]
-                going = np.take_along_axis(going, first, 1)
-                total, least, when = (np.take_along_axis(a, first, 1) for a in (total, least, when))
+                going, total = np.take_along_axis(going, first, 1), np.take_along_axis(total, first, 1)
+                least, when = np.take_along_axis(least, first[None], 2), np.take_along_axis(when, first[None], 2)
                 error = np.take_along_axis(error, first[:, :, None], 1)
         raise AssertionError
 

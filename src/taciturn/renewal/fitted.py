@@ -10,14 +10,18 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, frozen, symmetrised
-from taciturn._modes import root
+from taciturn._modes import radius, root
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
+from taciturn.renewal.rare import bound_rate
 
 Bits = npt.NDArray[np.bool_]
 PATHS = 1000
 SNAPSHOTS = 100  # of the paths, whose kept errors are fitted to
 LONGEST = 20_000  # checks in which every path should have been sent a few times
+SENDS = 4  # those
+RAREST = SENDS / LONGEST  # sends per check
+SETTLE = 12  # time constants after which errors that decay have settled by themselves
 POINTS = 1200  # at which the value is fitted, from near 0 to beyond the farthest
 NEAREST, FARTHEST = 0.3, 1.5
 SHARERS = 8  # errors over whose noises a mean is taken
@@ -184,6 +188,8 @@ def spread(mean: Array, noise: Array, weight: Array) -> Array:
 def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points: int) -> _Ground:
     """Return errors that a threshold keeps, and what stands there."""
     half = root(noise)
+    if bound_rate(F, noise, Gamma, about) < RAREST:
+        raise _too_rare()
     kept, interval = keep_errors(F, noise, lambda e: squares(e, Gamma) > about, seed)
     units = np.where(kept.std(axis=0) > 0, kept.std(axis=0), 1.0)
     _, deviations, right = np.linalg.svd(kept / units / np.sqrt(len(kept)), full_matrices=False)
@@ -254,7 +260,8 @@ def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: in
     draws, half = np.random.default_rng(seed), root(noise)
     error, sent_ever, counted, checks = np.zeros((PATHS, len(F))), 0, 0, 0
     kept: list[Array] = []
-    settle = 8
+    settle, growth = 8, radius(F)
+    settled = SETTLE / (1 - growth) if growth < 1 else np.inf
     while checks < settle + SNAPSHOTS:
         error = error @ F.T + draws.standard_normal((PATHS, half.shape[1])) @ half.T
         sent = sends(error)
@@ -263,13 +270,19 @@ def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: in
             kept.append(error[~sent])
             counted += int(sent.sum())
         error[sent] = 0.0
-        if checks == settle and sent_ever < 4 * PATHS:
+        if checks == settle and sent_ever < SENDS * PATHS and settle < settled:
             settle *= 2
             if settle > LONGEST:
-                raise ProblemError(
-                    f"an error is sent less than once in {LONGEST // 4} checks; expected a lower price or threshold"
-                )
+                raise _too_rare()
+    if sent_ever < RAREST * PATHS * checks:
+        raise _too_rare()
     found = np.concatenate(kept)
     if not len(found):
         found = draws.standard_normal((PATHS, half.shape[1])) @ half.T
     return found, SNAPSHOTS * PATHS / max(counted, 1)
+
+
+def _too_rare() -> ProblemError:
+    return ProblemError(
+        f"an error is sent less than once in {LONGEST // SENDS} checks; expected a lower price or threshold"
+    )

@@ -9,6 +9,8 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._modes import radius, root, stationary
 
+SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # of the largest exponent that has a moment
+
 
 @dataclass(frozen=True)
 class Rarity:
@@ -31,9 +33,8 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
 
         g = f − E σ(e'Se − λ) ≥ f − E max(ē'Sē − λ, 0),
 
-    since e is ē less an error that is symmetric given e. With w the largest eigenvalue of P^½ S P^½ the tail of ē'Sē
-    beyond x is at most 2^{n/2} exp(−x/(4w)) (Chernoff), which bounds the rate too. An error that does not decay has the
-    bounds 1 and 0.
+    since e is ē less an error that is symmetric given e. The tail of ē'Sē bounds the rate too, and both are bounded by
+    its exponential moments (``bound_tail``). An error that does not decay has the bounds 1 and 0.
 
     Args:
         F: (n, n).
@@ -50,10 +51,54 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
     if radius(F) >= 1:
         return Rarity(1.0, 0.0)
     covariance, value = stationary(F, noise), stationary(F.T, Gamma)
-    half = root(covariance)
-    largest = float(np.linalg.eigvalsh(half.T @ value @ half).max(initial=0.0))
-    if largest <= 0:  # no noise, or none that silence costs
+    weights = _weights(covariance, value)
+    if not weights.any():  # no noise, or none that silence costs
         return Rarity(0.0, 0.0)
-    tail = 2 ** (len(F) / 2) * np.exp(-price / (4 * largest))
+    tail, beyond = bound_tail(weights, price)
     forever = float(np.sum(Gamma * covariance))
-    return Rarity(min(1.0, float(tail)), max(forever - 4 * largest * float(tail), 0.0))
+    return Rarity(min(1.0, tail), max(forever - beyond, 0.0))
+
+
+def bound_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
+    """Return what the rate of "send iff e'Γe > threshold" is at most: the chance that an error never sent is beyond it.
+
+    An error that was kept so far is nearer to 0 than one that nobody looked at (Gaussian correlation inequality).
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        Gamma: Γ, (n, n), semidefinite.
+        threshold: positive.
+
+    Source: royen2014
+
+    Example:
+        >>> unit = np.eye(1)
+        >>> bound_rate(0.2 * unit, unit, unit, 100.0) < 1e-9, bound_rate(unit, unit, unit, 100.0)
+        (True, 1.0)
+    """
+    if radius(F) >= 1:
+        return 1.0
+    weights = _weights(stationary(F, noise), Gamma)
+    return min(1.0, bound_tail(weights, threshold)[0]) if weights.any() else 0.0
+
+
+def bound_tail(weights: Array, limit: float) -> tuple[float, float]:
+    """Return upper bounds of P(q > x) and E max(q − x, 0) for q = Σ w_i z_i² of standard normals (Chernoff).
+
+    For every 0 < s < 1/(2 max w): 1{q > x} ≤ exp(s(q − x)) and max(q − x, 0) ≤ exp(s(q − x) − 1)/s, with
+    E exp(sq) = Π (1 − 2 s w_i)^{-1/2}; the best of some s is taken.
+
+    Args:
+        weights: w_i ≥ 0, not all 0.
+        limit: x.
+    """
+    s = SHARES / (2 * weights.max())
+    logs = -0.5 * np.log1p(-2 * s[:, None] * weights).sum(axis=1) - s * limit
+    return float(np.exp(logs.min())), float(np.exp((logs - 1 - np.log(s)).min()))
+
+
+def _weights(covariance: Array, square: Array) -> Array:
+    """Return the weights of x'Mx, x ~ N(0, P), as a sum of squares."""
+    half = root(covariance)
+    return np.maximum(np.linalg.eigvalsh(half.T @ square @ half), 0.0)

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn._modes import factor
@@ -15,7 +14,7 @@ from taciturn.program.draws import NORMAL, seed_generators, with_draws
 from taciturn.program.engine import Resident, prepare
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
-from taciturn.simulation.access import Access, Places
+from taciturn.simulation.access import Access, Bits, Places
 
 ERROR = "error"  # what a rule's forms weigh
 KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"
@@ -62,7 +61,9 @@ class Stretch:
 class SharedChannel:
     """Loops that share channels, tick by tick; the costs beyond sending always are exact by completion of squares.
 
-    Memory and time grow linearly with the loops.
+    Memory and time grow linearly with the loops. Groups whose programs differ in their numbers alone, and that look at
+    the same ticks, run together; loop i of channel k has the draws of path i·channels + k of the seed, whatever the
+    groups.
 
     Args:
         groups: the loops.
@@ -74,29 +75,26 @@ class SharedChannel:
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
         """Begin with errors of 0."""
         self._groups, self._access, self._channels, self._tick = groups, access, channels, 0
-        self._cohorts: list[_Cohort] = []
+        alike: dict[Hashable, list[_Turn]] = {}
         first = 0
         for index, group in enumerate(groups):
             program = contend(group)
-            for phase in range(group.every):
+            for phase in range(min(group.every, group.count)):
                 loops = len(range(phase, group.count, group.every))
-                if loops:
-                    states = start(program, loops * channels, seed, first * channels)
-                    places = np.arange(first, first + loops)
-                    urgency = np.full((channels, loops), -1.0)
-                    cohort = _Cohort(index, phase, group.every, places, Resident(program, states), urgency)
-                    self._cohorts.append(cohort)
-                    first += loops
+                turn = _Turn(index, program, np.arange(first, first + loops))
+                alike.setdefault((program.structure, group.every, phase), []).append(turn)
+                first += loops
+        self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
     def run(self, ticks: int) -> Stretch:
         """Run on for some ticks, a multiple of the ticks between two looks of every group."""
-        groups, channels = len(self._groups), self._channels
-        sends, busy, waiting = np.zeros((channels, groups)), np.zeros(channels), np.zeros(channels)
-        active: dict[tuple[bool, ...], tuple[list[_Cohort], Places]] = {}
+        channels = self._channels
+        busy, waiting = np.zeros(channels), np.zeros(channels)
+        active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
         for tick in range(self._tick, self._tick + ticks):
-            key = tuple(tick % cohort.every == cohort.phase for cohort in self._cohorts)
+            key = tuple(tick % cohort.every == cohort.phase for cohort in self.cohorts)
             if key not in active:
-                looking = [cohort for cohort, looks in zip(self._cohorts, key, strict=True) if looks]
+                looking = [cohort for cohort, looks in zip(self.cohorts, key, strict=True) if looks]
                 places = np.concatenate([cohort.places for cohort in looking] or [np.arange(0)])
                 active[key] = looking, places
             cohorts, places = active[key]
@@ -108,27 +106,52 @@ class SharedChannel:
             waiting += ((urgency > 0) & ~grant.sent).sum(axis=1)
             end = 0
             for cohort in cohorts:
-                sent = grant.sent[:, end : (end := end + len(cohort.places))]
-                sends[:, cohort.group] += sent.sum(axis=1)
-                cohort.urgency = cohort.errors.tick(sent.reshape(1, -1).astype(np.float64)).reshape(sent.shape)
+                cohort.look(grant.sent[:, end : (end := end + len(cohort.places))])
         self._tick += ticks
-        cost = np.zeros((channels, groups))
-        for cohort in self._cohorts:
-            added = cohort.errors.take_sums()[EXCESS].reshape(channels, -1).sum(axis=1)
-            cost[:, cohort.group] += added / ticks
-        return Stretch(cost, sends / ticks, busy / ticks, waiting / ticks)
+        cost, sends = np.zeros((channels, len(self._groups))), np.zeros((channels, len(self._groups)))
+        for cohort in self.cohorts:
+            for group, added, sent in cohort.take():
+                cost[:, group] += added / ticks
+                sends[:, group] += sent / ticks
+        return Stretch(cost, sends, busy / ticks, waiting / ticks)
 
 
-@dataclass(eq=False)
-class _Cohort:
-    """Loops of a group that look at the same ticks; its paths are ordered by channel, then by loop."""
+@dataclass(frozen=True, eq=False)
+class _Turn:
+    """Loops of a group that look at the same ticks."""
 
     group: int
-    phase: int
-    every: int
-    places: npt.NDArray[np.int64]
-    errors: Resident
-    urgency: Array
+    program: Program
+    places: Places
+
+
+class Cohort:
+    """Loops of groups that look at the same ticks and run together; paths are ordered by loop, then by channel."""
+
+    def __init__(self, turns: Sequence[_Turn], every: int, phase: int, channels: int, seed: int) -> None:
+        """Begin with errors of 0, of which none wants to be sent."""
+        self.every, self.phase, self._turns, self._channels = every, phase, turns, channels
+        self.places = np.concatenate([turn.places for turn in turns])
+        states = [start(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns]
+        paths = [len(turn.places) * channels for turn in turns]
+        self._errors = Resident([turn.program for turn in turns], paths, np.concatenate(states, axis=1))
+        self._sent = np.zeros((channels, len(self.places)))
+        self.urgency = np.full((channels, len(self.places)), -1.0)
+
+    def look(self, sent: Bits) -> None:
+        """Take a look at all errors, of which some are sent, (channels, loops)."""
+        self._sent += sent
+        told = sent.T.astype(np.float64).reshape(1, -1)
+        self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
+
+    def take(self) -> Iterator[tuple[int, Array, Array]]:
+        """Yield each turn's group, cost and sends since this was last asked, (channels,) each."""
+        added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
+        end = 0
+        for turn in self._turns:
+            part = slice(end, end := end + len(turn.places))
+            yield turn.group, added[part].sum(axis=0), self._sent[:, part].sum(axis=1)
+        self._sent[:] = 0.0
 
 
 def contend(group: Group) -> Program:

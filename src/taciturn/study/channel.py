@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import isfinite
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from taciturn._arrays import choice, count, number
+from taciturn._arrays import choice, count, instance, number
 from taciturn._figure import Panel, Series, draw
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
@@ -19,9 +20,10 @@ from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather
-from taciturn.study.prices import DualBound, bound_schedulers
+from taciturn.study.prices import DualBound
 from taciturn.study.schedulers import SCHEDULERS, SHORTEST, Game, measure
 from taciturn.study.units import TimeUnit, time_unit
+from taciturn.study.workers import idle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -74,7 +76,7 @@ class Sharing:
         ticks: that were measured, of all channels that were simulated together.
         reached: whether the asked standard error was met.
         seed: of the draws.
-        seconds: wall time; ``price_seconds`` of it for prices and schedules.
+        seconds: wall time; ``price_seconds`` of it for prices, schedules and the bound.
         notes: what the reader must know.
     """
 
@@ -182,6 +184,7 @@ def share_channel(
     standard_error: float | None = None,
     ticks: int | None = None,
     confidence: float = USUAL,
+    executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Sharing:
     """Share one channel among loops, at most so many sends per tick.
@@ -207,6 +210,8 @@ def share_channel(
         standard_error: absolute, of the sum of the costs; omitted: 1e-3 of it.
         ticks: measure so many on each channel instead.
         confidence: of the lower bound, where some of it is sampled; 0: seek none.
+        executor: works on the kinds of loops side by side, as on the cells of ``sweep``; the result does not depend on
+            it. Omitted: here, one after the other.
         progress: called with the fraction done.
 
     Returns:
@@ -241,11 +246,12 @@ def share_channel(
     standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
     ticks = None if ticks is None else count("ticks", ticks, SHORTEST)
     seed = count("seed", seed, 0)
+    if executor is not None:
+        instance("executor", executor, Executor)
     confidence = number("confidence", confidence, 0.0, 1.0) if confidence else 0.0
-    game = Game(kinds, capacity, seed, progress or (lambda fraction: None))
-    plan = plays(game)
+    game = Game(kinds, capacity, seed, confidence, executor, progress or idle)
+    plan, bound = plays(game), game.bound
     prepared = time.perf_counter() - began
-    bound = bound_schedulers(kinds, capacity, game.price, confidence, seed) if confidence else None
     measured = measure(game, plan, standard_error, ticks)
     shares: list[Share] = []
     for place, (kind, rate) in enumerate(zip(kinds, game.clocked.rates.tolist(), strict=True)):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property
 from math import ceil, lcm
@@ -19,7 +20,8 @@ from taciturn.simulation.channel import ERROR, Group, SharedChannel, Stretch
 from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.kinds import Kind
-from taciturn.study.prices import ALWAYS, CLOCK, Curve, find_price
+from taciturn.study.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
+from taciturn.study.workers import idle
 
 PATHS = 16_384  # loops that are simulated side by side, where there are fewer on the channel: on several channels
 CHANNELS = 32  # at most
@@ -32,6 +34,7 @@ RELATIVE_ERROR = 1e-3  # of the cost, where no standard error is asked
 LOST = 1e6  # times its all-time cost: a loop that costs more is not controlled
 LOADS = (1.6, 0.15)  # of what random access carries at best: where its price is sought
 TRIALS = 9  # prices that random access is tried at, at most
+PREPARED = 0.6  # of the progress, about: what comes before loops are simulated
 RISES = 3  # of which cost more and more: no more are tried
 
 
@@ -49,9 +52,18 @@ class Plan:
 class Game:
     """The loops, the capacity, and what all schedulers are measured by."""
 
-    def __init__(self, kinds: Sequence[Kind], capacity: int, seed: int, progress: Progress) -> None:
+    def __init__(
+        self,
+        kinds: Sequence[Kind],
+        capacity: int,
+        seed: int,
+        confidence: float = 0.0,
+        executor: Executor | None = None,
+        progress: Progress = idle,
+    ) -> None:
         """Find the best clock."""
-        self.kinds, self.capacity, self.seed, self.progress = kinds, capacity, seed, progress
+        self.kinds, self.capacity, self.seed, self.confidence = kinds, capacity, seed, confidence
+        self.progress = progress
         self.counts = np.array([kind.count for kind in kinds], dtype=np.float64)
         self.looks = np.array([kind.looks for kind in kinds])
         self.loops = int(self.counts.sum())
@@ -60,16 +72,24 @@ class Game:
         self.sharers = [Sharer(kind.clocked, kind.count, kind.every) for kind in kinds]
         self.clocked: Allocation = allocate(self.sharers, capacity)
         self.refuse_starved(self.clocked)
-        self.curves = [Curve(kind, seed) for kind in kinds]
+        self.curves = Curves(kinds, seed, executor, lambda fraction: progress(PREPARED * fraction))
 
     @cached_property
     def price(self) -> float:
         """The common price at which the expected load meets the capacity."""
-        return self.price_of(self.capacity, self.clocked.price / CLOCK or 1.0)
+        return self.curves.price_of(self.capacity, self.clocked.price / CLOCK or 1.0)
 
-    def price_of(self, load: float, guess: float) -> float:
-        """Return the common price at which the loops load the channel with so many sends per tick."""
-        return find_price(self.curves, load, guess)
+    @cached_property
+    def settled(self) -> list[Settled]:
+        """What is known of each kind at the common price."""
+        return self.curves.settle(self.price, self.confidence) if self.price else []
+
+    @property
+    def bound(self) -> DualBound | None:
+        """What no scheduler can cost less than; None where no confidence was asked for."""
+        if not self.confidence:
+            return None
+        return self.curves.bound(self.settled, self.capacity, self.price, self.confidence)
 
     def refuse_starved(self, best: Allocation) -> None:
         """Refuse loops that are not controlled by the best clock there is."""
@@ -81,7 +101,8 @@ class Game:
         if not price:  # whoever gains anything by a send wants it
             load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
             return [Form((ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
-        found = [curve.schedule(price) for curve in self.curves]
+        settled = self.settled if price == self.price else self.curves.settle(price)
+        found = [one.schedule for one in settled]
         loads = [one.rate.scaled(kind.looks) for one, kind in zip(found, self.kinds, strict=True)]
         spread = float(np.sqrt(sum(load.standard_error**2 for load in loads)))
         load = Estimate(sum(load.value for load in loads), spread, "simulation")
@@ -173,7 +194,7 @@ def _random_access(game: Game) -> Plan:
     tried: list[tuple[float, Plan, float]] = []
     price = game.price
     for share in np.geomspace(*LOADS, TRIALS).tolist():
-        price = game.price_of(share * game.capacity / np.e, price or 1.0)
+        price = game.curves.price_of(share * game.capacity / np.e, price or 1.0)
         urgencies, load = game.priced(price)
         plan = Plan(urgencies, lambda: RandomAccess(game.capacity, game.seed), load, price)
         channel = game.play(plan, game.channels)
@@ -224,7 +245,8 @@ def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | N
         total = mean(np.concatenate([one.cost.sum(axis=1) for one in kept]))
         target = standard_error or RELATIVE_ERROR * (total.value + game.cost_all_time)
         reached = measured >= ticks if ticks else total.standard_error <= target
-        game.progress(measured / ticks if ticks else min(1.0, (target / (total.standard_error or target)) ** 2))
+        done = measured / ticks if ticks else (target / (total.standard_error or target)) ** 2
+        game.progress(PREPARED + (1 - PREPARED) * min(1.0, done))
         if reached or measured * channels * game.loops > BUDGET:
             return Measured(
                 np.concatenate([one.cost for one in kept]),

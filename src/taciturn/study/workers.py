@@ -1,4 +1,4 @@
-"""Where the cells of a sweep run: processes of this machine, the workers of a dask cluster, or any other executor."""
+"""Where many like tasks run: processes of this machine, the workers of a dask cluster, or any other executor."""
 
 from __future__ import annotations
 
@@ -6,14 +6,19 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Generator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
-from typing import Any
+from typing import Any, TypeVar
 
-from taciturn.program.machine import available_processors
+from taciturn.errors import ProblemError
+from taciturn.program.machine import available_processors, one_thread
+from taciturn.simulation.sampling import Progress
+
+Job = TypeVar("Job")
+Answer = TypeVar("Answer")
 
 MOST_OF_WINDOWS = 61  # processes that one can wait for there
 
@@ -34,6 +39,46 @@ def deserted(executor: Executor) -> str | None:
     """Return the address of an executor's dask scheduler if that has no workers, else None."""
     client: Any = getattr(executor, "_client", None)
     return None if client is None or client.nthreads() else str(client.scheduler.address)
+
+
+def idle(fraction: float) -> None:
+    """Tell nobody of progress."""
+
+
+def answer_all(
+    executor: Executor | None, answer: Callable[[Job], Answer], jobs: Sequence[Job], progress: Progress
+) -> list[Answer]:
+    """Return the answers to some jobs, in their order; the first that raises ends it all.
+
+    Args:
+        executor: answers each job on one thread; None: here, one after the other, on all processors.
+        answer: a function of a module, for executors of other processes.
+        jobs: what it is called with.
+        progress: called with the fraction answered.
+
+    Raises:
+        ProblemError: the executor fails.
+    """
+    found: list[Answer] = []
+    futures = [] if executor is None else [executor.submit(_alone, answer, job) for job in jobs]
+    try:
+        for k, job in enumerate(jobs):
+            found.append(futures[k].result() if futures else answer(job))
+            progress((k + 1) / len(jobs))
+    except BrokenExecutor as error:
+        raise ProblemError(
+            f"the executor failed after {len(found)} of {len(jobs)} answers ({error}); expected workers that live and "
+            "can import taciturn: use fewer, or none"
+        ) from error
+    finally:
+        for future in futures:
+            future.cancel()
+    return found
+
+
+def _alone(answer: Callable[[Job], Answer], job: Job) -> Answer:
+    with one_thread():
+        return answer(job)
 
 
 @contextmanager
