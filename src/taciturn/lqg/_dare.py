@@ -64,8 +64,9 @@ def is_clear(found: Solution | None, F: Array) -> bool:
 
 class _Steps(Time):
     def rough(self, given: Quadratic) -> Array | None:
-        worth = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B))
-        last = given.Q + LAST * worth / max(float(np.sum(given.B**2)), TINY) * np.eye(len(given.A))
+        moved = float(np.sum(given.B**2))
+        worth = float(np.trace(given.R) + np.sum(given.B * (given.Q @ given.B))) / moved if moved > TINY else 0.0
+        last = given.Q + LAST * worth * np.eye(len(given.A))
         return double(given, last, *price(given.B, last, given.R))
 
     def stable(self, F: Array, given: Quadratic) -> bool:
