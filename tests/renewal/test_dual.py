@@ -11,6 +11,7 @@ from drawn import rows
 
 from taciturn.errors import ProblemError
 from taciturn.renewal import dual
+from taciturn.renewal._martingale import Martingale
 from taciturn.renewal.dual import DualBound, bound_schedules
 from taciturn.renewal.fitted import Fitted, fit_schedule
 from taciturn.renewal.optimal import solve_optimal
@@ -110,17 +111,20 @@ def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tu
     assert found.gain < good
 
 
-def test_a_noise_and_its_mirror_image_are_weighed_by_one_exponential() -> None:
-    """The mean over both of what is saved is that of each by itself, for bells of any width and errors of any size."""
+def test_the_conditional_means_of_the_martingale_are_those_of_draws() -> None:
+    """Of the bell in closed form, of the rest over given noises."""
     draws = np.random.default_rng(2)
     F, noise, Gamma = PLANE
     root = np.linalg.cholesky(noise)
-    errors = draws.standard_normal((3, 50, 2)) * draws.lognormal(0.0, 2.0, (3, 50, 1))
-    w = draws.standard_normal((3, 16, 2)) @ root.T
+    errors = 0.5 * draws.standard_normal((3, 5, 2))
+    w = draws.standard_normal((3, 20_000, 2)) @ root.T
     for narrow in (1e-3, 1.0, 1e3):
-        game = dual._Game(F, root, Gamma, Fitted(2.0, 3.0, narrow * np.linalg.inv(noise), 3.0))
-        both = [game.now((errors @ F.T)[:, :, None] + sign * w[:, None]).mean(axis=2) for sign in (1.0, -1.0)]
-        np.testing.assert_allclose(game.after(errors, w), np.mean(both, axis=0), rtol=0, atol=1e-12)
+        game = Martingale(F, noise, Gamma, Fitted(2.0, 3.0, narrow * np.linalg.inv(noise), 3.0))
+        bell, off = game.now((errors @ F.T)[:, :, None] + w[:, None])
+        assert off.mean(axis=2) == pytest.approx(game.after(errors, w), rel=1e-9, abs=1e-12)
+        spread = bell.std(axis=2) / np.sqrt(w.shape[1])
+        if narrow <= 1:  # else hardly a draw falls into the bell
+            assert (np.abs(bell.mean(axis=2) - game.bell_after(errors)) < 5 * spread + 1e-9).all()
 
 
 def test_a_bound_is_never_more_than_sending_always() -> None:

@@ -10,25 +10,28 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import TINY, Array
 from taciturn._modes import root, stationary
-from taciturn.errors import ProblemError
+from taciturn._progress import Progress, Stages
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.renewal._lattice import Lattice
-from taciturn.renewal.fitted import Bits, Fitted, spread, squares
+from taciturn.renewal._martingale import Martingale
+from taciturn.renewal.fitted import Bits, Fitted, squares
 
 ABREAST = 32  # batches that run side by side; their means are independent
-MOST = 16  # times as many
+MOST = 16  # times as many, where that is no more
+WORK = 5_000_000  # checks of all paths
 PATHS = 64  # of a batch
 NARROWER = 0.8  # of the paths that are left, before the others are dropped
 PRECISE = 5e-4  # of the bound: what the confidence should cost
-NOISES = 64  # over which a conditional mean is taken, and as many mirrored
+NOISES = 32  # over which a conditional mean is taken, and as many mirrored
 FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
 ASIDE = 2.0  # times the certain error of a pilot: how far on either side of the root its slope is taken
 SAFETY = 1.1
 LIKELY = 2.0  # prices that hardly any path still saves: where those of a pilot end
+AWAY = 1.0  # times the depth of φ: so far above its minimum a path hardly ever finds another
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
-BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,14 @@ class DualBound:
 
 
 def bound_schedules(
-    F: Array, noise: Array, Gamma: Array, price: float, fitted: Fitted, confidence: float, seed: int = 0
+    F: Array,
+    noise: Array,
+    Gamma: Array,
+    price: float,
+    fitted: Fitted,
+    confidence: float,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> DualBound:
     """Return a lower bound of min E[e'Γe(1−σ) + λσ] over all schedules σ of e⁺ = F e(1−σ) + w that look back only.
 
@@ -106,6 +116,7 @@ def bound_schedules(
         fitted: a schedule that is nearly the best; the bound holds whatever it is.
         confidence: with which the bound holds, in (0, 1), one-sided.
         seed: of the draws.
+        progress: called with the fraction done.
 
     Raises:
         ProblemError: what may still be saved has no bound within the longest path.
@@ -119,7 +130,7 @@ def bound_schedules(
         >>> 0.98 < bound_schedules(unit, unit, unit, 10.0, fitted, 0.999).gain / fitted.gain < 1.02
         True
     """
-    found = sample_dual(F, noise, Gamma, price, fitted, confidence, seed)
+    found = sample_dual(F, noise, Gamma, price, fitted, confidence, seed, progress=progress)
     return DualBound(max(bound_sum([(1.0, found)], confidence), 0.0), found.expected, found.checks)
 
 
@@ -132,6 +143,7 @@ def sample_dual(
     confidence: float,
     seed: int | Sequence[int] = 0,
     among: int = 1,
+    progress: Progress | None = None,
 ) -> Sampled:
     """Return what bounds the least mean cost of a check from below, arguments as in ``bound_schedules``.
 
@@ -154,19 +166,19 @@ def sample_dual(
     Args:
         among: how many such bounds are added up: each may be so many times less precise, to the root.
     """
-    game = _Game(F, root(noise), Gamma, fitted)
-    draws = np.random.default_rng(seed)
+    game = Martingale(F, noise, Gamma, fitted)
+    draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)
-    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws).run(ABREAST)
+    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws, told.stage(0.0, 0.05)).run(ABREAST)
     spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
     wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2 / among
-    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
+    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, min(MOST, max(WORK // pilot.work, 1))))
     gain = fitted.gain + (price - fitted.gain + float(pilot.least.mean())) / pilot.slope
     gain = float(np.clip(gain, TINY, highest))
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
     saved = _most_saved(game, sides[2], fitted.interval, draws)
-    below, here, beyond = _Duel(game, sides, saved, draws).run(batches)
+    below, here, beyond = _Duel(game, sides, saved, draws, told.stage(0.05, 1.0)).run(batches)
     above = price - gain + float(here.least.mean())
     before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
@@ -183,44 +195,6 @@ def sample_dual(
 
 
 @dataclass(frozen=True, eq=False)
-class _Game:
-    """The error, and the schedule that the martingale is made of."""
-
-    F: Array
-    half: Array
-    Gamma: Array
-    fitted: Fitted
-
-    def after(self, error: Array, w: Array) -> Array:
-        """Return the means over noises and their mirror images of min(0, U) after a check, (batches, paths).
-
-        Args:
-            error: (batches, paths, n).
-            w: half of the noises, (batches, noises, n).
-        """
-        rows = max(1, BLOCK // (2 * error.shape[1] * w.shape[1]))
-        return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
-
-    def _after(self, error: Array, w: Array) -> Array:
-        mean = error @ self.F.T
-        return self._saved(spread(mean, w, self.Gamma), spread(mean, w, self.fitted.Pi)).mean(axis=(0, 3))
-
-    def now(self, error: Array) -> Array:
-        """Return min(0, U) of each error."""
-        return self._saved(squares(error, self.Gamma), squares(error, self.fitted.Pi))
-
-    def _saved(self, cost: Array, power: Array) -> Array:
-        """Return min(0, U), written over what it is given: most of the time of a bound goes here."""
-        bell = np.maximum(power, 0.0, out=power)
-        bell *= -0.5
-        np.exp(bell, out=bell)
-        bell *= self.fitted.height
-        cost -= self.fitted.gain
-        cost -= bell
-        return np.minimum(cost, 0.0, out=cost)
-
-
-@dataclass(frozen=True, eq=False)
 class _Outcome:
     """What batches find at one g.
 
@@ -228,11 +202,13 @@ class _Outcome:
         least: the mean minimum of each batch, (batches,).
         when: the mean check it is at, which is how fast h falls with g, (batches,).
         checks: of the longest path.
+        work: checks of all paths.
     """
 
     least: Array
     when: Array
     checks: int
+    work: int
 
     @property
     def slope(self) -> float:
@@ -247,31 +223,40 @@ class _Outcome:
 class _Duel:
     """Paths of which each takes its minimum at some g, in batches that share the noises of conditional means."""
 
-    def __init__(self, game: _Game, gains: Sequence[float], saved: float, draws: np.random.Generator) -> None:
+    def __init__(
+        self, game: Martingale, gains: Sequence[float], saved: float, draws: np.random.Generator, told: Stages
+    ) -> None:
         self.game, self.gains, self.saved, self.draws = game, np.array(gains)[:, None, None], saved, draws
-        self.rank = game.half.shape[1]
+        self.rank, self.away, self.told = game.half.shape[1], AWAY * game.depth, told
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> list[_Outcome]:
         """Return what so many batches find at each g, a multiple of those that run side by side."""
-        found = [self._side_by_side() for _ in range(batches // ABREAST)]
-        sums = np.concatenate([sums for sums, _ in found], axis=2) / PATHS
-        return [_Outcome(*sums[:, k], max(last for _, last in found)) for k in range(len(self.gains))]
+        found, rounds = list[tuple[Array, int, int]](), batches // ABREAST
+        while len(found) < rounds:
+            found.append(self._side_by_side())
+            self.told(len(found) / rounds)
+        sums = np.concatenate([sums for sums, _, _ in found], axis=2) / PATHS
+        longest, work = max(last for _, last, _ in found), sum(work for _, _, work in found)
+        return [_Outcome(*sums[:, k], longest, work) for k in range(len(self.gains))]
 
-    def _side_by_side(self) -> tuple[Array, int]:
-        """Return the sums of the minima and of their checks, (2, gains, batches), and how many checks were needed."""
+    def _side_by_side(self) -> tuple[Array, int, int]:
+        """Return the sums of minima and of their checks, (2, gains, batches), and the checks of the longest and all."""
         game, n = self.game, len(self.game.F)
         error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
         total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
         least, when = np.full(shape, np.inf), np.zeros(shape)
-        sums = np.zeros((2, len(self.gains), ABREAST))
+        sums, work = np.zeros((2, len(self.gains), ABREAST)), 0
         for check in range(1, LONGEST + 1):
-            live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
-            w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
-            expected[live] = game.after(error[live], w)
-            drawn = self.draws.standard_normal((*going.shape, self.rank))
+            self.told.tick()
+            work += going.size
+            nearly = (total - (check - 1) * self.gains < least + self.away).any(axis=0)
+            near: Bits = np.asarray(going & nearly, dtype=np.bool_)
+            expected = game.bell_after(error) + self._off(error, near)
+            drawn = self.draws.standard_normal((ABREAST, error.shape[1], self.rank))
             error = error @ game.F.T + drawn @ game.half.T
-            total = total + expected - game.now(error)
+            bell, off = game.now(error)
+            total = total + expected - bell - np.where(near, off, 0.0)
             sent = total - (check - 1) * self.gains
             lower = sent < least
             least, when = np.where(lower, sent, least), np.where(lower, check, when)
@@ -285,7 +270,7 @@ class _Duel:
             going = going & ~ends
             width = int(going.sum(axis=1).max())
             if not width:
-                return sums, check
+                return sums, check, work
             if width < NARROWER * going.shape[1]:
                 first = np.argsort(~going, axis=1, kind="stable")[:, :width]
                 going, total = np.take_along_axis(going, first, 1), np.take_along_axis(total, first, 1)
@@ -293,15 +278,30 @@ class _Duel:
                 error = np.take_along_axis(error, first[:, :, None], 1)
         raise AssertionError
 
+    def _off(self, error: Array, near: Bits) -> Array:
+        """Return the conditional mean of φ less the bell for the errors that are near, (batches, paths), else 0."""
+        expected, width = np.zeros(near.shape), int(near.sum(axis=1).max())
+        if width:
+            live: Bits = np.asarray(near.any(axis=1), dtype=np.bool_)
+            w = self.lattice.normals(self.draws, ABREAST, live) @ self.game.half.T
+            first = np.argsort(~near[live], axis=1, kind="stable")[:, :width]
+            means = self.game.after(np.take_along_axis(error[live], first[:, :, None], 1), np.concatenate([w, -w], 1))
+            found = np.zeros((len(first), near.shape[1]))
+            np.put_along_axis(found, first, means, 1)
+            expected[live] = found
+        return np.where(near, expected, 0.0)
+
 
 def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
     """Return the highest bound to seek about a fitted gain; β grows without limit as it nears what silence costs."""
-    if np.abs(np.linalg.eigvals(F)).max() >= 1:
+    try:
+        silent = float(np.sum(Gamma * stationary(F, noise)))
+    except UnstableError:  # or so near it that silence costs more than can be told
         return HIGHEST * gain
-    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * stationary(F, noise)))) / 2)
+    return min(HIGHEST * gain, (gain + silent) / 2)
 
 
-def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Generator) -> float:
+def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random.Generator) -> float:
     """Return β, which no schedule saves more than, from any error on.
 
     Raises:
@@ -324,7 +324,7 @@ def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Gene
     )
 
 
-def _left_over(game: _Game, gain: float, looks: int, draws: np.random.Generator) -> tuple[Array, Array]:
+def _left_over(game: Martingale, gain: float, looks: int, draws: np.random.Generator) -> tuple[Array, Array]:
     """Return max_{t≤T} (g t − r_t) and g T − r_T of free paths, the maximum over whole strides of checks from above."""
     n, weigh = len(game.F), root(game.Gamma).T
     stride = max(1, looks // 64)
