@@ -5,10 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
+import typer
 
+import taciturn
 from taciturn import cli
 
 PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
@@ -35,11 +38,15 @@ class Answer:
 
 Run = Callable[..., Answer]
 Write = Callable[..., str]
+Once = Callable[[str], None]
+command_of = cache(typer.main.get_command)  # built for each call it would be most of what a refusal takes
 
 
 @pytest.fixture
 def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
     """Return the function that runs ``taciturn`` with arguments."""
+
+    monkeypatch.setattr(typer.main, "get_command", command_of)
 
     def run(*arguments: str) -> Answer:
         monkeypatch.setattr(sys, "argv", ["taciturn", *arguments])
@@ -50,6 +57,23 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
         return Answer(code, *capsys.readouterr())
 
     return run
+
+
+@pytest.fixture
+def once(monkeypatch: pytest.MonkeyPatch) -> Once:
+    """Return what lets a function of the package answer with its first answer ever after, to be printed twice."""
+
+    def once(name: str) -> None:
+        function, found = getattr(taciturn, name), list[object]()
+
+        def answer(*arguments: object, **options: object) -> object:
+            if not found:
+                found.append(function(*arguments, **options))
+            return found[0]
+
+        monkeypatch.setattr(taciturn, name, answer, raising=False)
+
+    return once
 
 
 @pytest.fixture

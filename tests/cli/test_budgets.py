@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 import pytest
-from cli.conftest import Run
+from cli.conftest import Once, Run
+from counts import few
 
 import taciturn
 
@@ -91,8 +92,9 @@ def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str],
     assert words in answer.sentence
 
 
-def test_compare_ranks_and_draws(run: Run, tmp_path: Path) -> None:
+def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
     """Names are those of the files; a policy that shares its time says so; the picture is written."""
+    once("compare")
     weight = [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     files = [
         "two-mass",
@@ -128,8 +130,9 @@ def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str],
     assert words in answer.sentence
 
 
-def test_tune_seeks_the_period_of_the_looks(run: Run, tmp_path: Path) -> None:
+def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path) -> None:
     """A table of what was tried, then the best; the document has all of it."""
+    once("tune_period")
     path = tmp_path / "walk.toml"
     path.write_text(
         "[plant]\nA = [[0.0]]\nB = [[1.0]]\nW = [[1.0]]\n[cost]\nQ = [[1.0]]\nR = [[1.0]]\n"
@@ -148,7 +151,7 @@ def test_tune_seeks_the_period_of_the_looks(run: Run, tmp_path: Path) -> None:
     assert f"period         {document['period']:g}" in lines
 
 
-@pytest.mark.parametrize("rate", ["0.203", "0.2033"])
+@pytest.mark.parametrize("rate", few(["0.203", "0.2033"], 1))
 def test_a_budget_at_the_end_of_what_can_be_reached_ends_in_a_sentence(run: Run, rate: str) -> None:
     """A digit of the parameter decides on which side of the budget its limit is: an answer, and no traceback."""
     answer = run("tune", "two-mass", "--rate", rate, "--standard-error", "1e-3")

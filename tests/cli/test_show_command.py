@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+import io
 import json
-import os
-import subprocess
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -170,12 +169,11 @@ def test_what_has_no_nodes_is_not_drawn(run: Run, tmp_path: Path, write: Write) 
     assert told.sentence.startswith("integral without a period has no loop of nodes to be drawn")
 
 
-def test_a_terminal_without_boxes_gets_plain_ones() -> None:
+def test_a_terminal_without_boxes_gets_plain_ones(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """What its encoding lacks is not escaped into the picture."""
-    command = [sys.executable, "-m", "taciturn.cli", "show", "two-mass"]
-    environment = {**os.environ, "PYTHONIOENCODING": "latin-1"}
-    done = subprocess.run(command, capture_output=True, encoding="latin-1", env=environment, check=False)
-    assert (done.returncode, done.stderr) == (0, "")
-    drawn = done.stdout.split("\n\n")[1]
+    terminal = io.TextIOWrapper(io.BytesIO(), encoding="latin-1")
+    monkeypatch.setattr(sys, "stdout", terminal)
+    assert run("show", "two-mass").code == 0
+    drawn = terminal.buffer.getvalue().decode("latin-1").split("\n\n")[1]
     assert drawn.isascii()
     assert drawn.startswith("+-----")

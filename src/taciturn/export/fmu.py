@@ -109,13 +109,22 @@ class Fmu:
         Raises:
             ProblemError: the name does not end in ``.fmu``, or the file cannot be written.
         """
-        if path.suffix != ".fmu":
-            raise ProblemError(f"the unit is to be written to {path}; expected a name that ends in .fmu")
+        check_name(path)
         try:
             write_whole(path, self.archive())
         except OSError as error:
             reason = error.strerror or str(error)
             raise ProblemError(f"{path} cannot be written ({reason}); expected a path that can be") from None
+
+
+def check_name(path: Path) -> None:
+    """Refuse a name that does not end in ``.fmu``.
+
+    Raises:
+        ProblemError: it does not.
+    """
+    if path.suffix != ".fmu":
+        raise ProblemError(f"the unit is to be written to {path}; expected a name that ends in .fmu")
 
 
 def print_fmu(

@@ -10,7 +10,7 @@ from pathlib import Path
 from taciturn._arrays import choice, count
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.export.description import Version
-from taciturn.export.fmu import Fmu, print_fmu
+from taciturn.export.fmu import Fmu, check_name, print_fmu
 from taciturn.export.folder import CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.loop import Loop
@@ -105,6 +105,7 @@ def export_fmu(
         >>> unit.name, [node.role for node in unit.nodes]
         ('two_mass', ['controller', 'actuator'])
     """
+    check_name(Path(path))  # before anything is compiled
     found = print_fmu(_prepared(problem, precision, seed, progress), identifier(name), version=version, seed=seed)
     found.write(Path(path))
     return found
