@@ -16,7 +16,7 @@ from taciturn.renewal.fitted import Bits, Fitted, squares
 
 ABREAST = 32  # batches that run side by side; their means are independent
 MOST = 16  # times as many
-PATHS = 64  # of a batch
+PATHS, FEWEST = 64, 16  # of a batch: at most, and of a pilot
 NARROWER = 0.8  # of the paths that are left, before the others are dropped
 PRECISE = 5e-4  # of the bound: what the confidence should cost
 NOISES = 64  # over which a conditional mean is taken, and as many mirrored
@@ -131,7 +131,7 @@ def sample_dual(
     fitted: Fitted,
     confidence: float,
     seed: int | Sequence[int] = 0,
-    among: int = 1,
+    precise: float | None = None,
 ) -> Sampled:
     """Return what bounds the least mean cost of a check from below, arguments as in ``bound_schedules``.
 
@@ -152,21 +152,24 @@ def sample_dual(
     and, on either side, its slope.
 
     Args:
-        among: how many such bounds are added up: each may be so many times less precise, to the root.
+        precise: what the confidence should cost, in the units of the gain; omitted: 5e-4 of it.
     """
     game = _Game(F, root(noise), Gamma, fitted)
     draws = np.random.default_rng(seed)
     highest = _highest(F, noise, Gamma, fitted.gain)
-    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws).run(ABREAST)
+    saved = min(_most_saved(game, min(fitted.gain, highest), fitted.interval, draws), LIKELY * price)
+    (pilot,) = _Duel(game, [fitted.gain], saved, draws, FEWEST).run(ABREAST)
     spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
-    wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2 / among
-    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
+    error = (precise or PRECISE * fitted.gain) / quantile if quantile > 0 else np.inf
+    wanted = FEWEST * (spread / (error * pilot.slope)) ** 2  # paths
+    batches = ABREAST * int(np.clip(np.ceil(wanted / PATHS / ABREAST), 1, MOST))
+    paths = int(np.clip(np.ceil(wanted / ABREAST), FEWEST, PATHS))
     gain = fitted.gain + (price - fitted.gain + float(pilot.least.mean())) / pilot.slope
     gain = float(np.clip(gain, TINY, highest))
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
     saved = _most_saved(game, sides[2], fitted.interval, draws)
-    below, here, beyond = _Duel(game, sides, saved, draws).run(batches)
+    below, here, beyond = _Duel(game, sides, saved, draws, paths).run(batches)
     above = price - gain + float(here.least.mean())
     before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
@@ -254,7 +257,10 @@ class _Outcome:
 class _Duel:
     """Paths of which each takes its minimum at some g, in batches that share the noises of conditional means."""
 
-    def __init__(self, game: _Game, gains: Sequence[float], saved: float, draws: np.random.Generator) -> None:
+    def __init__(
+        self, game: _Game, gains: Sequence[float], saved: float, draws: np.random.Generator, paths: int
+    ) -> None:
+        self.paths = paths
         self.game, self.gains, self.saved, self.draws = game, np.array(gains)[:, None, None], saved, draws
         self.rank = game.half.shape[1]
         self.lattice = Lattice(NOISES, self.rank)
@@ -262,13 +268,13 @@ class _Duel:
     def run(self, batches: int) -> list[_Outcome]:
         """Return what so many batches find at each g, a multiple of those that run side by side."""
         found = [self._side_by_side() for _ in range(batches // ABREAST)]
-        sums = np.concatenate([sums for sums, _ in found], axis=2) / PATHS
+        sums = np.concatenate([sums for sums, _ in found], axis=2) / self.paths
         return [_Outcome(*sums[:, k], max(last for _, last in found)) for k in range(len(self.gains))]
 
     def _side_by_side(self) -> tuple[Array, int]:
         """Return the sums of the minima and of their checks, (2, gains, batches), and how many checks were needed."""
         game, n = self.game, len(self.game.F)
-        error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
+        error, going = np.zeros((ABREAST, self.paths, n)), np.ones((ABREAST, self.paths), dtype=bool)
         total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
         least, when = np.full(shape, np.inf), np.zeros(shape)
         sums = np.zeros((2, len(self.gains), ABREAST))
