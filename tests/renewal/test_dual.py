@@ -44,6 +44,12 @@ def line() -> tuple[Fitted, float]:
     return fitted, bound_schedules(UNIT, UNIT, UNIT, 4.0, fitted, 0.9999).gain
 
 
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Take few draws: bounds are looser, and hold as surely."""
+    monkeypatch.setattr(dual, "MOST", 2)
+
+
 def bound(fitted: Fitted, confidence: float = 0.9999, seed: int = 0) -> DualBound:
     """Return the bound in the plane."""
     return bound_schedules(*PLANE, PRICE, fitted, confidence, seed)
@@ -62,7 +68,7 @@ def test_on_a_scalar_the_bound_is_within_half_a_percent_of_the_optimum(F: float,
     assert found.gain < found.expected
 
 
-def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float) -> None:
+def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float, few: None) -> None:
     """Estimates differ by no more than what their confidence costs, and none is above the optimum by more."""
     found = [bound(fitted, seed=seed) for seed in range(2)]
     for one in found:
@@ -103,7 +109,7 @@ def test_a_bound_is_above_the_optimum_no_more_often_than_it_says() -> None:
         quick=2,
     ),
 )
-def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float]) -> None:
+def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float], few: None) -> None:
     """Whatever the martingale is made of, nothing costs less; nothing is better than what is fitted."""
     fitted, good = line
     found = bound_schedules(UNIT, UNIT, UNIT, 4.0, silly(fitted), 0.9999)
@@ -150,7 +156,7 @@ def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.Sampled]], flo
         data = np.array([[0.8 + 0.4 * k / many]]), UNIT * (1 + k), UNIT
         price, weight = 2.0 * (1 + k), 1.0 / (1 + k)
         fitted = fit_schedule(*data, price)
-        terms.append((weight, dual.sample_dual(*data, price, fitted, 0.9, [seed, k], among=many)))
+        terms.append((weight, dual.sample_dual(*data, price, fitted, 0.9, [seed, k], 5e-3 * fitted.gain)))
         exact += weight * solve_optimal(*data, price).cost
     return terms, exact
 

@@ -19,7 +19,7 @@ from taciturn.renewal.fitted import Bits, Fitted, squares
 ABREAST = 32  # batches that run side by side; their means are independent
 MOST = 16  # times as many, where that is no more
 WORK = 5_000_000  # checks of all paths
-PATHS = 64  # of a batch
+PATHS, FEWEST = 64, 16  # of a batch: at most, and of a pilot
 NARROWER = 0.8  # of the paths that are left, before the others are dropped
 PRECISE = 5e-4  # of the bound: what the confidence should cost
 NOISES = 32  # over which a conditional mean is taken, and as many mirrored
@@ -142,7 +142,7 @@ def sample_dual(
     fitted: Fitted,
     confidence: float,
     seed: int | Sequence[int] = 0,
-    among: int = 1,
+    precise: float | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
     """Return what bounds the least mean cost of a check from below, arguments as in ``bound_schedules``.
@@ -164,21 +164,26 @@ def sample_dual(
     and, on either side, its slope.
 
     Args:
-        among: how many such bounds are added up: each may be so many times less precise, to the root.
+        precise: what the confidence should cost, in the units of the gain; omitted: 5e-4 of it.
     """
     game = Martingale(F, noise, Gamma, fitted)
     draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)
-    (pilot,) = _Duel(game, [fitted.gain], LIKELY * price, draws, told.stage(0.0, 0.05)).run(ABREAST)
+    saved = min(_most_saved(game, min(fitted.gain, highest), fitted.interval, draws), LIKELY * price)
+    (pilot,) = _Duel(game, [fitted.gain], saved, draws, FEWEST, told.stage(0.0, 0.05)).run(ABREAST)
     spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
-    wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2 / among
-    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, min(MOST, max(WORK // pilot.work, 1))))
+    error = (precise or PRECISE * fitted.gain) / quantile if quantile > 0 else np.inf
+    wanted = FEWEST * (spread / (error * pilot.slope)) ** 2  # paths
+    batches = ABREAST * int(
+        np.clip(np.ceil(wanted / PATHS / ABREAST), 1, min(MOST, max(WORK * FEWEST // (PATHS * pilot.work), 1)))
+    )
+    paths = int(np.clip(np.ceil(wanted / ABREAST), FEWEST, PATHS))
     gain = fitted.gain + (price - fitted.gain + float(pilot.least.mean())) / pilot.slope
     gain = float(np.clip(gain, TINY, highest))
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
     saved = _most_saved(game, sides[2], fitted.interval, draws)
-    below, here, beyond = _Duel(game, sides, saved, draws, told.stage(0.05, 1.0)).run(batches)
+    below, here, beyond = _Duel(game, sides, saved, draws, paths, told.stage(0.05, 1.0)).run(batches)
     above = price - gain + float(here.least.mean())
     before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
@@ -224,8 +229,15 @@ class _Duel:
     """Paths of which each takes its minimum at some g, in batches that share the noises of conditional means."""
 
     def __init__(
-        self, game: Martingale, gains: Sequence[float], saved: float, draws: np.random.Generator, told: Stages
+        self,
+        game: Martingale,
+        gains: Sequence[float],
+        saved: float,
+        draws: np.random.Generator,
+        paths: int,
+        told: Stages,
     ) -> None:
+        self.paths = paths
         self.game, self.gains, self.saved, self.draws = game, np.array(gains)[:, None, None], saved, draws
         self.rank, self.away, self.told = game.half.shape[1], AWAY * game.depth, told
         self.lattice = Lattice(NOISES, self.rank)
@@ -236,14 +248,14 @@ class _Duel:
         while len(found) < rounds:
             found.append(self._side_by_side())
             self.told(len(found) / rounds)
-        sums = np.concatenate([sums for sums, _, _ in found], axis=2) / PATHS
+        sums = np.concatenate([sums for sums, _, _ in found], axis=2) / self.paths
         longest, work = max(last for _, last, _ in found), sum(work for _, _, work in found)
         return [_Outcome(*sums[:, k], longest, work) for k in range(len(self.gains))]
 
     def _side_by_side(self) -> tuple[Array, int, int]:
         """Return the sums of minima and of their checks, (2, gains, batches), and the checks of the longest and all."""
         game, n = self.game, len(self.game.F)
-        error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
+        error, going = np.zeros((ABREAST, self.paths, n)), np.ones((ABREAST, self.paths), dtype=bool)
         total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
         least, when = np.full(shape, np.inf), np.zeros(shape)
         sums, work = np.zeros((2, len(self.gains), ABREAST)), 0

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 PER_OCTAVE = 2  # prices of a table
 USUAL_SLOPE = 0.25  # octaves that a load falls by from one price of a table to the next, about
 FARTHEST = 8  # prices of a table that a step of a search passes
-FEW = 300  # errors that the schedules of a table are fitted to
+FEW, MORE = 300, 600  # errors that the schedules of a table are fitted to, and those that are played
 LOOPS, FEWEST = 4096, 256  # that a rate is measured on
 MEASURED = 1 << 20  # looks of all of them
 SETTLE = 8  # mean intervals between sends that are dropped first, and that are measured
@@ -45,7 +45,7 @@ CHEAPEST = 1e-9  # of the price from where a search begins: next to nothing
 RAREST = 1 / LONGEST  # sends per look: what sends less often never sends
 QUADRATURE = 2  # states up to which a bound by quadrature takes less time than one by draws
 ACCURATE = 1e-3  # relative, of a bound by quadrature, from which its error is taken
-LOOSER = 2  # times the error of a bound that stands alone: nearer than what loops on a channel cost is known
+PRECISE = 1e-3  # of the least cost of all loops, sends at their price included: what the confidence should cost
 CLOSE = 5e-4  # relative: bounds that are so near to what can be had need not be better
 MOST_KNOWN = 4096  # answers that a process remembers
 ALWAYS = Form(constant=1.0)
@@ -91,19 +91,19 @@ class Job:
         price: of a send.
         seed: of the draws.
         confidence: of a bound of the sum over kinds; 0: none.
-        among: bounds that are added up, as ``renewal.dual.sample_dual`` counts them.
+        precise: what the confidence should cost the bound of a look.
     """
 
     kind: Kind
     price: float
     seed: int
     confidence: float = 0.0
-    among: int = 0
+    precise: float = 0.0
 
     @property
     def key(self) -> Hashable:
         """All that an answer depends on."""
-        return _numbers(self.kind), self.price, self.seed, self.confidence, self.among
+        return _numbers(self.kind), self.price, self.seed, self.confidence, self.precise
 
 
 @dataclass(frozen=True)
@@ -164,13 +164,13 @@ class Curves:
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return each kind's schedule at a price, as well fitted as a design is; with a confidence, its bound.
+        """Return each kind's schedule at a price; with a confidence, its bound.
 
         Args:
             price: of a send.
             confidence: of a bound of the sum; 0: none.
         """
-        found = self._ask(_settle, price, confidence, LOOSER**2 * len(self._different) if confidence else 0)
+        found = self._ask(_settle, price, confidence, self._precise(price) if confidence else 0.0)
         return [found[which] for which in self._which]
 
     def price_of(self, capacity: float, guess: float) -> float:
@@ -238,10 +238,13 @@ class Curves:
         return self.table[place]
 
     def _ask(
-        self, question: Callable[[Job], Answer], price: float, confidence: float = 0.0, among: int = 0
+        self, question: Callable[[Job], Answer], price: float, confidence: float = 0.0, precise: float = 0.0
     ) -> list[Answer]:
         """Return the answers for all different kinds; those that this process knows already are not computed again."""
-        jobs = [Job(kind, price, _seed_of(kind, self._seed), confidence, among) for kind in self._different]
+        jobs = [
+            Job(kind, price, _seed_of(kind, self._seed), confidence, precise / float(looks))
+            for kind, looks in zip(self._different, np.bincount(self._which, self._looks), strict=True)
+        ]
         keys = [(question, job.key) for job in jobs]
         found = {key: _KNOWN[key] for key in keys if key in _KNOWN}
         missing = {key: job for key, job in zip(keys, jobs, strict=True) if key not in found}
@@ -251,6 +254,11 @@ class Curves:
             _KNOWN.pop(oldest, None)
         self._rounds += 1
         return [found[key] for key in keys]
+
+    def _precise(self, price: float) -> float:
+        """Return what the confidence may cost each kind, so that independent ones together cost as little as asked."""
+        clocks = [look * clock_cost(kind, price) for look, kind in zip(self._looks, self.kinds, strict=True)]
+        return PRECISE * float(np.sum(clocks)) / len(self._different) ** 0.5
 
     def _came(self, fraction: float) -> None:
         self._progress(1 - 0.5 ** (self._rounds + fraction))
@@ -274,9 +282,7 @@ def _rate(job: Job) -> float:
 
 def _settle(job: Job) -> Settled:
     """Return what is known of a kind at a price."""
-    from taciturn.renewal.fitted import POINTS
-
-    fitted = _fit(job.kind, job.price, job.seed, POINTS)
+    fitted = _fit(job.kind, job.price, job.seed, MORE)
     least = _least_gain(job, fitted) if job.confidence else None
     return Settled(_schedule(job.kind, job.price, fitted, job.seed), least)
 
@@ -323,6 +329,12 @@ def _threshold(kind: Kind, price: float, seed: int, best: Schedule | None = None
     return best
 
 
+def clock_cost(kind: Kind, price: float) -> float:
+    """Return what the best clock costs per look, sends at their price included: the least mean is no more."""
+    interval = kind.clocked.interval(price)
+    return kind.clocked.cost(1 / interval) + price / interval
+
+
 def _saving(kind: Kind, interval: float, price: float) -> Form:
     """Return e'Se − price, S = Σ F'ʲΓFʲ over the looks of an interval."""
     F, S = kind.F, kind.Gamma
@@ -353,9 +365,8 @@ def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
 
     kind, price = job.kind, job.price
     error = kind.F, kind.noise, kind.Gamma
-    rare, interval = bound_rare_sends(*error, price), kind.clocked.interval(price)
-    had = kind.clocked.cost(1 / interval) + price / interval
-    if rare.gain >= (1 - CLOSE) * had:
+    rare = bound_rare_sends(*error, price)
+    if rare.gain >= (1 - CLOSE) * clock_cost(kind, price):
         return rare.gain
     for _ in range(HALVINGS):
         try:
@@ -365,8 +376,8 @@ def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
         except NoQuadratureError:
             pass
         try:
-            fitted = fitted or fit_schedule(*error, price, job.seed)
-            return sample_dual(*error, price, fitted, job.confidence, [job.seed, 1], job.among)
+            fitted = fitted or fit_schedule(*error, price, job.seed, MORE)
+            return sample_dual(*error, price, fitted, job.confidence, [job.seed, 1], job.precise)
         except ProblemError:
             price, fitted = price / 2, None  # hardly anything is sent at it; the least mean grows with the price
     return rare.gain
