@@ -206,7 +206,7 @@ def test_rare_sends_are_waited_for() -> None:
     """Where a send is rare, as many of them are dropped and kept as it takes, whatever precision is asked."""
     plant, cost = Plant([[0.6]], [[1.0]], [[0.01]], [[1.0]], [[0.03]]), Cost([[1.0]], [[0.05]])
     loop = close(plant, design.lqg(plant, cost, theta=1.3, trigger="separate"))
-    quick, long = average(loop, seed=1, standard_error=3e-5), average(loop, seed=2, steps=20_000_000)
+    quick, long = average(loop, seed=1, standard_error=1e-4), average(loop, seed=2, steps=10_000_000)
     assert 1e-3 < long.rates["actuator"].value < 5e-3
     assert quick.burn_in > 8 / long.rates["actuator"].value
     assert abs(quick.cost.value - long.cost.value) <= 4 * np.hypot(quick.cost.standard_error, long.cost.standard_error)

@@ -250,7 +250,7 @@ def programs(loop: Loop) -> list[Program]:
     return [*written, *(replace(each, precision="float32").program() for each in (loop, clocked))]
 
 
-@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("name", few(TARGETS, quick=3))
 @pytest.mark.parametrize("build", few(["parity", "fast"], quick=1))
 def test_programs_compile_for_every_processor(loop: Loop, name: str, build: machine.Build) -> None:
     """No function is called, for there is no mathematical library; the parity build has no fused operation."""
