@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 from counts import few
-
 from taciturn.runtime.launch import Fork
+
 from taciturn.runtime.processes import Process
 from taciturn.runtime.udp import Endpoint, free_addresses
 

@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from counts import few
 from drawn import law
 from hypothesis import strategies as st
 from parity.loops import assert_parity, differences, programs, with_precision
@@ -87,7 +88,7 @@ def own(loops: list[Loop]) -> list[Program]:
     return [loop.program() for loop in loops]
 
 
-@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("precision", few(["float64", "float32"], quick=1))
 @pytest.mark.parametrize("size", [4, 20])
 def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Precision, size: int) -> None:
     """Lane by lane, bit for bit: constants, tables of schedules, matrices."""

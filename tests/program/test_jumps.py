@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
 from scipy.linalg import expm
 
 from taciturn import ContinuousPlant, Cost, Jumps, Plant, ProblemError, average, close, design
@@ -60,7 +61,7 @@ def test_more_jumps_than_are_drawn_are_refused() -> None:
         program_of(JumpNoise(np.zeros((1, 1)), Jumps(10.0, [[1.0]]), 10.0))
 
 
-@pytest.mark.parametrize("distribution", ["normal", "uniform", "two-point"])
+@pytest.mark.parametrize("distribution", few(["normal", "uniform", "two-point"], quick=1))
 def test_a_loop_that_always_sends_has_the_cost_of_the_covariance(distribution) -> None:
     """Second moments decide the cost of linear control, whatever the law of the jumps."""
     covariance = np.array([[0.2, 0.1], [0.1, 0.5]])

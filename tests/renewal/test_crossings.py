@@ -128,7 +128,7 @@ def test_humps_that_touch_the_threshold_are_seen(n: int, touch: float) -> None:
 
 
 @pytest.mark.parametrize("beside", BESIDE)
-@pytest.mark.parametrize("n", CHAINS)
+@pytest.mark.parametrize("n", few(CHAINS, quick=1))
 def test_a_crossing_beside_a_jump_is_on_its_own_side(n: int, beside: float) -> None:
     """A jump 1e-9 s after the crossing comes too late, one 1e-9 s before it comes first."""
     random = np.random.default_rng([n, 3])
@@ -203,7 +203,8 @@ def earlier_hump(value, end: float, found: float) -> bool:  # type: ignore[no-un
             ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
             ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
         ],
-        quick=3,
+        quick=1,
+        start=4,
     ),
     ids=["linear", "longest", "shortest", "saturating", "all", "saturated-at-first", "level", "level-longest"],
 )

@@ -114,6 +114,7 @@ def check_known(period: float, rate_digits: float, cost_digits: float, accuracy:
     assert base + found.excess / period == pytest.approx(cost, rel=cost_digits)
 
 
+@pytest.mark.evidence
 @pytest.mark.parametrize("period", [2.0])
 def test_a_double_integrator_with_rare_checks_costs_what_is_known(period: float) -> None:
     """Rate and cost of the consistent periodic trigger, to 1e-6 at the first refinement."""
@@ -163,8 +164,9 @@ def mass_over_times(shower: Shower, within: np.ndarray, seed: int) -> float:
     return found
 
 
-@pytest.mark.parametrize("flat", few([True, False], quick=1), ids=["rank one", "rank two"])
-@pytest.mark.parametrize("period", few([0.25, 0.5], quick=1))
+@pytest.mark.evidence
+@pytest.mark.parametrize("flat", [True, False], ids=["rank one", "rank two"])
+@pytest.mark.parametrize("period", [0.25, 0.5])
 def test_the_density_of_a_period_has_the_mass_that_drawn_times_give(period: float, flat: bool) -> None:
     """Over an ellipse, along rays and over the times of the jumps, within four standard errors of about 1e-6."""
     A = np.array([[0.1, 1.0], [-0.3, 0.0]])
@@ -311,9 +313,14 @@ def refused(of: Chain, words: str) -> None:
         solve_jumps(of)
 
 
-def test_chains_beyond_the_method_are_refused_in_a_sentence() -> None:
-    """Another law, three dimensions, no jumps, nothing sent, a turn within a period, digits that do not settle."""
+@pytest.mark.evidence
+def test_a_chain_whose_digits_do_not_settle_is_refused() -> None:
+    """After the finest nodes that are tried."""
     refused(random_chain(15), "settle to")
+
+
+def test_chains_beyond_the_method_are_refused_in_a_sentence() -> None:
+    """Another law, three dimensions, no jumps, nothing sent, a turn within a period."""
     refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, law="two-point"), "two-point")
     refused(chain(0.0, 1.0, 1.0, 1.0, 1.0, law="uniform"), "uniform")
     refused(chain(np.diag([0.1, 0.2, 0.3]), np.eye(3), 1.0, 1.0, 1.0), "3 dimensions")

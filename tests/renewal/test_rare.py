@@ -13,7 +13,7 @@ from taciturn.renewal.optimal import solve_optimal
 from taciturn.renewal.rare import bound_rare_sends
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 12.0))
 def test_the_best_schedule_keeps_both_bounds(seed: int, dear: float) -> None:
     """Rate and gain of the best schedule by quadrature, at prices from some to many times what silence costs."""

@@ -103,6 +103,7 @@ def test_an_evaluation_with_what_its_linearisation_promises_is_kept_whole(tmp_pa
     assert decode(encode(found)) == found
 
 
+@pytest.mark.evidence
 def test_a_problem_goes_to_other_processes_without_its_files(tmp_path: Path) -> None:
     """With the text of its function, so that keys outside [policy] can be changed there as well."""
     stated = problem(tmp_path)

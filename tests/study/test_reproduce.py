@@ -224,6 +224,7 @@ def test_both_cases_of_one_realisation_have_the_same_noise(name: str) -> None:
     assert np.abs(noises[0]).max() > 0
 
 
+@pytest.mark.evidence
 def test_tracking_without_a_price_is_silent_until_the_first_measurement_that_tells() -> None:
     """R_t at λ = 0: two steps that cannot know of any deviation, and a third of a step of lost measurements."""
     rows = [row for table in chapter("chapter7").tables for row in table.rows]

@@ -96,6 +96,7 @@ def test_threads_and_processes_give_the_same_bits(whole: xarray.Dataset) -> None
             )
 
 
+@pytest.mark.evidence
 def test_a_dask_cluster_gives_the_same_bits(whole: xarray.Dataset) -> None:
     """Two worker processes."""
     distributed: Any = pytest.importorskip("distributed")
@@ -306,6 +307,7 @@ def test_a_worker_killed_in_a_dask_sweep_costs_its_cells_only(whole: xarray.Data
     assert len(list((tmp_path / "cells").glob("*/*"))) == 6
 
 
+@pytest.mark.evidence
 def test_a_killed_process_of_a_pool_is_a_sentence_and_the_next_run_goes_on(
     whole: xarray.Dataset, tmp_path: Path
 ) -> None:

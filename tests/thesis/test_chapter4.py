@@ -39,6 +39,7 @@ def test_fixed_points_and_costs(slope: int) -> None:
     assert policy.cost_all_time + found.cost.value <= policy.bound() + 4 * found.cost.standard_error
 
 
+@pytest.mark.evidence
 def test_the_printed_slope() -> None:
     """C = 9.1557: α* = 1.46812 ± .00014, g = 8.5418 ± .0007, J = 29.9377, and periodic control costs 40.358."""
     policy = design.integral(DOUBLE, COST, slope=9.1557, h_max=2.0)
