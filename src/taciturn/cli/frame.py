@@ -18,7 +18,7 @@ import typer.core
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
-    from taciturn.simulation.sampling import Progress
+    from taciturn._progress import Progress
 
 GROUPS = {
     "Design and look": ("new", "show", "tune"),

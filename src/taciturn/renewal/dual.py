@@ -7,21 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, symmetrised
 from taciturn._modes import root, stationary
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal.fitted import Bits, Fitted, squares
 
 ABREAST = 32  # batches that run side by side; their means are independent
-MOST = 16  # times as many
+MOST = 16  # times as many, where that is no more
+WORK = 5_000_000  # checks of all paths
 PATHS = 64  # of a batch
 NARROWER = 0.8  # of the paths that are left, before the others are dropped
 PRECISE = 5e-4  # of the bound: what the confidence should cost
-NOISES = 64  # over which a conditional mean is taken, and as many mirrored
+NOISES = 32  # over which a conditional mean is taken, and as many mirrored
 FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
 SAFETY = 1.5
+AWAY = 1.0  # times the depth of φ: so far above its minimum a path hardly ever finds another
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
@@ -82,7 +84,7 @@ def bound_schedules(
         >>> 0.98 < bound_schedules(unit, unit, unit, 10.0, fitted, 0.999).gain / fitted.gain < 1.02
         True
     """
-    game = _Game(F, root(noise), Gamma, fitted)
+    game = _Game(F, noise, Gamma, fitted)
     draws = np.random.default_rng(seed)
     highest = _highest(F, noise, Gamma, fitted.gain)
     saved = _most_saved(game, highest, fitted.interval, draws)
@@ -91,7 +93,7 @@ def bound_schedules(
     spread, sure = float(above.std(ddof=1)), (1 + confidence) / 2  # of each of two runs at most
     quantile = float(stdtrit(ABREAST - 1, sure))
     wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2
-    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, MOST))
+    batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, min(MOST, max(WORK // pilot.work, 1))))
     gain, slope, found = fitted.gain, pilot.slope, DualBound(0.0, fitted.gain, pilot.checks)
     for _ in range(2):
         lower = (quantile + 1) * spread / np.sqrt(batches)
@@ -107,17 +109,30 @@ def bound_schedules(
     return found
 
 
-@dataclass(frozen=True, eq=False)
 class _Game:
-    """The error, and the schedule that the martingale is made of."""
+    """The error, and the schedule that the martingale is made of: φ = min(0, U), and a bell near it.
 
-    F: Array
-    half: Array
-    Gamma: Array
-    fitted: Fitted
+    The bell has the height and the curvature of φ at 0, and Gaussian noise turns it into another bell. So its
+    conditional mean is exact, and only that of φ less the bell is taken over noises.
+
+    Args:
+        F: (n, n).
+        noise: covariance of w, (n, n).
+        Gamma: Γ, (n, n).
+        fitted: the schedule.
+    """
+
+    def __init__(self, F: Array, noise: Array, Gamma: Array, fitted: Fitted) -> None:
+        """Find the bell and what noise makes of it."""
+        self.F, self.half, self.Gamma, self.fitted = F, root(noise), Gamma, fitted
+        self.depth = fitted.gain + fitted.height  # of φ at 0
+        bent = (2 * Gamma + fitted.height * fitted.Pi) / self.depth
+        spread = np.eye(len(F)) + noise @ bent
+        self.blurred = symmetrised(bent @ np.linalg.inv(spread))
+        self.less = float(np.linalg.det(spread)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the means over the noises of min(0, U) after a check, (batches, paths).
+        """Return the means over the noises of φ less the bell after a check, (batches, paths).
 
         Args:
             error: (batches, paths, n).
@@ -135,30 +150,42 @@ class _Game:
             crossed += squares(w, weight)[:, None]
             return crossed
 
-        return self._saved(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
+        return self._off(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
 
-    def now(self, error: Array) -> Array:
-        """Return min(0, U) of each error."""
-        return self._saved(squares(error, self.Gamma), squares(error, self.fitted.Pi))
+    def bell_after(self, error: Array) -> Array:
+        """Return the conditional mean of the bell after a check."""
+        return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
 
-    def _saved(self, cost: Array, power: Array) -> Array:
-        """Return min(0, U), written over what it is given: most of the time of a bound goes here."""
-        bell = np.maximum(power, 0.0, out=power)
-        bell *= -0.5
+    def now(self, error: Array) -> tuple[Array, Array]:
+        """Return the bell at each error, and φ less the bell."""
+        cost, power = squares(error, self.Gamma), squares(error, self.fitted.Pi)
+        bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
+        return bell, self._off(cost, power)
+
+    def _off(self, cost: Array, power: Array) -> Array:
+        """Return φ less the bell, written over what it is given: most of the time of a bound goes here."""
+        power *= 0.5
+        bell = power * (self.fitted.height / -self.depth)
+        bell -= cost / self.depth
         np.exp(bell, out=bell)
-        bell *= self.fitted.height
+        bell *= self.depth
+        kept = np.exp(np.negative(power, out=power), out=power)
+        kept *= self.fitted.height
         cost -= self.fitted.gain
-        cost -= bell
-        return np.minimum(cost, 0.0, out=cost)
+        cost -= kept
+        np.minimum(cost, 0.0, out=cost)
+        cost += bell
+        return cost
 
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """Mean of the minimum of each batch, how fast it falls with g (and 1), and the checks of the longest path."""
+    """Mean of the minimum of each batch, how fast it falls with g (and 1), checks of the longest path and of all."""
 
     values: Array
     slope: float
     checks: int
+    work: int
 
 
 class _Duel:
@@ -167,27 +194,30 @@ class _Duel:
     def __init__(self, game: _Game, gain: float, saved: float, draws: np.random.Generator) -> None:
         self.game, self.gain, self.saved, self.draws = game, gain, saved, draws
         self.rank = game.half.shape[1]
+        self.away = AWAY * game.depth
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> _Outcome:
         """Return what so many batches find, a multiple of those that run side by side."""
         found = [self._side_by_side() for _ in range(batches // ABREAST)]
-        slope = float(np.mean([when.mean() for _, when, _ in found]))
-        return _Outcome(np.concatenate([least for least, _, _ in found]), slope, max(last for _, _, last in found))
+        slope = float(np.mean([when.mean() for _, when, _, _ in found]))
+        longest, work = max(last for _, _, last, _ in found), sum(work for _, _, _, work in found)
+        return _Outcome(np.concatenate([least for least, _, _, _ in found]), slope, longest, work)
 
-    def _side_by_side(self) -> tuple[Array, Array, int]:
-        """Return the mean minimum of each batch, the mean check it is at, and how many checks were needed."""
+    def _side_by_side(self) -> tuple[Array, Array, int, int]:
+        """Return the mean minimum of each batch, the mean check it is at, the checks of the longest path and of all."""
         game, n = self.game, len(self.game.F)
         error, going = np.zeros((ABREAST, PATHS, n)), np.ones((ABREAST, PATHS), dtype=bool)
         total, least, when = np.zeros(going.shape), np.full(going.shape, np.inf), np.zeros(going.shape)
-        sums = np.zeros((2, ABREAST))
+        sums, work = np.zeros((2, ABREAST)), 0
         for check in range(1, LONGEST + 1):
-            live: Bits = np.asarray(going.any(axis=1), dtype=np.bool_)  # the other batches are done, and not looked at
-            w, expected = self.lattice.normals(self.draws, ABREAST, live) @ game.half.T, np.zeros(going.shape)
-            expected[live] = game.after(error[live], np.concatenate([w, -w], axis=1))
+            work += going.size
+            near: Bits = np.asarray(going & (total < least + self.away), dtype=np.bool_)
+            expected = game.bell_after(error) + self._off(error, near)
             drawn = self.draws.standard_normal((*going.shape, self.rank))
             error = error @ game.F.T + drawn @ game.half.T
-            total = total + expected - game.now(error)
+            bell, off = game.now(error)
+            total = total + expected - bell - np.where(near, off, 0.0)
             lower = total < least
             least, when = np.where(lower, total, least), np.where(lower, check, when)
             total = total + squares(error, game.Gamma) - self.gain
@@ -199,7 +229,7 @@ class _Duel:
             going = going & ~ends
             width = int(going.sum(axis=1).max())
             if not width:
-                return sums[0] / PATHS, sums[1] / PATHS, check
+                return sums[0] / PATHS, sums[1] / PATHS, check, work
             if width < NARROWER * going.shape[1]:
                 first = np.argsort(~going, axis=1, kind="stable")[:, :width]
                 going = np.take_along_axis(going, first, 1)
@@ -207,12 +237,27 @@ class _Duel:
                 error = np.take_along_axis(error, first[:, :, None], 1)
         raise AssertionError
 
+    def _off(self, error: Array, near: Bits) -> Array:
+        """Return the conditional mean of φ less the bell for the errors that are near, (batches, paths), else 0."""
+        expected, width = np.zeros(near.shape), int(near.sum(axis=1).max())
+        if width:
+            live: Bits = np.asarray(near.any(axis=1), dtype=np.bool_)
+            w = self.lattice.normals(self.draws, ABREAST, live) @ self.game.half.T
+            first = np.argsort(~near[live], axis=1, kind="stable")[:, :width]
+            means = self.game.after(np.take_along_axis(error[live], first[:, :, None], 1), np.concatenate([w, -w], 1))
+            found = np.zeros((len(first), near.shape[1]))
+            np.put_along_axis(found, first, means, 1)
+            expected[live] = found
+        return np.where(near, expected, 0.0)
+
 
 def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
     """Return the highest bound to seek about a fitted gain; β grows without limit as it nears what silence costs."""
-    if np.abs(np.linalg.eigvals(F)).max() >= 1:
+    try:
+        silent = float(np.sum(Gamma * stationary(F, noise)))
+    except UnstableError:  # or so near it that silence costs more than can be told
         return HIGHEST * gain
-    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * stationary(F, noise)))) / 2)
+    return min(HIGHEST * gain, (gain + silent) / 2)
 
 
 def _most_saved(game: _Game, gain: float, interval: float, draws: np.random.Generator) -> float:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.renewal._check import INTERPOLATED
+from taciturn._progress import Progress, Stages
+from taciturn.renewal._check import INTERPOLATED, Effort
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, place
 from taciturn.renewal._system import (
     DENSE,
     DENSEST,
-    LOOSEST,
     Solved,
     afforded,
     climb,
@@ -21,7 +21,7 @@ from taciturn.renewal._whiten import spread, whiten
 from taciturn.renewal.chain import Chain, Renewal
 
 
-def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
+def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
     """Return rate and cost of a chain with Gaussian noise.
 
     With k the density of the next error, E = {e: e'Ψe ≤ δ}: T = 1 + ∫_E k T and C = e'Γe + ∫_E k C are the checks
@@ -35,6 +35,7 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
         chain: with Gaussian noise.
         accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained. Omitted:
             1e-8, in three dimensions 1e-6.
+        progress: called with the fraction done.
 
     Returns:
         Rate, excess, their errors and the distribution of the intervals.
@@ -55,14 +56,16 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None) -> Renewal:
     white = whiten(chain)
     accuracy = number("accuracy", usual_accuracy(white) if accuracy is None else accuracy, 0.0, 1.0)
     region = Ellipsoid(white.m)
-    window = find_window(white, region, spread(white), min(accuracy, LOOSEST))
     dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
+    told = Stages(progress)
+    effort = Effort(accuracy, told.tick, dense)
+    window = find_window(white, region, spread(white), effort)
 
     def attempt(density: float, factor: float, step: int) -> Solved | None:
         most = afforded(step, len(white.m))
-        return solve(white, place(white, region, window.scaled(factor), density, step, most), dense)
+        return solve(white, place(white, region, window.scaled(factor), density, step, most), effort)
 
-    best = climb(attempt, accuracy, "a smaller δ", "simulate instead")
+    best = climb(attempt, accuracy, "a smaller δ", "simulate instead", told)
     found = best.found
     distribution = intervals(found.system.start, found.system.check, found.checks, 1 / found.rate)
     return Renewal(found.rate, found.excess, best.rate_error, best.excess_error, distribution, len(found.system.start))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from taciturn._progress import Progress
 from taciturn._arrays import count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.doubts import expect_arrivals, find_doubts
-from taciturn.simulation.sampling import Averages, Estimator, Part, Progress, Sampling, sends
+from taciturn.simulation.sampling import Averages, Estimator, Part, Sampling, sends
 
 LEAST_STEPS = 1024
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import lcm
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
+from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.model.estimate import Estimate
@@ -33,12 +34,11 @@ BUDGET = 4_000_000_000  # steps of all paths together
 DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
 RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
-CHUNK = 1 << 26  # steps between two reports of progress
+CHUNK = 1 << 24  # steps between two reports of progress
 ROUNDING = 1e-6  # relative, of what is simulated in single precision; measured: 7e-7 and less
 ROOM = 8  # paths for each control variate
 PAYS = 4  # times what was run so far must be left to run, for control variates to pay
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class Sampling:
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile."""
-        self.parts, self.seed, self.threads, self.progress = parts, seed, threads, progress
+        self.parts, self.seed, self.threads, self.progress = parts, seed, threads, Stages(progress)
         self.offset = sum(part.sign * part.estimator.offset for part in parts)
         self.steps = 0
         self._read([part.estimator.program for part in parts], [part.names for part in parts])
@@ -183,6 +183,14 @@ class Sampling:
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
         """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
+        return _last(self._windows(standard_error, steps))
+
+    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
+        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
+        return _last(self._batches(horizon, standard_error, steps))
+
+    def _windows(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield what is known after each window of ticks, until that is enough."""
         budget, width = steps or BUDGET, len(self.parts)
         least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
         paths = min(PATHS, max(8, budget // (2 * least * width) // 8 * 8))
@@ -211,10 +219,12 @@ class Sampling:
             long_enough = forgotten and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
             if steps is None and long_enough and self._is_precise(cost, target):
-                return Averages(cost, rates, self.steps, dropped, True)
+                yield Averages(cost, rates, self.steps, dropped, True)
+                return
+            reached = left <= window and steps is not None and long_enough
+            yield Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
             if left <= window:
-                reached = steps is not None and long_enough
-                return Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
+                return
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
             if missing > PAYS * measured and self._add_controls(paths):
@@ -223,8 +233,8 @@ class Sampling:
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
-    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
-        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
+    def _batches(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield what is known after each batch of missions, until that is enough."""
         budget, width = steps or BUDGET, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
@@ -250,8 +260,10 @@ class Sampling:
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
             target = self._target(standard_error, first.center)
             reached = steps is None and self._is_precise(cost, target)
-            if reached or self.steps + paths * horizon * width > budget:
-                return Averages(cost, found, self.steps, 0, reached or steps is not None)
+            last = reached or self.steps + paths * horizon * width > budget
+            yield Averages(cost, found, self.steps, 0, reached or (last and steps is not None))
+            if last:
+                return
             self._report(cost, None if steps else target, self.steps / budget)
 
     @cached_property
@@ -323,6 +335,7 @@ class Sampling:
                     passed = "the range of single precision" if single else f"{HUGE:g}"
                     raise part.diverges(f"its cost passed {passed} within {self.steps} steps")
             ticks -= now
+            self.progress.tick()
         return sums, after
 
     def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
@@ -380,8 +393,24 @@ class Sampling:
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
-        if self.progress is not None:
-            self.progress(min(1.0, max(spent, precise)))
+        self.progress(max(spent, precise))
+
+
+def _last(answers: Iterator[Averages]) -> Averages:
+    """Return the last of ever better answers, or the best so far when the time is up.
+
+    Raises:
+        OutOfTime: before the first.
+    """
+    found = None
+    try:
+        for found in answers:
+            pass
+    except OutOfTime:
+        if found is None:
+            raise
+    assert found is not None
+    return found
 
 
 def _means(windows: Sequence[tuple[int, Array]]) -> Array:

@@ -25,7 +25,7 @@ from taciturn.program import machine
 from taciturn.program.controls import CONTROL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Build, Kernel
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.simulation.statistics import controlled_mean, mean
 
 Contestant = Callable[[int], tuple[int, float]]

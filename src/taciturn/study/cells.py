@@ -17,7 +17,7 @@ from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.evaluate import Evaluation, choose_confidence, evaluate, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.store import Store

@@ -15,7 +15,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather

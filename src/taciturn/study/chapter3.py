@@ -9,7 +9,7 @@ from taciturn._figure import Panel, Series, draw
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.simulation.course import course
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table

@@ -11,7 +11,7 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem, load
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table
 

@@ -16,7 +16,8 @@ from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.reference import Reference
 from taciturn.problem import load
-from taciturn.simulation.average import Progress, average
+from taciturn._progress import Progress
+from taciturn.simulation.average import average
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.reproduction import Reproduction, Row, Table

@@ -21,7 +21,7 @@ from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.measure import measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at

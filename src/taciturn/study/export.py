@@ -18,7 +18,7 @@ from taciturn.model.policy import NodeName
 from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 
 STEPS = 1_000_000  # of the loop in each precision
 WORSE = 0.01  # share of the cost that single precision may cost

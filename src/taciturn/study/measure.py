@@ -11,7 +11,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import average
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
+from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
 FINEST, COARSEST = 1e-8, 1e-5  # relative accuracies that a quadrature is asked for, by the standard error
 

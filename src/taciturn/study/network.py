@@ -31,7 +31,7 @@ from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.doubts import comes_never_to_rest
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.ticks import cost_of_ticks, measured, settled
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit

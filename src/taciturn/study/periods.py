@@ -10,7 +10,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next

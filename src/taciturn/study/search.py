@@ -13,7 +13,7 @@ from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.looks import look_at
 

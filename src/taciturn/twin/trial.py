@@ -19,7 +19,7 @@ from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import KEY, Wire
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.simulation.sampling import Progress
+from taciturn._progress import Progress
 from taciturn.study.network import kernel_losses, logged_lines, losses
 from taciturn.twin.body import Body
 from taciturn.twin.control import write_calibration
