@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from taciturn._arrays import Array, count, instance
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.policy import Policy
@@ -17,11 +19,12 @@ if TYPE_CHECKING:
     from taciturn.renewal.rates import WindowBound
 
 LONGEST_WINDOW = 100_000  # ticks, whose sends take seconds to bound
-ROUGH = 1e-2  # relative standard error, at first
+ROUGH = 1e-2  # relative standard error of a pilot
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
+WORK_OF_JUMPS = 1e8  # operations, on a line
 
 
-def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
+def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
     """Return the sends per tick and the cost beyond sending always, by quadrature of the renewal equations.
 
     With the error e of the prediction after a decision, E = {e: e'Ψe ≤ δ} and k the density of the next error,
@@ -34,6 +37,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
         loop: closed with the plant and network of the design.
         accuracy: relative, that is aimed at; omitted: 1e-8 under Gaussian noise (1e-6 in three dimensions), 1e-5 under
             jumps.
+        progress: called with the fraction done.
 
     Returns:
         Rate per tick, excess in the units of the cost (the cost is the identity's constant plus it), the errors that
@@ -57,37 +61,90 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
     from taciturn.renewal.jumps import solve_jumps
 
     if loop.problem.jumps is None:
-        return solve_gaussian(chain, accuracy)
-    return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy)
+        return solve_gaussian(chain, accuracy, progress)
+    return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy, progress)
 
 
-def sample_renewal(loop: Loop, standard_error: float, seed: int = 0) -> PathAnswer | None:
-    """Return what never-die paths find, where intervals are so short that they are quicker than a simulation.
+def predict_renewal(loop: Loop, accuracy: float) -> float:
+    """Return about how many operations ``solve_renewal`` takes for an accuracy, without solving anything.
 
     Args:
         loop: closed with the plant and network of the design.
-        standard_error: absolute, of the excess, in the units of the cost.
-        seed: of the draws.
-
-    Returns:
-        Rate per tick and excess; None where a simulation is quicker.
+        accuracy: relative, that is aimed at.
 
     Raises:
-        NoQuadratureError: more than one error decides, or hardly anything is sent.
+        NoQuadratureError: as ``solve_renewal``, or jumps in more than one dimension.
+    """
+    from taciturn.renewal.gaussian import predict_gaussian
+
+    expect_affordable(loop)
+    chain = chain_of(loop)
+    return predict_gaussian(chain, accuracy) if loop.problem.jumps is None else WORK_OF_JUMPS
+
+
+def accuracy_for(loop: Loop, error: float) -> float:
+    """Return the relative accuracy of the excess that an absolute error asks for, about: the excess is not yet known.
+
+    Raises:
+        NoQuadratureError: as ``solve_renewal``.
+    """
+    from taciturn.renewal.gaussian import rough_excess
+
+    chain = chain_of(loop)
+    if loop.problem.jumps is not None:
+        return ACCURACY_OF_JUMPS
+    return error / max(rough_excess(chain), 1e-300)
+
+
+class ConditionalSampling:
+    """Rate and excess of a loop by paths on which no check sends, weighed with the probability of that.
+
+    Args:
+        loop: closed with the plant and network of the design.
+        seed: of the draws.
+        progress: called with the fraction done.
+
+    Raises:
+        NoQuadratureError: more than one error decides, the noise comes in jumps, intervals are so long that such paths
+            are slower than a simulation, or hardly anything is sent.
 
     Source: hajivassiliou1996
     """
-    if loop.problem.jumps is not None:
-        return None
-    chain = chain_of(loop)
-    from taciturn.renewal.paths import expect_quicker, solve_paths
 
-    if not expect_quicker(chain):
-        return None
-    found = solve_paths(chain, standard_error=ROUGH, seed=seed)
-    if found.excess.standard_error > standard_error:
-        found = solve_paths(chain, standard_error=standard_error / found.excess.value, seed=seed)
-    return found
+    def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
+        """Look at the intervals, and run nothing."""
+        from taciturn.renewal.paths import expect_quicker, least_work
+
+        self.chain, self.seed, self.progress = chain_of(loop), seed, progress
+        if loop.problem.jumps is not None or not expect_quicker(self.chain):
+            raise NoQuadratureError("intervals are too long for conditional sampling; simulate instead")
+        self.least = least_work(self.chain)
+
+    @cached_property
+    def pilot(self) -> PathAnswer:
+        """What a few paths find."""
+        return self._solved(ROUGH)
+
+    def predict(self, standard_error: float) -> float:
+        """Return about how many operations a standard error of the excess takes, from a pilot."""
+        from taciturn.renewal.paths import predict_paths
+
+        return predict_paths(self.chain, self.pilot, self._share(standard_error))
+
+    def run(self, standard_error: float) -> PathAnswer:
+        """Return rate per tick and excess, to a standard error of the excess."""
+        if self.pilot.excess.standard_error <= standard_error:
+            return self.pilot
+        return self._solved(self._share(standard_error))
+
+    def _share(self, standard_error: float) -> float:
+        value = self.pilot.excess.value
+        return min(standard_error / value, ROUGH) if value > 0 else ROUGH
+
+    def _solved(self, standard_error: float) -> PathAnswer:
+        from taciturn.renewal.paths import solve_paths
+
+        return solve_paths(self.chain, standard_error=standard_error, seed=self.seed, progress=self.progress)
 
 
 def bound_rate(loop: Loop) -> tuple[float, float] | None:

@@ -41,7 +41,7 @@ def evaluate(
     With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
     """
     import taciturn
-    from taciturn.study.evaluate import choose_confidence
+    from taciturn.study.lower import choose_confidence
 
     check_effort(standard_error, steps)
     problem = taciturn.load(file)

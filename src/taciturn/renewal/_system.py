@@ -116,6 +116,11 @@ def afforded(step: int, dimensions: int) -> int:
     return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
 
 
+def first_density(accuracy: float) -> float:
+    """Return the density of the nodes of the first rung."""
+    return FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
+
+
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
 ) -> Answer:
@@ -139,8 +144,7 @@ def climb(
 
     Source: khashooei2017
     """
-    density = FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
-    factor = NARROW
+    density, factor = first_density(accuracy), NARROW
     previous, best, missed = None, None, 0
     for step in range(RUNGS):
         try:

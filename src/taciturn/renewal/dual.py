@@ -9,6 +9,7 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import root, stationary
+from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal.fitted import Bits, Fitted, squares
@@ -46,7 +47,14 @@ class DualBound:
 
 
 def bound_schedules(
-    F: Array, noise: Array, Gamma: Array, price: float, fitted: Fitted, confidence: float, seed: int = 0
+    F: Array,
+    noise: Array,
+    Gamma: Array,
+    price: float,
+    fitted: Fitted,
+    confidence: float,
+    seed: int = 0,
+    progress: Progress | None = None,
 ) -> DualBound:
     """Return a lower bound of min E[e'Γe(1−σ) + λσ] over all schedules σ of e⁺ = F e(1−σ) + w that look back only.
 
@@ -71,6 +79,7 @@ def bound_schedules(
         fitted: a schedule that is nearly the best; the bound holds whatever it is.
         confidence: with which the bound holds, in (0, 1), one-sided.
         seed: of the draws.
+        progress: called with the fraction done.
 
     Raises:
         ProblemError: what may still be saved has no bound within the longest path.
@@ -85,20 +94,20 @@ def bound_schedules(
         True
     """
     game = _Game(F, noise, Gamma, fitted)
-    draws = np.random.default_rng(seed)
+    draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)
     saved = _most_saved(game, highest, fitted.interval, draws)
-    pilot = _Duel(game, fitted.gain, saved, draws).run(ABREAST)
+    pilot = _Duel(game, fitted.gain, saved, draws, told.stage(0.0, 0.05)).run(ABREAST)
     above = price - fitted.gain + pilot.values
     spread, sure = float(above.std(ddof=1)), (1 + confidence) / 2  # of each of two runs at most
     quantile = float(stdtrit(ABREAST - 1, sure))
     wanted = (quantile * spread / (PRECISE * fitted.gain * pilot.slope)) ** 2
     batches = ABREAST * int(np.clip(np.ceil(wanted / ABREAST), 1, min(MOST, max(WORK // pilot.work, 1))))
     gain, slope, found = fitted.gain, pilot.slope, DualBound(0.0, fitted.gain, pilot.checks)
-    for _ in range(2):
+    for low, high in ((0.05, 0.5), (0.5, 1.0)):
         lower = (quantile + 1) * spread / np.sqrt(batches)
         gain = min(max(gain + (float(above.mean()) - lower) / slope, 0.0), highest)
-        final = _Duel(game, gain, saved, draws).run(batches)
+        final = _Duel(game, gain, saved, draws, told.stage(low, high)).run(batches)
         above, slope = price - gain + final.values, final.slope
         mean, error = float(above.mean()), float(above.std(ddof=1)) / np.sqrt(batches)
         short = min(mean - float(stdtrit(batches - 1, sure)) * error, 0.0)
@@ -191,15 +200,18 @@ class _Outcome:
 class _Duel:
     """Paths of which each takes its minimum, in batches that share the noises of conditional means."""
 
-    def __init__(self, game: _Game, gain: float, saved: float, draws: np.random.Generator) -> None:
-        self.game, self.gain, self.saved, self.draws = game, gain, saved, draws
+    def __init__(self, game: _Game, gain: float, saved: float, draws: np.random.Generator, told: Stages) -> None:
+        self.game, self.gain, self.saved, self.draws, self.told = game, gain, saved, draws, told
         self.rank = game.half.shape[1]
         self.away = AWAY * game.depth
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> _Outcome:
         """Return what so many batches find, a multiple of those that run side by side."""
-        found = [self._side_by_side() for _ in range(batches // ABREAST)]
+        found, rounds = list[tuple[Array, Array, int, int]](), batches // ABREAST
+        while len(found) < rounds:
+            found.append(self._side_by_side())
+            self.told(len(found) / rounds)
         slope = float(np.mean([when.mean() for _, when, _, _ in found]))
         longest, work = max(last for _, _, last, _ in found), sum(work for _, _, _, work in found)
         return _Outcome(np.concatenate([least for least, _, _, _ in found]), slope, longest, work)
@@ -212,9 +224,10 @@ class _Duel:
         sums, work = np.zeros((2, ABREAST)), 0
         for check in range(1, LONGEST + 1):
             work += going.size
+            self.told.tick()
             near: Bits = np.asarray(going & (total < least + self.away), dtype=np.bool_)
             expected = game.bell_after(error) + self._off(error, near)
-            drawn = self.draws.standard_normal((*going.shape, self.rank))
+            drawn = self.draws.standard_normal((ABREAST, error.shape[1], self.rank))
             error = error @ game.F.T + drawn @ game.half.T
             bell, off = game.now(error)
             total = total + expected - bell - np.where(near, off, 0.0)

@@ -12,14 +12,15 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array
 from taciturn._progress import OutOfTime, Progress, Stages
-from taciturn.errors import ProblemError, UnstableError
-from taciturn.loop import COST, SENT, Loop
+from taciturn.errors import ProblemError
+from taciturn.loop import COST, SENT
 from taciturn.model.estimate import Estimate
-from taciturn.program.controls import CONTROL, controlled
+from taciturn.program.controls import CONTROL
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
 from taciturn.simulation.doubts import comes_never_to_rest
 from taciturn.simulation.lost import find_loss
+from taciturn.simulation.parts import Part
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
 PATHS = 4096
@@ -32,7 +33,6 @@ KEEP = 8  # time constants, and mean intervals between sends, that are dropped a
 SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
 BUDGET = 4_000_000_000  # steps of all paths together
 DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
-RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
 CHUNK = 1 << 24  # steps between two reports of progress
 ROUNDING = 1e-6  # relative, of what is simulated in single precision; measured: 7e-7 and less
@@ -53,7 +53,7 @@ class Averages:
         reached: whether the asked standard error was met.
         notes: what makes the numbers doubtful.
         settled: whether the loop had time to forget its start.
-        estimator: what was averaged: "completed squares", "plain average" or "never-die paths"; or "".
+        estimator: what was averaged: "completed squares", "plain average" or "conditional sampling"; or "".
     """
 
     cost: Estimate
@@ -64,81 +64,6 @@ class Averages:
     notes: tuple[str, ...] = ()
     estimator: str = ""
     settled: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Estimator:
-    """Which program is run, and how the mean of a sum gives the cost: offset + scale·mean.
-
-    Args:
-        program: one tick of the loop.
-        whole: the same before anything was left out, of which control variates are made; None for missions.
-        sum: name of the sum.
-        offset: what is added, in the units of the cost.
-        scale: factor of the mean per tick.
-    """
-
-    program: Program
-    whole: Program | None
-    sum: str
-    offset: float
-    scale: float
-
-    @cached_property
-    def controlled(self) -> Program | None:
-        """The program with control variates among its sums, for long runs; None for missions."""
-        return None if self.whole is None else controlled(self.whole, self.program)
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A loop, how its cost is estimated, and the factor with which cost and rates are added up.
-
-    Args:
-        loop: the closed loop.
-        estimator: of its cost.
-        sign: 1, or −1 for what is subtracted.
-    """
-
-    loop: Loop
-    estimator: Estimator
-    sign: float = 1.0
-
-    @property
-    def names(self) -> list[str]:
-        """The sums that are read: that of the estimator, then the sends on each link."""
-        return [self.estimator.sum, *sends(self.loop)]
-
-    @property
-    def controls(self) -> list[str]:
-        """The sums whose mean is 0."""
-        program = self.estimator.controlled
-        return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
-
-    @property
-    def settling(self) -> float:
-        """Ticks of the slowest time constant of the loop."""
-        return self.loop.policy.settling
-
-    def diverges(self, how: str) -> UnstableError:
-        """Return the error that says so."""
-        return UnstableError(
-            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop; send more often, "
-            "or check [plant.actual] and input_limit"
-        )
-
-    def refuse_runaways(self, costs: Array, ticks: int) -> None:
-        """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
-        size = np.abs(costs)
-        largest, typical = float(size.max()), float(np.median(size))
-        all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
-        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
-            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as another")
-
-
-def sends(loop: Loop) -> list[str]:
-    """Return the sums that count the sends on each link that decides."""
-    return [f"{SENT} {link}" for link in loop.policy.scheduled]
 
 
 class Sampling:
@@ -404,7 +329,7 @@ def _last(answers: Iterator[Averages]) -> Averages:
     """
     found = None
     try:
-        for found in answers:
+        for found in answers:  # noqa: B007 (the last one counts)
             pass
     except OutOfTime:
         if found is None:
