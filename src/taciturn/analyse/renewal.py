@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 LONGEST_WINDOW = 100_000  # ticks, whose sends take seconds to bound
 ROUGH = 1e-2  # relative standard error of a pilot
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
-WORK_OF_JUMPS = 1e8  # operations, on a line
+LEAST_OF_JUMPS = 1e8  # operations, on a line
 
 
 def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
@@ -56,44 +56,49 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
         >>> round(found.intervals.mean * found.rate, 8)
         1.0
     """
-    chain = chain_of(loop)
-    from taciturn.renewal.gaussian import solve_gaussian  # these take a while to import, and few loops reset an error
-    from taciturn.renewal.jumps import solve_jumps
-
-    if loop.problem.jumps is None:
-        return solve_gaussian(chain, accuracy, progress)
-    return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy, progress)
+    return RenewalQuadrature(loop).solve(accuracy, progress)
 
 
-def predict_renewal(loop: Loop, accuracy: float) -> float:
-    """Return about how many operations ``solve_renewal`` takes for an accuracy, without solving anything.
+class RenewalQuadrature:
+    """The renewal equations of a loop: what solving them would take, and their solution.
 
     Args:
         loop: closed with the plant and network of the design.
-        accuracy: relative, that is aimed at.
 
     Raises:
-        NoQuadratureError: as ``solve_renewal``, or jumps in more than one dimension.
+        NoQuadratureError: the loop has no such error, or more dimensions than the quadrature serves.
+
+    Source: khashooei2017
     """
-    from taciturn.renewal.gaussian import predict_gaussian
 
-    expect_affordable(loop)
-    chain = chain_of(loop)
-    return predict_gaussian(chain, accuracy) if loop.problem.jumps is None else WORK_OF_JUMPS
+    def __init__(self, loop: Loop) -> None:
+        """Solve nothing yet."""
+        chain = chain_of(loop)
+        from taciturn.renewal.gaussian import Quadrature  # these take a while to import, and few loops reset an error
 
+        self.loop, self.chain = loop, chain
+        self.gaussian = Quadrature(chain) if loop.problem.jumps is None else None
 
-def accuracy_for(loop: Loop, error: float) -> float:
-    """Return the relative accuracy of the excess that an absolute error asks for, about: the excess is not yet known.
+    @property
+    def least(self) -> float:
+        """Operations that it takes at least."""
+        return LEAST_OF_JUMPS if self.gaussian is None else self.gaussian.least
 
-    Raises:
-        NoQuadratureError: as ``solve_renewal``.
-    """
-    from taciturn.renewal.gaussian import rough_excess
+    def accuracy(self, error: float) -> float:
+        """Return the relative accuracy that an absolute error of the excess asks for: about, as it is not yet known."""
+        return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
 
-    chain = chain_of(loop)
-    if loop.problem.jumps is not None:
-        return ACCURACY_OF_JUMPS
-    return error / max(rough_excess(chain), 1e-300)
+    def predict(self, accuracy: float) -> float:
+        """Return about how many operations a relative accuracy takes, without solving anything."""
+        return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
+
+    def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
+        """Return what ``solve_renewal`` does."""
+        if self.gaussian is not None:
+            return self.gaussian.solve(accuracy, progress)
+        from taciturn.renewal.jumps import solve_jumps
+
+        return solve_jumps(self.chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy, progress)
 
 
 class ConditionalSampling:
@@ -105,19 +110,16 @@ class ConditionalSampling:
         progress: called with the fraction done.
 
     Raises:
-        NoQuadratureError: more than one error decides, the noise comes in jumps, intervals are so long that such paths
-            are slower than a simulation, or hardly anything is sent.
+        NoQuadratureError: more than one error decides, or the noise comes in jumps.
 
     Source: hajivassiliou1996
     """
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
         """Look at the intervals, and run nothing."""
-        from taciturn.renewal.paths import expect_quicker, least_work
+        from taciturn.renewal.paths import least_work
 
         self.chain, self.seed, self.progress = chain_of(loop), seed, progress
-        if loop.problem.jumps is not None or not expect_quicker(self.chain):
-            raise NoQuadratureError("intervals are too long for conditional sampling; simulate instead")
         self.least = least_work(self.chain)
 
     @cached_property
@@ -126,9 +128,17 @@ class ConditionalSampling:
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float) -> float:
-        """Return about how many operations a standard error of the excess takes, from a pilot."""
-        from taciturn.renewal.paths import predict_paths
+        """Return about how many operations a standard error of the excess takes, from a pilot.
 
+        It is infinite where intervals are so long that points which fill space evenly do not help.
+        """
+        from taciturn.renewal.paths import expect_quicker, predict_paths
+
+        try:
+            if not expect_quicker(self.chain):
+                return float("inf")
+        except NoQuadratureError:  # hardly anything is sent
+            return float("inf")
         return predict_paths(self.chain, self.pilot, self._share(standard_error))
 
     def run(self, standard_error: float) -> PathAnswer:

@@ -21,6 +21,7 @@ USUAL = 50_000_000
 SHORT = 2.5  # checks
 SPARED = 0.75  # power of the paths with which an error falls
 DRAW = 250.0  # operations for a draw that is conditional
+START = 4e7  # operations, to bound the intervals and to scramble points
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,12 +138,12 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
     """
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
     more = max(off / standard_error, 1.0) ** (1 / SPARED)
-    return DRAW * len(reduced(chain).F) * known.steps * more
+    return START + DRAW * len(reduced(chain).F) * known.steps * more
 
 
 def least_work(chain: Chain) -> float:
     """Return how many operations the fewest paths take, at least."""
-    return DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST * least_interval(chain)
+    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST
 
 
 def expect_quicker(chain: Chain) -> bool:

@@ -24,8 +24,8 @@ from taciturn.simulation.sampling import (
 LEAST_STEPS = 1024
 WINDOWS = 3  # times the burn-in, at least: itself, and two windows that are compared
 PILOT, OTHER_DRAWS = 1 << 19, 1_000_003  # steps of a pilot, and what its seed is off the one of the answer
-PER_STEP = 0.04  # operations of work that one of a program takes in a step: many run at once
-TO_COMPILE, TO_START = 8e4, 2e7  # operations of work for one of a program, and for all of them
+PER_STEP = 0.02  # operations of work that one of a program takes in a step: many run at once
+TO_COMPILE, TO_START = 5e4, 1.5e7  # operations of work for one of a program, and for all of them
 EXPLAINED = 0.5  # of the variance, that control variates leave, about
 
 

@@ -10,10 +10,9 @@ from taciturn._progress import OutOfTime, Progress, limited
 from taciturn.analyse.limits import solve_optimum
 from taciturn.analyse.renewal import (
     ConditionalSampling,
-    accuracy_for,
+    RenewalQuadrature,
     decides_alone,
-    predict_renewal,
-    solve_renewal,
+    expect_affordable,
 )
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
@@ -105,30 +104,31 @@ def measure(loop: Loop, effort: Effort, progress: Progress | None) -> Measured:
         reason = "asked for" if method != "auto" or effort.steps is not None else "no other method applies"
         found = _run(candidates[0], effort.standard_error, effort, progress, alone=True)
         return Measured(found, candidates[0].name, reason, notes + found.notes)
-    error = _asked(loop, effort.standard_error)
-    ordered, reason = rank(candidates, error, effort.time_limit)
-    best: tuple[Averages, str] | None = None
-    for candidate in ordered:
+    error, reasons, best = _asked(loop, effort.standard_error), list[str](), None
+    while candidates:
+        ordered, reason = rank(candidates, error, effort.time_limit)
+        candidate, candidates = ordered[0], ordered[1:]
+        reasons.append(reason)
         try:
-            found = _run(candidate, error, effort, progress, alone=candidate is ordered[-1])
+            found = _run(candidate, error, effort, progress, alone=not candidates)
         except NoQuadratureError as refusal:
-            reason += f"; {candidate.name} failed"
-            if candidate is ordered[-1] and best is None:
+            if not candidates and best is None:
                 raise
+            reasons.append(f"{candidate.name} failed")
             notes += (f"no {candidate.name}: {refusal.reason}",)
             continue
         except OutOfTime:
-            reason += f"; {candidate.name} ran out of time"
-            if candidate is ordered[-1] and best is None:
+            if not candidates and best is None:
                 raise
+            reasons.append(f"{candidate.name} ran out of time")
             continue
-        if best is None or found.reached or _off(found) < _off(best[0]):
-            best = found, candidate.name
+        if best is None or found.reached or _off(found) < _off(best.averages):
+            best = Measured(found, candidate.name, "; ".join(reasons), notes + found.notes)
         if found.reached:
             break
-        reason += f"; {candidate.name} missed the asked error"
+        reasons.append(f"{candidate.name} missed the asked error")
     assert best is not None  # the last candidate answers or raises
-    return Measured(best[0], best[1], reason, notes + best[0].notes)
+    return best
 
 
 def rank(candidates: list[Candidate], error: float, time_limit: float | None) -> tuple[list[Candidate], str]:
@@ -153,7 +153,7 @@ def rank(candidates: list[Candidate], error: float, time_limit: float | None) ->
 
     ordered = sorted(candidates, key=lambda one: (late(one), work[one.name]))
     first, others = ordered[0], ordered[1:]
-    parts = [f"{_seconds(work[first.name])} estimated"]
+    parts = [f"{first.name} {_seconds(work[first.name])} estimated"]
     parts += [f"{one.name} {'at least ' * rough[one.name]}{_seconds(work[one.name])}" for one in others]
     return ordered, f"{', '.join(parts)}"
 
@@ -194,26 +194,26 @@ def candidates_of(
 
 def _quadrature(loop: Loop, effort: Effort) -> Candidate:
     identity, link = loop.policy.identity, loop.policy.scheduled
-    accuracy_for(loop, 1.0)  # refuses what has none
+    if effort.method != "exact":
+        expect_affordable(loop)
+    quadrature = RenewalQuadrature(loop)
     assert identity is not None
 
     def predict(error: float) -> float:
-        return predict_renewal(loop, _clipped(accuracy_for(loop, error)))
+        return quadrature.predict(_clipped(quadrature.accuracy(error)))
 
     def run(error: float | None, progress: Progress | None) -> Averages:
-        accuracy = None if error is None else _clipped(accuracy_for(loop, error))
-        renewal = solve_renewal(loop, accuracy, progress)
+        accuracy = None if error is None else _clipped(quadrature.accuracy(error))
+        renewal = quadrature.solve(accuracy, progress)
         if error is not None and renewal.excess_error > error and loop.problem.jumps is None:
             with suppress(OutOfTime):
-                renewal = solve_renewal(loop, _clipped(error / renewal.excess), progress)
+                renewal = quadrature.solve(_clipped(error / renewal.excess), progress)
         cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, identity.constant)
         rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
         reached = cost.error <= _wanted(cost, effort.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 
-    if effort.method != "exact":
-        predict_renewal(loop, COARSEST)  # refuses what is solved much more slowly than simulated
-    return Candidate("quadrature", 0.0, predict, run, False)
+    return Candidate("quadrature", quadrature.least, predict, run, False)
 
 
 def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candidate:
