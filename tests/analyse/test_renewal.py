@@ -123,7 +123,7 @@ def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
     plain = taciturn.evaluate(problem, standard_error=0.05, method="simulation")
     spread = np.hypot(paths.cost.standard_error, plain.cost.standard_error)
     assert abs(paths.cost.value - plain.cost.value) <= 4 * spread
-    assert (paths.cost.method, paths.estimator, paths.notes) == ("simulation", "never-die paths", ())
+    assert (paths.cost.method, paths.estimator, paths.notes) == ("simulation", "conditional sampling", ())
     assert plain.estimator == "completed squares"
     assert paths.steps != plain.steps
     seldom = taciturn.evaluate(problem.changed({"delta": 20.0}), standard_error=0.05)

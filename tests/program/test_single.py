@@ -17,7 +17,8 @@ from taciturn.program.ir import Builder
 from taciturn.program.numpy import run
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import choose_estimator, plain_average
-from taciturn.simulation.sampling import Part, Sampling
+from taciturn.simulation.parts import Part
+from taciturn.simulation.sampling import Sampling
 
 KINDS: tuple[Precision, Precision] = ("float64", "float32")
 RESOLUTION = 2.0**-24  # of a float near 1

@@ -52,7 +52,7 @@ def line() -> tuple[Fitted, float]:
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> None:
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
     """Take few draws: bounds are looser, and hold as surely."""
     monkeypatch.setattr(dual, "MOST", 2)
 
@@ -75,7 +75,7 @@ def test_on_a_scalar_the_bound_is_within_a_percent_of_the_optimum(F: float, pric
     assert found.gain < found.expected
 
 
-def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float, few: None) -> None:
+def test_bounds_of_two_seeds_agree_within_their_errors(fitted: Fitted, least: float, few_draws: None) -> None:
     """Estimates differ by no more than what their confidence costs, and none is above the optimum by more."""
     found = [bound(fitted, seed=seed) for seed in range(2)]
     for one in found:
@@ -116,7 +116,7 @@ def test_a_bound_is_above_the_optimum_no_more_often_than_it_says() -> None:
         quick=2,
     ),
 )
-def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float], few: None) -> None:
+def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float], few_draws: None) -> None:
     """Whatever the martingale is made of, nothing costs less; nothing is better than what is fitted."""
     fitted, good = line
     found = bound_schedules(UNIT, UNIT, UNIT, 4.0, silly(fitted), 0.9999)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn._arrays import Array, count, instance, number
+from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.theory import Reset
@@ -46,7 +47,9 @@ class LowerBound:
         return self.cost + self.price * (self.rate - rate)
 
 
-def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0) -> LowerBound:
+def bound_below(
+    loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0, progress: Progress | None = None
+) -> LowerBound:
     """Return what no scheduling of a loop's controller can cost less than, at a rate of sends per tick.
 
     Whatever decides, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. At any
@@ -58,6 +61,7 @@ def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 
         rate: R in (0, 1], sends per tick.
         confidence: in (0, 1).
         seed: of the draws.
+        progress: called with the fraction done.
 
     Raises:
         ProblemError: no send resets an error of the loop, the noise comes in jumps, or the rate is too low for a bound
@@ -85,21 +89,25 @@ def bound_below(loop: Loop, rate: float, confidence: float = USUAL, seed: int = 
     from taciturn.renewal.fitted import fit_schedule
 
     F = loop.problem.plant.A
-    price = _price_of(F, reset, rate)
+    told = Stages(progress)
+    price = _price_of(F, reset, rate, told.stage(0.0, 0.4))
     fitted = fit_schedule(F, reset.covariance, reset.square, price, seed)
-    found = bound_schedules(F, reset.covariance, reset.square, price, fitted, confidence, seed)
+    told(0.5)
+    rest = told.stage(0.5, 1.0)
+    found = bound_schedules(F, reset.covariance, reset.square, price, fitted, confidence, seed, rest)
     if found.gain <= price * rate:
         raise ProblemError(f"at {rate:g} sends per tick no bound above sending always is found; expected a higher rate")
     return LowerBound(base + found.gain - price * rate, confidence, rate, price)
 
 
-def solve_optimum(loop: Loop, price: float, accuracy: float | None = None) -> Optimum:
+def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
     """Return the best schedule of a loop's controller at a price per send, solved by quadrature.
 
     Args:
         loop: of the design, whose actuator runs a model; Gaussian noise, at most three states that count.
         price: λ > 0, of a send, in the units of the cost times those of time.
         accuracy: relative; omitted: 1e-8, in three dimensions 1e-6.
+        progress: called with the fraction done.
 
     Returns:
         Rate and excess per tick, their errors, the distribution of the intervals, the schedule itself. The cost is the
@@ -124,7 +132,7 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None) -> Op
     reset = resets(loop)
     number("price", price, 0.0)
     return solve_optimal(
-        loop.problem.plant.A, reset.covariance, reset.square, price / loop.policy.tick, accuracy=accuracy
+        loop.problem.plant.A, reset.covariance, reset.square, price / loop.policy.tick, accuracy, progress
     )
 
 
@@ -147,7 +155,7 @@ def resets(loop: Loop) -> Reset:
     return loop.policy.reset
 
 
-def _price_of(F: Array, reset: Reset, rate: float) -> float:
+def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:
     """Return the price at which a nearly optimal schedule sends about at a rate."""
     from taciturn.renewal.fitted import Fitting, keep_errors, squares
 
@@ -155,10 +163,12 @@ def _price_of(F: Array, reset: Reset, rate: float) -> float:
     fitting = Fitting(F, noise, Gamma, points=FEW)
 
     def thresholds(log_price: float) -> float:
+        told(told.at + 0.5 / TRIES)
         delta = np.exp(log_price)
         return float(np.log(keep_errors(F, noise, lambda e: squares(e, Gamma) > delta)[1] / wanted))
 
     def schedules(log_price: float) -> float:
+        told(told.at + 0.5 / TRIES)
         found = fitting.at(float(np.exp(log_price)))
         return float(np.log(keep_errors(F, noise, lambda e: found.sends(e, Gamma))[1] / wanted))
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from taciturn._arrays import Array, count, instance
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.policy import Policy
@@ -17,11 +19,12 @@ if TYPE_CHECKING:
     from taciturn.renewal.rates import WindowBound
 
 LONGEST_WINDOW = 100_000  # ticks, whose sends take seconds to bound
-ROUGH = 1e-2  # relative standard error, at first
+ROUGH = 1e-2  # relative standard error of a pilot
 ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
+LEAST_OF_JUMPS = 1e8  # operations, on a line
 
 
-def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
+def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
     """Return the sends per tick and the cost beyond sending always, by quadrature of the renewal equations.
 
     With the error e of the prediction after a decision, E = {e: e'Ψe ≤ δ} and k the density of the next error,
@@ -34,6 +37,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
         loop: closed with the plant and network of the design.
         accuracy: relative, that is aimed at; omitted: 1e-8 under Gaussian noise (1e-6 in three dimensions), 1e-5 under
             jumps.
+        progress: called with the fraction done.
 
     Returns:
         Rate per tick, excess in the units of the cost (the cost is the identity's constant plus it), the errors that
@@ -52,42 +56,105 @@ def solve_renewal(loop: Loop, accuracy: float | None = None) -> Renewal:
         >>> round(found.intervals.mean * found.rate, 8)
         1.0
     """
-    chain = chain_of(loop)
-    from taciturn.renewal.gaussian import solve_gaussian  # these take a while to import, and few loops reset an error
-    from taciturn.renewal.jumps import solve_jumps
-
-    if loop.problem.jumps is None:
-        return solve_gaussian(chain, accuracy)
-    return solve_jumps(chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy)
+    return RenewalQuadrature(loop).solve(accuracy, progress)
 
 
-def sample_renewal(loop: Loop, standard_error: float, seed: int = 0) -> PathAnswer | None:
-    """Return what never-die paths find, where intervals are so short that they are quicker than a simulation.
+class RenewalQuadrature:
+    """The renewal equations of a loop: what solving them would take, and their solution.
 
     Args:
         loop: closed with the plant and network of the design.
-        standard_error: absolute, of the excess, in the units of the cost.
-        seed: of the draws.
-
-    Returns:
-        Rate per tick and excess; None where a simulation is quicker.
 
     Raises:
-        NoQuadratureError: more than one error decides, or hardly anything is sent.
+        NoQuadratureError: the loop has no such error, or more dimensions than the quadrature serves.
+
+    Source: khashooei2017
+    """
+
+    def __init__(self, loop: Loop) -> None:
+        """Solve nothing yet."""
+        chain = chain_of(loop)
+        from taciturn.renewal.gaussian import Quadrature  # these take a while to import, and few loops reset an error
+
+        self.loop, self.chain = loop, chain
+        self.gaussian = Quadrature(chain) if loop.problem.jumps is None else None
+
+    @property
+    def least(self) -> float:
+        """Operations that it takes at least."""
+        return LEAST_OF_JUMPS if self.gaussian is None else self.gaussian.least
+
+    def accuracy(self, error: float) -> float:
+        """Return the relative accuracy that an absolute error of the excess asks for: about, as it is not yet known."""
+        return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
+
+    def predict(self, accuracy: float) -> float:
+        """Return about how many operations a relative accuracy takes, without solving anything."""
+        return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
+
+    def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
+        """Return what ``solve_renewal`` does."""
+        if self.gaussian is not None:
+            return self.gaussian.solve(accuracy, progress)
+        from taciturn.renewal.jumps import solve_jumps
+
+        return solve_jumps(self.chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy, progress)
+
+
+class ConditionalSampling:
+    """Rate and excess of a loop by paths on which no check sends, weighed with the probability of that.
+
+    Args:
+        loop: closed with the plant and network of the design.
+        seed: of the draws.
+        progress: called with the fraction done.
+
+    Raises:
+        NoQuadratureError: more than one error decides, or the noise comes in jumps.
 
     Source: hajivassiliou1996
     """
-    if loop.problem.jumps is not None:
-        return None
-    chain = chain_of(loop)
-    from taciturn.renewal.paths import expect_quicker, solve_paths
 
-    if not expect_quicker(chain):
-        return None
-    found = solve_paths(chain, standard_error=ROUGH, seed=seed)
-    if found.excess.standard_error > standard_error:
-        found = solve_paths(chain, standard_error=standard_error / found.excess.value, seed=seed)
-    return found
+    def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
+        """Look at the intervals, and run nothing."""
+        from taciturn.renewal.paths import least_work
+
+        self.chain, self.seed, self.progress = chain_of(loop), seed, progress
+        self.least = least_work(self.chain)
+
+    @cached_property
+    def pilot(self) -> PathAnswer:
+        """What a few paths find."""
+        return self._solved(ROUGH)
+
+    def predict(self, standard_error: float) -> float:
+        """Return about how many operations a standard error of the excess takes, from a pilot.
+
+        It is infinite where intervals are so long that points which fill space evenly do not help.
+        """
+        from taciturn.renewal.paths import expect_quicker, predict_paths
+
+        try:
+            if not expect_quicker(self.chain):
+                return float("inf")
+        except NoQuadratureError:  # hardly anything is sent
+            return float("inf")
+        return predict_paths(self.chain, self.pilot, self._share(standard_error))
+
+    def run(self, standard_error: float) -> PathAnswer:
+        """Return rate per tick and excess, to a standard error of the excess."""
+        if self.pilot.excess.standard_error <= standard_error:
+            return self.pilot
+        return self._solved(self._share(standard_error))
+
+    def _share(self, standard_error: float) -> float:
+        value = self.pilot.excess.value
+        return min(standard_error / value, ROUGH) if value > 0 else ROUGH
+
+    def _solved(self, standard_error: float) -> PathAnswer:
+        from taciturn.renewal.paths import solve_paths
+
+        return solve_paths(self.chain, standard_error=standard_error, seed=self.seed, progress=self.progress)
 
 
 def bound_rate(loop: Loop) -> tuple[float, float] | None:

@@ -16,6 +16,7 @@ from taciturn.cli.frame import (
     Seed,
     StandardError,
     Steps,
+    TimeLimit,
     app,
     can_print,
     check_effort,
@@ -35,13 +36,14 @@ def evaluate(
     method: Annotated[str, typer.Option(help="auto, simulation or exact.")] = "auto",
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
     confidence: Confidence = None,
+    time: TimeLimit = None,
 ) -> None:
     """Cost, rate and guarantee of one policy.
 
     With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
     """
     import taciturn
-    from taciturn.study.evaluate import choose_confidence
+    from taciturn.study.lower import choose_confidence
 
     check_effort(standard_error, steps)
     problem = taciturn.load(file)
@@ -54,6 +56,7 @@ def evaluate(
             method=cast("Any", method),
             precision=cast("Any", precision),
             confidence=choose_confidence(problem, confidence),
+            time_limit=time,
             progress=progress,
         )
     if as_json:
@@ -62,6 +65,11 @@ def evaluate(
         typer.echo(found)
     if not found.reached and steps is not None:
         refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
+    if not found.reached and time is not None and found.seconds > time:
+        refuse(
+            f"the standard error was not reached within --time {time:g} s; reached "
+            f"{found.cost.standard_error + found.cost.error:.3g}: ask for a longer --time or a larger --standard-error"
+        )
     if not found.settled:
         refuse(
             f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "

@@ -18,7 +18,7 @@ import typer.core
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
-    from taciturn.simulation.sampling import Progress
+    from taciturn._progress import Progress
 
 GROUPS = {
     "Design and look": ("new", "show", "tune"),
@@ -88,6 +88,12 @@ Confidence = Annotated[
     float | None, typer.Option(help="Of the lower bound. Default: 0.999 where there is one; 0: seek none.")
 ]
 Steps = Annotated[int | None, typer.Option(help="Run this many steps of all paths together instead.")]
+TimeLimit = Annotated[
+    float | None,
+    typer.Option(
+        "--time", metavar="SECONDS", help="At most so long: then the best answer so far. Default: until it is reached."
+    ),
+]
 StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
 
 

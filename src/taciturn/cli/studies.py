@@ -58,7 +58,7 @@ def tradeoff(
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._grid import parse_grid
-    from taciturn.study.evaluate import choose_confidence
+    from taciturn.study.lower import choose_confidence
     from taciturn.study.workers import processes
 
     check_effort(standard_error)

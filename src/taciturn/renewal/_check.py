@@ -19,7 +19,8 @@ STENCIL = 10  # points per axis that a value between them is taken from
 INTERPOLATED = 1e-7  # relative error that this leaves in a rate or an excess, at most
 NEAR = 7.0  # noise standard deviations beyond which nothing comes
 MOST_POINTS = 20_000_000
-SOLVED = 1e-11  # residual of the equations, relative
+SOLVED = 1e-3  # residual of the equations, of the accuracy
+LEAST = 1e-11  # that it can be, relative
 DIRECTIONS, RESTARTS = 80, 2
 
 
@@ -51,6 +52,21 @@ class Matrix:
         return Matrix(self.entries.T).settled(known)
 
 
+@dataclass(frozen=True)
+class Effort:
+    """What a quadrature is to spend.
+
+    Args:
+        accuracy: of rate and excess, relative, that is aimed at.
+        alive: called now and then; it may raise ``OutOfTime``.
+        dense: nodes up to which the map is a matrix.
+    """
+
+    accuracy: float
+    alive: Callable[[], None]
+    dense: int
+
+
 class Grid:
     """The map without a matrix.
 
@@ -60,14 +76,14 @@ class Grid:
     Args:
         white: the chain.
         nodes: at which values are given.
+        effort: how well the equations are solved.
 
     Raises:
         TooManyNodes: the grid is too large.
     """
 
-    slack = INTERPOLATED
-
-    def __init__(self, white: White, nodes: Nodes) -> None:
+    def __init__(self, white: White, nodes: Nodes, effort: Effort) -> None:
+        self.effort, self.slack = effort, INTERPOLATED + SOLVED * effort.accuracy
         self.scale = (2 * np.pi) ** (-len(white.m) / 2) * nodes.weight
         self.levels = nodes.levels
         means = nodes.x @ white.F.T
@@ -105,22 +121,25 @@ class Grid:
 
     def settled(self, known: Array) -> Array:
         """Return X with X = known + ahead(X), for every column; not a number where it is not found."""
-        return np.stack([_solved(self.ahead, column) for column in known.T], axis=1)
+        return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
         """Return X with X = known + after(X); not a number where it is not found."""
-        return _solved(self.after, known)
+        return self._solved(self.after, known)
 
+    def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:
+        """Return x with x = known + check(x), by GMRES; not a number where it is not found."""
 
-def _solved(check: Callable[[Array], Array], known: Array) -> Array:
-    """Return x with x = known + check(x), by GMRES; not a number where it is not found."""
-    operator = scipy.sparse.linalg.LinearOperator(
-        (len(known), len(known)), matvec=lambda x: x - check(x), dtype=np.float64
-    )
-    found, failed = scipy.sparse.linalg.gmres(
-        operator, known, rtol=SOLVED, atol=0.0, restart=DIRECTIONS, maxiter=RESTARTS
-    )
-    return np.full(len(known), np.nan) if failed else np.asarray(found, dtype=np.float64)
+        def less(x: Array) -> Array:
+            self.effort.alive()
+            return x - check(x)
+
+        operator = scipy.sparse.linalg.LinearOperator((len(known), len(known)), matvec=less, dtype=np.float64)
+        tolerance = max(SOLVED * self.effort.accuracy, LEAST)
+        found, failed = scipy.sparse.linalg.gmres(
+            operator, known, rtol=tolerance, atol=0.0, restart=DIRECTIONS, maxiter=RESTARTS
+        )
+        return np.full(len(known), np.nan) if failed else np.asarray(found, dtype=np.float64)
 
 
 def _stencils(means: Array, halves: Array, shape: tuple[int, ...]) -> scipy.sparse.csr_matrix:

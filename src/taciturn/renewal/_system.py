@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, symmetrised
-from taciturn.renewal._check import Grid, Matrix
+from taciturn._progress import OutOfTime, Stages
+from taciturn.renewal._check import Effort, Grid, Matrix
 from taciturn.renewal._nodes import Nodes, Region, TooManyNodes, Window, place
 from taciturn.renewal._whiten import White
 from taciturn.renewal.chain import NoQuadratureError
@@ -19,7 +20,7 @@ DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is quicker than a grid
 COARSE = 0.5  # density of the nodes that tell where kept errors are
 FIRST, USUAL = 0.53, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
 LARGE = 1e-6  # in three dimensions
-LOOSEST = 1e-5  # coarser nodes would not know their own error
+LOOSEST = 1e-4  # coarser nodes would not know their own error
 NARROW = 0.85  # of the windows that the coarse nodes ask for
 FINER, WIDER = 1.25, 1.1  # from one answer to the next
 RUNGS = 12
@@ -115,7 +116,14 @@ def afforded(step: int, dimensions: int) -> int:
     return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
 
 
-def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str) -> Answer:
+def first_density(accuracy: float) -> float:
+    """Return the density of the nodes of the first rung."""
+    return FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
+
+
+def climb(
+    attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
+) -> Answer:
     """Return the answer of ever finer nodes on ever wider windows that settles first.
 
     What it last moved by is the error claimed, twice, which is that of the coarser answer.
@@ -125,22 +133,27 @@ def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float
         accuracy: relative.
         less: what would make it easier, for the reader of a refusal.
         instead: what else there is.
+        told: the progress; the best answer so far is the last one when it is out of time.
 
     Returns:
         The best answer.
 
     Raises:
         NoQuadratureError: too many nodes, or too few digits.
+        OutOfTime: before the first answer.
 
     Source: khashooei2017
     """
-    density = FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
-    factor = NARROW
+    density, factor = first_density(accuracy), NARROW
     previous, best, missed = None, None, 0
     for step in range(RUNGS):
         try:
             found = attempt(density, factor, step)
         except TooManyNodes:
+            break
+        except OutOfTime:
+            if best is None:
+                raise
             break
         missed += found is None
         if missed > 1 or (found is not None and found.rounding > USELESS):
@@ -150,6 +163,7 @@ def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float
             best = answer if best is None or answer.off <= best.off else best
             if best.off <= max(accuracy, 2 * found.rounding):
                 break
+            told.at = max(told.at, float(np.log(max(best.off, accuracy)) / np.log(accuracy)))
         previous = found
         density, factor = density * FINER, factor * WIDER
     if best is None:
@@ -165,22 +179,23 @@ def climb(attempt: Callable[[float, float, int], Solved | None], accuracy: float
     return best
 
 
-def find_window(white: White, region: Region, covariance: Array, accuracy: float) -> Window:
+def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
     """Return where kept errors are, as coarse nodes see it on windows that they set themselves.
 
     Args:
         white: the chain.
         region: where errors are kept.
         covariance: of kept errors, about, (n, n).
-        accuracy: of rate and excess, relative.
+        effort: with the accuracy of rate and excess.
 
     Returns:
         A window beyond which hardly any checks and costs are.
     """
     window = Window(covariance, np.full(len(covariance), REACH))
+    accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
     for _ in range(PASSES):
         try:
-            system = discretise(white, place(white, region, window, COARSE, 0, MOST_NODES // 2), DENSE)
+            system = discretise(white, place(white, region, window, COARSE, 0, MOST_NODES // 2), rough)
         except TooManyNodes:
             break
         visits = system.check.settled_shares(system.start)
@@ -198,13 +213,13 @@ def find_window(white: White, region: Region, covariance: Array, accuracy: float
     return window
 
 
-def discretise(white: White, nodes: Nodes, dense: int) -> System:
+def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
     """Return the map of a check on even functions: what comes to −x counts for x; a matrix for so many nodes.
 
     Args:
         white: the chain.
         nodes: in the region that is kept.
-        dense: nodes up to which it is a matrix.
+        effort: what may be spent.
 
     Returns:
         The system.
@@ -215,8 +230,9 @@ def discretise(white: White, nodes: Nodes, dense: int) -> System:
     n = len(white.m)
     density = (2 * np.pi) ** (-n / 2) * nodes.weight
     start = 2 * density * np.exp(-0.5 * (nodes.x * nodes.x).sum(axis=1))
-    if len(start) > dense:
-        check = Grid(white, nodes)
+    effort.alive()
+    if len(start) > effort.dense:
+        check = Grid(white, nodes, effort)
     else:
         kernel = gauss(nodes.x @ white.F.T, nodes.x)
         kernel += gauss(nodes.x @ white.F.T, -nodes.x)
@@ -225,13 +241,13 @@ def discretise(white: White, nodes: Nodes, dense: int) -> System:
     return System(nodes.x, density, start, check, ((nodes.x @ white.Gamma) * nodes.x).sum(axis=1))
 
 
-def solve(white: White, nodes: Nodes, dense: int) -> Solved | None:
+def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
     """Return the solution on some nodes, or None where they are too coarse to have one.
 
     Args:
         white: the chain.
         nodes: in the region that is kept.
-        dense: nodes up to which the map is a matrix.
+        effort: what may be spent.
 
     Returns:
         The solution.
@@ -239,7 +255,7 @@ def solve(white: White, nodes: Nodes, dense: int) -> Solved | None:
     Raises:
         TooManyNodes: more than the sums on a grid can serve.
     """
-    system = discretise(white, nodes, dense)
+    system = discretise(white, nodes, effort)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
     solution = system.check.settled(known)
     checks, cost = 1 + float(system.start @ solution[:, 0]), float(system.start @ solution[:, 1])

@@ -6,7 +6,7 @@ is a stopping time, and by Wald's identity neither the durations nor the costs a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
@@ -38,6 +38,7 @@ PATHS = 4096
 FEWEST_PATHS, CYCLES_PER_PATH = 64, 16  # few cycles are spread over fewer paths
 DEFAULT_CYCLES = 1_000_000
 FIRST_TICKS = 64
+CHUNK = 1 << 24  # ticks of all paths between two signs of life
 CHUNK = 1 << 25  # attempts between two looks at what was found
 BUDGET = 10_000_000_000  # attempts of all paths together
 ENDLESS = 100_000  # attempts within which a cycle ends
@@ -88,6 +89,7 @@ def estimate_cycles(
     seed: int = 0,
     paths: int = PATHS,
     threads: int | None = None,
+    alive: Callable[[], None] | None = None,
 ) -> CycleEstimate:
     """Estimate the mean interval between sends and the cost per second.
 
@@ -99,6 +101,7 @@ def estimate_cycles(
         seed: of the draws; with the number of paths and of cycles it determines the result.
         paths: independent paths, at most.
         threads: omitted: all processors; the result does not depend on it.
+        alive: called now and then; it may raise ``OutOfTime``.
 
     Returns:
         Both numbers with the standard errors of independent paths.
@@ -124,7 +127,9 @@ def estimate_cycles(
     wanted = DEFAULT_CYCLES if cycles is None else count("cycles", cycles)
     counting = _Counting(process, trigger, min(paths, max(FEWEST_PATHS, wanted // CYCLES_PER_PATH)), seed, threads)
     while (missing := counting.until_counted(wanted)) > 0:
-        counting.advance(missing)
+        counting.advance(min(missing, max(FIRST_TICKS, CHUNK // counting.paths)))
+        if alive is not None:
+            alive()
     return counting.close()
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from taciturn._arrays import Array, number, symmetrised
 from taciturn._modes import root
+from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.renewal._jump_density import Fineness, Shower
 from taciturn.renewal._jump_line import Line
 from taciturn.renewal._jump_plane import Grid, Plane
@@ -26,7 +27,7 @@ CUTS = 14  # times the cut is moved outwards
 FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200))
 
 
-def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
+def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None = None) -> Renewal:
     """Return rate and excess of a chain with jumps.
 
     Between two jumps an error moves without chance, so after e^{−λτ} of the checks e⁺ = F e exactly, and an expectation
@@ -37,6 +38,7 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
         chain: with jumps of the normal law for its noise, of at most two dimensions that noise reaches and that Ψ
             or Γ sees.
         accuracy: relative error to try for; what is reached stands in the result.
+        progress: called with the fraction done.
 
     Returns:
         Rate and excess with claimed errors: sixteen times the change at the last refinement. In two dimensions some
@@ -66,16 +68,16 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7) -> Renewal:
             f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see, and this quadrature takes two; "
             "simulate instead"
         )
-    rate, period = noise.jumps.rate, noise.period
+    rate, period, told = noise.jumps.rate, noise.period, Stages(progress)
     checks = _followed(rate * period, LONGEST[len(A)])
     if len(A) == 1:
         jump = float(np.sqrt((G @ G.T)[0, 0]))
         bound = float(np.sqrt(chain.delta / Psi[0, 0]))
         line = Line(float(A[0, 0]), jump, rate, period, float(F[0, 0]), bound, float(Gamma[0, 0]))
         levels = zip((1.0, 1.5, 2.0, 3.0), (0.7, 0.8, 0.9, 1.0), strict=True)
-        return _refined((line.sums(fineness, _share(checks, share)) for fineness, share in levels), accuracy)
+        return _refined((line.sums(fineness, _share(checks, share)) for fineness, share in levels), accuracy, told)
     plane = Plane(Shower(A, G, rate, period), F, Psi / chain.delta, Gamma)
-    return _refined(_planes(plane, checks), accuracy)
+    return _refined(_planes(plane, checks), accuracy, told)
 
 
 def _followed(mean: float, most: int) -> int:
@@ -114,17 +116,23 @@ def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
         yield plane.sums(grid(level, cut * (1 + 0.15 * level)))
 
 
-def _refined(levels: Iterator[Sums], accuracy: float) -> Renewal:
+def _refined(levels: Iterator[Sums], accuracy: float, told: Stages) -> Renewal:
     """Return what the first level says that differs from the one before by no more than the accuracy, or the last."""
     found = np.full(2, np.nan)
     change = np.full(2, np.inf)
     sums = None
-    for sums in levels:
+    for level, sums in enumerate(levels):
         before = found
         checks, cost = sums.cycle()
         found = np.array([1 / checks, cost / checks])
         change = SAFETY * np.abs(found - before) + FLOOR * np.abs(found)
         if (change <= accuracy * np.abs(found)).all():
+            break
+        try:
+            told((level + 1) / len(FINENESS))
+        except OutOfTime:
+            if np.isnan(before).any():
+                raise
             break
     assert sums is not None
     off = float((change / np.abs(found)).max())

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
-from taciturn.renewal._check import INTERPOLATED
+from taciturn._progress import Progress, Stages
+from taciturn.renewal._check import INTERPOLATED, Effort
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place
 from taciturn.renewal._quiet import Quiet, holes, improve
@@ -89,7 +90,12 @@ class Optimum(Renewal):
 
 
 def solve_optimal(
-    F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, price: float, accuracy: float | None = None
+    F: ArrayLike,
+    noise: ArrayLike,
+    Gamma: ArrayLike,
+    price: float,
+    accuracy: float | None = None,
+    progress: Progress | None = None,
 ) -> Optimum:
     """Return the scheduler that minimises the mean of e'Γe over silence and of a price over sends.
 
@@ -109,6 +115,7 @@ def solve_optimal(
         price: λ > 0, of a send.
         accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained. Omitted:
             1e-8, in three dimensions 1e-6.
+        progress: called with the fraction done.
 
     Returns:
         Cost, rate and excess per check, their errors, the distribution of the intervals, and the scheduler.
@@ -132,8 +139,9 @@ def solve_optimal(
     white = whiten(Chain(F, noise, Gamma, price, Gamma / price), OTHERWISE)
     white = replace(white, Gamma=np.diag(white.m))
     accuracy = number("accuracy", usual_accuracy(white) if accuracy is None else accuracy, 0.0, 1.0)
-    iteration = _Iteration(white, accuracy)
-    best = climb(iteration.attempt, accuracy / BOUNDARY, "a lower price", "near-optimal instead")
+    told = Stages(progress)
+    iteration = _Iteration(white, accuracy, told)
+    best = climb(iteration.attempt, accuracy / BOUNDARY, "a lower price", "near-optimal instead", told)
     found, costs = best.found, [solved.excess + solved.rate for solved in (best.found, best.previous)]
     gaps = _gaps(found, accuracy)
     return Optimum(
@@ -186,23 +194,24 @@ class _Iteration:
     Args:
         white: the chain, in units of the price.
         accuracy: relative.
+        told: the progress.
     """
 
-    def __init__(self, white: White, accuracy: float) -> None:
+    def __init__(self, white: White, accuracy: float, told: Stages) -> None:
         self.white = white
-        self.dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
+        dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
+        self.effort = Effort(accuracy, told.tick, dense)
         self.settled = LITTLE * min(accuracy, LOOSEST)
         self.count = 0
         self.found: Solved | None = None
         soft = replace(white, m=white.m / min(START * _periodic(white), 1.0))
         self.region: Region = Ellipsoid(soft.m)
-        asked = min(accuracy, LOOSEST)
-        self.window = find_window(white, self.region, spread(soft), asked)
+        self.window = find_window(white, self.region, spread(soft), self.effort)
         try:
             self._iterate(COARSE, 1.0, 0, MOST_NODES // 2, ROUGHLY)
         except TooManyNodes:
             return
-        self.window = find_window(white, self.region, self.window.covariance, asked)
+        self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
         """Return the optimum on nodes of a density and a window of so many times the reach."""
@@ -215,7 +224,7 @@ class _Iteration:
         window: Window = self.window.scaled(factor)
         before = TINY
         for _ in range(ROUNDS):
-            found = solve(self.white, place(self.white, self.region, window, density, step, most), self.dense)
+            found = solve(self.white, place(self.white, self.region, window, density, step, most), self.effort)
             if found is None:
                 return None
             self.count += 1

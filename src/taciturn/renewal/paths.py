@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, count, frozen, number
+from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.estimate import Estimate
 from taciturn.renewal._walk import Course, Walk, follow
 from taciturn.renewal._whiten import reduced
@@ -18,6 +19,9 @@ FIRST, LARGEST = 1 << 10, 1 << 16  # paths of each
 CUT = 0.01  # of the accuracy: what the geometric tail may be of an interval
 USUAL = 50_000_000
 SHORT = 2.5  # checks
+SPARED = 0.75  # power of the paths with which an error falls
+DRAW = 250.0  # operations for a draw that is conditional
+START = 4e7  # operations, to bound the intervals and to scramble points
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,14 @@ class PathAnswer:
     reached: bool
 
 
-def solve_paths(chain: Chain, *, standard_error: float = 1e-4, seed: int = 0, steps: int = USUAL) -> PathAnswer:
+def solve_paths(
+    chain: Chain,
+    *,
+    standard_error: float = 1e-4,
+    seed: int = 0,
+    steps: int = USUAL,
+    progress: Progress | None = None,
+) -> PathAnswer:
     """Return rate and cost of a chain with Gaussian noise in any dimension, of any rank.
 
     An interval has T = Σ_j P(kept at the checks 1 … j) checks in the mean and costs C = Σ_j E[e_j'Γe_j, kept so far];
@@ -63,6 +74,7 @@ def solve_paths(chain: Chain, *, standard_error: float = 1e-4, seed: int = 0, st
         standard_error: relative, of rate and excess.
         seed: of the draws, at least 0.
         steps: paths times checks at which it stops asking for more; where this was too few, the errors say so.
+        progress: called with the fraction done; the best answer so far is the last one when it is out of time.
 
     Returns:
         Rate and excess with standard errors, and the distribution of the intervals.
@@ -84,23 +96,54 @@ def solve_paths(chain: Chain, *, standard_error: float = 1e-4, seed: int = 0, st
     count("steps", steps)
     walk = Walk(reduced(chain))
     source = np.random.SeedSequence(seed)
-    courses, paths, work = list[Course](), FIRST, 0
+    courses, paths, work, told = list[Course](), FIRST, 0, Stages(progress)
+    found, kept = None, courses
     while True:
         draws = (np.random.default_rng(child) for child in source.spawn(RANDOMISATIONS))
-        new = [follow(walk, paths, each, CUT * standard_error) for each in draws]
+        new = list[Course]()
+        try:
+            for each in draws:
+                new.append(follow(walk, paths, each, CUT * standard_error))
+                told.tick()
+        except OutOfTime:
+            if found is None:
+                raise
+            courses = kept
+            break
         spent = sum(course.work for course in new)
         courses, work = courses + new, work + spent
-        found = _ratios(courses)
+        found, kept = _ratios(courses), courses
         off = max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found[:2])
         if off <= standard_error or work + spent > steps:
             break
+        told.at = max(told.at, work / steps, min(standard_error / off, 1.0) ** 2)
         if paths < LARGEST:
             # fewer than what a spread that falls as one over the points asks for, and no more than what is left
             more = min(max(off / standard_error, 2.0), LARGEST / paths, max((steps - work) / spent, 2.0))
             paths, courses = paths << int(np.log2(more)), []
+    assert found is not None
     rate, excess, covariance = found
+    off = max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found[:2])
     intervals, errors = _intervals(courses, rate.value)
     return PathAnswer(rate, excess, covariance, intervals, errors, len(courses), paths, work, off <= standard_error)
+
+
+def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
+    """Return about how many operations ``solve_paths`` takes, from an answer to a coarser accuracy.
+
+    Args:
+        chain: with Gaussian noise.
+        known: what fewer paths found.
+        standard_error: relative, of the excess.
+    """
+    off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
+    more = max(off / standard_error, 1.0) ** (1 / SPARED)
+    return START + DRAW * len(reduced(chain).F) * known.steps * more
+
+
+def least_work(chain: Chain) -> float:
+    """Return how many operations the fewest paths take, at least."""
+    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST
 
 
 def expect_quicker(chain: Chain) -> bool:

@@ -6,12 +6,27 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from taciturn._arrays import count, instance, number
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, Loop
+from taciturn.program.ir import Program
 from taciturn.simulation.doubts import expect_arrivals, find_doubts
-from taciturn.simulation.sampling import Averages, Estimator, Part, Progress, Sampling, sends
+from taciturn.simulation.parts import Estimator, Part, sends
+from taciturn.simulation.sampling import (
+    BURN_IN,
+    PATHS,
+    PAYS,
+    SETTLE,
+    Averages,
+    Sampling,
+)
 
 LEAST_STEPS = 1024
+WINDOWS = 3  # times the burn-in, at least: itself, and two windows that are compared
+PILOT, OTHER_DRAWS = 1 << 19, 1_000_003  # steps of a pilot, and what its seed is off the one of the answer
+PER_STEP = 0.02  # operations of work that one of a program takes in a step: many run at once
+TO_COMPILE, TO_START = 5e4, 1.5e7  # operations of work for one of a program, and for all of them
+EXPLAINED = 0.5  # of the variance, that control variates leave, about
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
@@ -156,6 +171,46 @@ def difference(
         estimators = [plain_average(loop) for loop in loops]
     parts = [Part(loop, estimator, sign) for loop, estimator, sign in zip(loops, estimators, (1.0, -1.0), strict=True)]
     return _sampled(parts, seed, standard_error, steps, progress, threads)
+
+
+def least_work(loop: Loop) -> float:
+    """Return how many operations ``average`` takes at least, to compile and to settle."""
+    least = max(BURN_IN, int(SETTLE * loop.policy.settling))
+    return _work(choose_estimator(loop).program, WINDOWS * least * PATHS)
+
+
+def predict_average(loop: Loop, standard_error: float, seed: int = 0) -> float:
+    """Return about how many operations ``average`` takes to a standard error, from a pilot with other draws.
+
+    What is counted, steps and operations in a step, is the same on every machine.
+
+    Args:
+        loop: with an average over time.
+        standard_error: absolute, of the cost.
+        seed: of the answer.
+
+    Raises:
+        UnstableError: the pilot diverges.
+
+    Example:
+        >>> from taciturn import load
+        >>> problem = load("two-mass")
+        >>> loop = problem.close(problem.design())
+        >>> predict_average(loop, 1e-3) < predict_average(loop, 1e-5)
+        True
+    """
+    estimator = choose_estimator(loop)
+    found = average(loop, estimator, seed=seed + OTHER_DRAWS, steps=PILOT)
+    settled = PATHS * found.burn_in
+    missing = found.steps / 2 * (found.cost.standard_error / standard_error) ** 2
+    shortest = (WINDOWS - 1) * settled
+    if missing > PAYS * shortest and estimator.controlled is not None:
+        return _work(estimator.controlled, settled + EXPLAINED * missing)
+    return _work(estimator.program, settled + max(missing, shortest))
+
+
+def _work(program: Program, steps: float) -> float:
+    return TO_START + program.operations * (TO_COMPILE + PER_STEP * steps)
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:

@@ -14,7 +14,7 @@ from taciturn.loop import COST, SENT, Loop
 from taciturn.program.engine import Stepper, prepare
 from taciturn.program.ir import Program
 from taciturn.simulation.lost import find_loss
-from taciturn.simulation.sampling import sends
+from taciturn.simulation.parts import sends
 
 
 @dataclass(frozen=True, eq=False)

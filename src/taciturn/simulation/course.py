@@ -12,7 +12,7 @@ from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
 from taciturn.simulation.lost import find_loss
-from taciturn.simulation.sampling import sends
+from taciturn.simulation.parts import sends
 from taciturn.simulation.statistics import mean
 
 PATHS = 4096

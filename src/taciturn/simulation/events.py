@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import check_effort
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
+from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
 FIRST = 200_000  # cycles
 RELATIVE_INTERVAL = 3e-4  # standard error of the mean interval, where no draw decides the cost
@@ -40,14 +41,18 @@ def average_events(
         UnstableError: an interval that does not end.
     """
     check_effort(seed, standard_error, steps)
-    cycles = FIRST if steps is None else 1000
+    cycles, told, found = FIRST if steps is None else 1000, Stages(progress), None
     while True:
-        found = estimate_cycles(policy.process, policy.trigger, cycles=cycles, seed=seed)
+        try:
+            found = estimate_cycles(policy.process, policy.trigger, cycles=cycles, seed=seed, alive=told.tick)
+        except OutOfTime:
+            if found is None:
+                raise
+            return _averages(policy, found, False)
         missing = _missing(policy, found, standard_error) if steps is None else steps / found.ticks
         if missing <= 1 or cycles >= MOST_CYCLES:
             return _averages(policy, found, steps is not None or missing <= 1)
-        if progress is not None:
-            progress(1 / missing)
+        told.at = max(told.at, 1 / missing)
         cycles = int(min(cycles * min(1.1 * missing, 64.0), MOST_CYCLES))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from math import lcm
@@ -11,14 +11,16 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn.errors import ProblemError, UnstableError
-from taciturn.loop import COST, SENT, Loop
+from taciturn._progress import OutOfTime, Progress, Stages
+from taciturn.errors import ProblemError
+from taciturn.loop import COST, SENT
 from taciturn.model.estimate import Estimate
-from taciturn.program.controls import CONTROL, controlled
+from taciturn.program.controls import CONTROL
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
 from taciturn.simulation.doubts import comes_never_to_rest
 from taciturn.simulation.lost import find_loss
+from taciturn.simulation.parts import Part
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
 PATHS = 4096
@@ -32,14 +34,12 @@ KEEP = 8  # time constants, and mean intervals between sends, that are dropped a
 SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
 BUDGET = 4_000_000_000  # steps of all paths together
 DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
-RUNAWAY = 1e12  # times the cost of the median path
 HUGE = 1e150  # its square is still a number
-CHUNK = 1 << 26  # steps between two reports of progress
+CHUNK = 1 << 24  # steps between two reports of progress
 ROUNDING = 1e-6  # relative, of what is simulated in single precision; measured: 7e-7 and less
 ROOM = 8  # paths for each control variate
 PAYS = 4  # times what was run so far must be left to run, for control variates to pay
 DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
-Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Averages:
         reached: whether the asked standard error was met.
         notes: what makes the numbers doubtful.
         settled: whether the loop had time to forget its start.
-        estimator: what was averaged: "completed squares", "plain average" or "never-die paths"; or "".
+        estimator: what was averaged: "completed squares", "plain average" or "conditional sampling"; or "".
     """
 
     cost: Estimate
@@ -65,81 +65,6 @@ class Averages:
     notes: tuple[str, ...] = ()
     estimator: str = ""
     settled: bool = True
-
-
-@dataclass(frozen=True, eq=False)
-class Estimator:
-    """Which program is run, and how the mean of a sum gives the cost: offset + scale·mean.
-
-    Args:
-        program: one tick of the loop.
-        whole: the same before anything was left out, of which control variates are made; None for missions.
-        sum: name of the sum.
-        offset: what is added, in the units of the cost.
-        scale: factor of the mean per tick.
-    """
-
-    program: Program
-    whole: Program | None
-    sum: str
-    offset: float
-    scale: float
-
-    @cached_property
-    def controlled(self) -> Program | None:
-        """The program with control variates among its sums, for long runs; None for missions."""
-        return None if self.whole is None else controlled(self.whole, self.program)
-
-
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A loop, how its cost is estimated, and the factor with which cost and rates are added up.
-
-    Args:
-        loop: the closed loop.
-        estimator: of its cost.
-        sign: 1, or −1 for what is subtracted.
-    """
-
-    loop: Loop
-    estimator: Estimator
-    sign: float = 1.0
-
-    @property
-    def names(self) -> list[str]:
-        """The sums that are read: that of the estimator, then the sends on each link."""
-        return [self.estimator.sum, *sends(self.loop)]
-
-    @property
-    def controls(self) -> list[str]:
-        """The sums whose mean is 0."""
-        program = self.estimator.controlled
-        return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
-
-    @property
-    def settling(self) -> float:
-        """Ticks of the slowest time constant of the loop."""
-        return self.loop.policy.settling
-
-    def diverges(self, how: str) -> UnstableError:
-        """Return the error that says so."""
-        return UnstableError(
-            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop; send more often, "
-            "or check [plant.actual] and input_limit"
-        )
-
-    def refuse_runaways(self, costs: Array, ticks: int) -> None:
-        """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
-        size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
-        largest, typical = float(size[-1]), float(size[len(size) // 2])
-        all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
-        if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
-            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as another")
-
-
-def sends(loop: Loop) -> list[str]:
-    """Return the sums that count the sends on each link that decides."""
-    return [f"{SENT} {link}" for link in loop.policy.scheduled]
 
 
 class Sampling:
@@ -154,7 +79,7 @@ class Sampling:
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
         """Compile."""
-        self.parts, self.seed, self.threads, self.progress = parts, seed, threads, progress
+        self.parts, self.seed, self.threads, self.progress = parts, seed, threads, Stages(progress)
         self.offset = sum(part.sign * part.estimator.offset for part in parts)
         self.steps = 0
         self._read([part.estimator.program for part in parts], [part.names for part in parts])
@@ -184,6 +109,14 @@ class Sampling:
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
         """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
+        return _last(self._windows(standard_error, steps))
+
+    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
+        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
+        return _last(self._batches(horizon, standard_error, steps))
+
+    def _windows(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield what is known after each window of ticks, until that is enough."""
         budget, width = steps or BUDGET, len(self.parts)
         least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
         most = PATHS if steps else self._affordable_paths()
@@ -213,10 +146,12 @@ class Sampling:
             long_enough = forgotten and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
             if steps is None and long_enough and self._is_precise(cost, target):
-                return Averages(cost, rates, self.steps, dropped, True)
+                yield Averages(cost, rates, self.steps, dropped, True)
+                return
+            reached = left <= window and steps is not None and long_enough
+            yield Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
             if left <= window:
-                reached = steps is not None and long_enough
-                return Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
+                return
             self._report(cost, None if steps else target, self.steps / budget)
             missing = left if steps else _missing(measured, cost.standard_error, target)
             if missing > PAYS * measured and self._add_controls(paths):
@@ -225,8 +160,8 @@ class Sampling:
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
-    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
-        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
+    def _batches(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield what is known after each batch of missions, until that is enough."""
         budget, width = steps or BUDGET, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
@@ -252,8 +187,10 @@ class Sampling:
             found = {link: moments.mean().scaled(share) for link, moments in rates.items()}
             target = self._target(standard_error, first.center)
             reached = steps is None and self._is_precise(cost, target)
-            if reached or self.steps + paths * horizon * width > budget:
-                return Averages(cost, found, self.steps, 0, reached or steps is not None)
+            last = reached or self.steps + paths * horizon * width > budget
+            yield Averages(cost, found, self.steps, 0, reached or (last and steps is not None))
+            if last:
+                return
             self._report(cost, None if steps else target, self.steps / budget)
 
     @cached_property
@@ -330,6 +267,7 @@ class Sampling:
                     passed = "the range of single precision" if single else f"{HUGE:g}"
                     raise part.diverges(f"its cost passed {passed} within {self.steps} steps")
             ticks -= now
+            self.progress.tick()
         return sums, after
 
     def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
@@ -387,8 +325,24 @@ class Sampling:
 
     def _report(self, cost: Estimate, wanted: float | None, spent: float) -> None:
         precise = 0.0 if wanted is None or cost.standard_error == 0 else min(1.0, wanted / cost.standard_error) ** 2
-        if self.progress is not None:
-            self.progress(min(1.0, max(spent, precise)))
+        self.progress(max(spent, precise))
+
+
+def _last(answers: Iterator[Averages]) -> Averages:
+    """Return the last of ever better answers, or the best so far when the time is up.
+
+    Raises:
+        OutOfTime: before the first.
+    """
+    found = None
+    try:
+        for found in answers:  # noqa: B007 (the last one counts)
+            pass
+    except OutOfTime:
+        if found is None:
+            raise
+    assert found is not None
+    return found
 
 
 def _means(windows: Sequence[tuple[int, Array]]) -> Array:

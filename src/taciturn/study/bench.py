@@ -17,6 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array, count, number
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, SENT, Loop
 from taciturn.model.policy import Assign
@@ -25,7 +26,6 @@ from taciturn.program import machine
 from taciturn.program.controls import CONTROL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Build, Kernel
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import controlled_mean, mean
 
 Contestant = Callable[[int], tuple[int, float]]

@@ -13,12 +13,13 @@ from functools import cached_property
 from typing import Protocol, TypeAlias
 
 from taciturn._arrays import instance, number
+from taciturn._progress import Progress
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
-from taciturn.simulation.sampling import Progress
-from taciturn.study.evaluate import Evaluation, choose_confidence, evaluate, expect_bound
+from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.lower import choose_confidence, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.store import Store
 from taciturn.study.workers import deserted, workers_of

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from taciturn._arrays import choice, count, instance, number
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
-from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.periodic import periodic_cost_at, periodic_curve

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.simulation.course import course
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table

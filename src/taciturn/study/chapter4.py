@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.design.integral import integral
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
@@ -17,7 +18,6 @@ from taciturn.problem import load
 from taciturn.renewal.cycles import estimate_cycles, sample_cycles, sweep
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
-from taciturn.simulation.sampling import Progress
 from taciturn.study.chapter5 import price_of
 from taciturn.study.losses import Losses, find_losses
 from taciturn.study.reproduction import Reproduction, Row, Table

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem, load
-from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table
 

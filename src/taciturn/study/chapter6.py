@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.model.estimate import Estimate
 from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem, load
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.chapter3 import BLACK, BLUE, RED, inputs, remote_row, running_costs
 from taciturn.study.reproduction import Reproduction, Row, Table

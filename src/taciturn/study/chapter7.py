@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn._figure import Panel, Series, Style, draw
+from taciturn._progress import Progress
 from taciturn.design.lossy_lqg import lossy_lqg
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
@@ -16,7 +17,7 @@ from taciturn.model.network import Network
 from taciturn.model.plant import Plant
 from taciturn.model.reference import Reference
 from taciturn.problem import load
-from taciturn.simulation.average import Progress, average
+from taciturn.simulation.average import average
 from taciturn.simulation.trajectory import simulate
 from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.reproduction import Reproduction, Row, Table

@@ -12,6 +12,7 @@ import numpy as np
 
 from taciturn._arrays import instance, number
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.design.catalogue import CATALOGUE, KNOBS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
@@ -19,7 +20,6 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName, Policy
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort, difference
-from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.tune import Tuned, tune
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import Any, Literal
 
 from taciturn._arrays import number
-from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
+from taciturn._progress import OutOfTime, Progress, Stages, limited
+from taciturn.analyse.limits import LowerBound, resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
-from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
@@ -21,9 +20,9 @@ from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
-from taciturn.simulation.sampling import Progress
 from taciturn.study.lines import evaluation_lines, text_of
-from taciturn.study.measure import measure, measure_optimum
+from taciturn.study.lower import bounded, contradicted, expect_bound
+from taciturn.study.measure import Effort, measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
@@ -76,6 +75,9 @@ class Evaluation:
         linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
         estimator: of a simulation, what was averaged (as ``Averages``).
         settled: whether a simulated loop had time to forget its start.
+        method: that gave cost and rates: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or
+            ``"simulation"``.
+        reason: why that one.
     """
 
     policy: str
@@ -101,6 +103,8 @@ class Evaluation:
     linearisation: Linearisation | None = None
     estimator: str = ""
     settled: bool = True
+    method: str = "simulation"
+    reason: str = "no other method applies"
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -126,6 +130,8 @@ class Evaluation:
             "seconds": round(self.seconds, 4),
             "steps": self.steps,
             "reached": self.reached,
+            "method": self.method,
+            "method_reason": self.reason,
         }
         if self.lower_bound is not None:
             result["cost_lower_bound"] = self.lower_bound.cost
@@ -156,13 +162,15 @@ def evaluate(
     method: Literal["auto", "simulation", "exact"] = "auto",
     precision: Precision = "float64",
     confidence: float | None = None,
+    time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
     """Return cost, rates and bound of a problem's policy.
 
-    The cheapest method that holds is taken: a closed form where the policy ignores the state, quadrature of renewal
-    equations where every send resets the error that decides, completion of squares in the innovations form, the plain
-    average with the simulated plant.
+    A closed form is taken where the policy ignores the state. Else the work of every method that applies is predicted
+    for the asked error, in counted operations, and the least is taken: quadrature of renewal equations or conditional
+    sampling where every send resets the error that decides, and simulation, which always applies: completed squares,
+    or the plain average with the simulated plant. So the choice is the same on every machine.
 
     Args:
         problem: from ``load`` or ``Problem``.
@@ -173,6 +181,8 @@ def evaluate(
         precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
         confidence: with which a lower bound is to hold of the cost of any scheduling at this rate (``bound_below``);
             omitted: neither that nor ``rate_bounds`` is sought, as they take seconds.
+        time_limit: seconds, omitted: none. When they have passed, the best answer so far is returned, with its honest
+            error and ``reached`` False; a lower bound that is not yet found is left out, and a note says so.
         progress: called with the fraction done.
 
     Returns:
@@ -180,8 +190,8 @@ def evaluate(
         the asked standard error.
 
     Raises:
-        ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, or a lower bound is asked for
-            and there is none.
+        ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, a lower bound is asked for
+            and there is none, or the time limit passed before anything was found.
         UnstableError: the loop diverges.
 
     Example:
@@ -196,29 +206,52 @@ def evaluate(
     if confidence is not None:
         number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
+    told = Stages(limited(progress, time_limit))
+    try:
+        return replace(
+            _evaluated(problem, Effort(seed, standard_error, steps, method, time_limit), precision, confidence, told),
+            seconds=time.perf_counter() - began,
+        )
+    except OutOfTime:
+        raise ProblemError(
+            f"time_limit is {time_limit:g}, and nothing was found within so many seconds; expected a longer one"
+        ) from None
+
+
+def _evaluated(
+    problem: Problem, effort: Effort, precision: Precision, confidence: float | None, told: Stages
+) -> Evaluation:
+    """Return the evaluation; whoever asked knows the time it took.
+
+    Raises:
+        OutOfTime: before there was any answer.
+    """
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         if confidence is not None:
             expect_bound(problem)
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
-        found = _events(problem, policy, seed, standard_error, steps, method, progress)
-        return replace(found, seconds=time.perf_counter() - began)
+        return _events(problem, policy, effort, told)
+    first = told if confidence is None else told.stage(0.0, 0.5)
     if isinstance(policy, OptimalPolicy):
         loop = problem.close(policy.looked_at)
-        found, notes, certified = measure_optimum(loop, policy.price, method, steps), (), None
+        measured, certified = measure_optimum(loop, policy.price, effort, first), None
     else:
         loop = replace(problem.close(policy), precision=precision)
-        found, notes = measure(loop, seed, standard_error, steps, method, progress)
+        measured = measure(loop, effort, first)
         certified = None if confidence is None else bound_rate(loop)
+    found, notes = measured.averages, measured.notes
     policy, lower = loop.policy, None
     if confidence is not None:
         resets(loop)
         try:
-            lower = _bounded(loop, found.rates[policy.scheduled[0]], confidence, seed)
+            lower = bounded(loop, found.rates[policy.scheduled[0]], confidence, effort.seed, told.stage(0.5, 1.0))
         except ProblemError as error:
             notes += (f"no lower bound: {error}",)
-        notes += _contradicted(found.rates[policy.scheduled[0]], certified)
+        except OutOfTime:
+            notes += (f"no lower bound: the time limit of {effort.time_limit:g} s passed; expected a longer one",)
+        notes += contradicted(found.rates[policy.scheduled[0]], certified)
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     pace = base_rate(loop)
@@ -234,8 +267,8 @@ def evaluate(
         cost_bound=None if guarantee is None else guarantee.cost,
         cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick),
         rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
-        seed=seed,
-        seconds=time.perf_counter() - began,
+        seed=effort.seed,
+        seconds=0.0,
         steps=found.steps,
         reached=found.reached,
         schedule=policy.schedule,
@@ -248,77 +281,23 @@ def evaluate(
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
         estimator=found.estimator,
         settled=found.settled,
+        method=measured.method,
+        reason=measured.reason,
     )
 
 
-def choose_confidence(problem: Problem, asked: float | None) -> float | None:
-    """Return the confidence of a lower bound: that asked for, none for 0; by default the usual one where one is had."""
-    if asked is not None:
-        return asked or None
-    try:
-        expect_bound(problem)
-    except ProblemError:
-        return None
-    return USUAL
-
-
-def expect_bound(problem: Problem) -> None:
-    """Refuse a problem that has no lower bound of the cost of any scheduling.
-
-    Raises:
-        ProblemError: why it has none.
-    """
-    policy = problem.designed()
-    if isinstance(policy, EventPolicy):
-        raise ProblemError(
-            f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
-        )
-    resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
-
-
-def _bounded(loop: Loop, rate: Estimate, confidence: float, seed: int) -> LowerBound:
-    """Return the lower bound at a rate that was measured: at what it is at most, with the same confidence.
-
-    Raises:
-        ProblemError: nothing is sent, or there is no bound.
-    """
-    if rate.value == 0:
-        raise ProblemError("nothing is sent")
-    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed)
-    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
-    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
-
-
-def _contradicted(rate: Estimate, certified: tuple[float, float] | None) -> tuple[str, ...]:
-    """Tell of a simulated rate that is not within its certified bounds."""
-    if certified is None or rate.method != "simulation" or certified[0] <= rate.value <= certified[1]:
-        return ()
-    nearest = min(certified, key=lambda end: abs(end - rate.value))
-    off = abs(nearest - rate.value) / max(rate.standard_error, 1e-300)
-    return (
-        f"the simulated rate is {off:.2g} standard errors outside its certified bounds, which are right: intervals so "
-        "regular are not forgotten within the run",
-    )
-
-
-def _events(
-    problem: Problem,
-    policy: EventPolicy,
-    seed: int,
-    standard_error: float | None,
-    steps: int | None,
-    method: str,
-    progress: Progress | None,
-) -> Evaluation:
+def _events(problem: Problem, policy: EventPolicy, effort: Effort, progress: Progress) -> Evaluation:
     """Return the evaluation of a policy without ticks."""
-    if method == "exact":
+    if effort.method == "exact":
         raise ProblemError(f"method is 'exact', and {policy.kind} has no exact method; expected 'auto' or 'simulation'")
     for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
         if given is not None:
             raise ProblemError(
                 f"{name} is given, which {policy.kind} without a period does not use; expected policy.period, or none"
             )
-    found = average_events(policy, seed=seed, standard_error=standard_error, steps=steps, progress=progress)
+    found = average_events(
+        policy, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
+    )
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None
@@ -333,7 +312,7 @@ def _events(
         cost_bound=policy.bound(),
         cost_bound_at_rate=policy.bound(interval.value),
         rates=found.rates,
-        seed=seed,
+        seed=effort.seed,
         seconds=0.0,
         steps=found.steps,
         reached=found.reached,

@@ -8,6 +8,7 @@ from math import hypot
 from pathlib import Path
 
 from taciturn._arrays import choice, count
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.export.description import Version
 from taciturn.export.fmu import Fmu, check_name, print_fmu
@@ -18,7 +19,6 @@ from taciturn.model.policy import NodeName
 from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
-from taciturn.simulation.sampling import Progress
 
 STEPS = 1_000_000  # of the loop in each precision
 WORSE = 0.01  # share of the cost that single precision may cost

@@ -25,6 +25,7 @@ def evaluation_lines(found: Evaluation) -> Lines:
     """Return what is said of one answer."""
     method = ", ".join(filter(None, (found.cost.method, found.estimator)))
     lines: Lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({method})")]
+    lines.append(("method", f"{found.method}: {found.reason}"))
     lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
         more = f"   (this policy: {above_all_time(found)} %)" if found.cost_all_time else ""

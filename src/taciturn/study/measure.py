@@ -1,102 +1,281 @@
-"""Cost and rates of one loop by the cheapest method that holds."""
+"""Cost and rates of one loop by the method that is predicted to reach the asked error with the least work."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
+from taciturn._progress import OutOfTime, Progress, limited
 from taciturn.analyse.limits import solve_optimum
-from taciturn.analyse.renewal import decides_alone, expect_affordable, sample_renewal, solve_renewal
-from taciturn.errors import ProblemError
+from taciturn.analyse.renewal import (
+    ConditionalSampling,
+    RenewalQuadrature,
+    decides_alone,
+    expect_affordable,
+)
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.simulation.average import average
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages, Progress
+from taciturn.simulation.average import average, least_work, predict_average
+from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
-FINEST, COARSEST = 1e-8, 1e-5  # relative accuracies that a quadrature is asked for, by the standard error
+FINEST, COARSEST = 1e-8, 1e-3  # relative accuracies that a quadrature is asked for
+SPEED = 1e9  # operations that count as a second: a choice by work is the same on every machine
+SHARE = 0.5  # of the time limit for a method that answers at its end or not at all
 
 
-def measure(
-    loop: Loop,
-    seed: int,
-    standard_error: float | None,
-    steps: int | None,
-    method: str,
-    progress: Progress | None,
-) -> tuple[Averages, tuple[str, ...]]:
-    """Return cost and rates by the cheapest method that holds, and notes: those of the policy, and why it is slow."""
-    policy, found = loop.policy, None
+@dataclass(frozen=True)
+class Candidate:
+    """A method that gives cost and rates, and what it would take; work is counted in operations.
+
+    Args:
+        name: of the method.
+        least: work that it takes at least, known without trying.
+        predict: the work for an absolute error of the cost, where needed by a pilot whose draws are thrown away.
+        run: gives the answer, to an absolute error of the cost; None for the method's usual one.
+        gradual: whether it has an answer long before its end.
+    """
+
+    name: str
+    least: float
+    predict: Callable[[float], float]
+    run: Callable[[float | None, Progress | None], Averages]
+    gradual: bool
+
+
+@dataclass(frozen=True)
+class Effort:
+    """What may be spent, and on what.
+
+    Args:
+        seed: of the draws.
+        standard_error: absolute, of the cost; None for 1e-4 of it.
+        steps: of all paths together, instead; or None.
+        method: ``"auto"``, ``"simulation"`` or ``"exact"``.
+        time_limit: seconds, or None.
+    """
+
+    seed: int
+    standard_error: float | None
+    steps: int | None
+    method: str
+    time_limit: float | None = None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a method found.
+
+    Args:
+        averages: cost and rates.
+        method: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or ``"simulation"``.
+        reason: why that one, in a sentence.
+        notes: what the reader must know.
+    """
+
+    averages: Averages
+    method: str
+    reason: str
+    notes: tuple[str, ...] = ()
+
+
+def measure(loop: Loop, effort: Effort, progress: Progress | None) -> Measured:
+    """Return cost and rates: in closed form, else by the candidate that is predicted to take the least work.
+
+    Raises:
+        ProblemError: an exact method is asked for and there is none.
+        OutOfTime: the time limit passed before there was any answer.
+    """
+    policy, method = loop.policy, effort.method
+    if method != "simulation" and loop.nominal and policy.closed_form is not None:
+        form = policy.closed_form
+        rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
+        averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
+        return Measured(averages, "exact", "a closed form, which takes no time", policy.notes)
+    candidates, refused = candidates_of(loop, effort, progress)
+    if method == "exact" and not candidates:
+        raise ProblemError(f"method is 'exact', and {refused}") from None
     notes = policy.notes
-    if method == "exact" or (method == "auto" and (steps is None or policy.closed_form is not None)):
+    if method == "auto" and effort.steps is None and decides_alone(policy) and refused is not None:
+        notes += (f"simulated, because {refused.reason}",) if len(candidates) == 1 else ()
+    if len(candidates) == 1:
+        reason = "asked for" if method != "auto" or effort.steps is not None else "no other method applies"
+        found = _run(candidates[0], effort.standard_error, effort, progress, alone=True)
+        return Measured(found, candidates[0].name, reason, notes + found.notes)
+    error, reasons, best = _asked(loop, effort.standard_error), list[str](), None
+    while candidates:
+        ordered, reason = rank(candidates, error, effort.time_limit)
+        candidate, candidates = ordered[0], ordered[1:]
+        reasons.append(reason)
         try:
-            found = _solved(loop, method == "exact", standard_error)
+            found = _run(candidate, error, effort, progress, alone=not candidates)
+        except NoQuadratureError as refusal:
+            if not candidates and best is None:
+                raise
+            reasons.append(f"{candidate.name} failed")
+            notes += (f"no {candidate.name}: {refusal.reason}",)
+            continue
+        except OutOfTime:
+            if not candidates and best is None:
+                raise
+            reasons.append(f"{candidate.name} ran out of time")
+            continue
+        if best is None or found.reached or _off(found) < _off(best.averages):
+            best = Measured(found, candidate.name, "; ".join(reasons), notes + found.notes)
+        if found.reached:
+            break
+        reasons.append(f"{candidate.name} missed the asked error")
+    assert best is not None  # the last candidate answers or raises
+    return best
+
+
+def rank(candidates: list[Candidate], error: float, time_limit: float | None) -> tuple[list[Candidate], str]:
+    """Return candidates by the work they take for an error, the least first, and a sentence that says so.
+
+    One whose least work is more than another takes is not looked at more closely. One that is all or nothing and is
+    predicted to need more than its share of the time limit comes last.
+
+    Args:
+        candidates: at least one.
+        error: absolute, of the cost.
+        time_limit: seconds, or None.
+    """
+    work, rough = dict[str, float](), dict[str, bool]()
+    for candidate in sorted(candidates, key=lambda one: one.least):
+        seen = min(work.values(), default=float("inf")) > candidate.least
+        work[candidate.name] = max(candidate.predict(error), candidate.least) if seen else candidate.least
+        rough[candidate.name] = not seen
+
+    def late(candidate: Candidate) -> bool:
+        return time_limit is not None and not candidate.gradual and work[candidate.name] > SHARE * SPEED * time_limit
+
+    ordered = sorted(candidates, key=lambda one: (late(one), work[one.name]))
+    first, others = ordered[0], ordered[1:]
+    parts = [f"{first.name} {_seconds(work[first.name])} estimated"]
+    parts += [f"{one.name} {'at least ' * rough[one.name]}{_seconds(work[one.name])}" for one in others]
+    return ordered, f"{', '.join(parts)}"
+
+
+def measure_optimum(loop: Loop, price: float, effort: Effort, progress: Progress | None) -> Measured:
+    """Return cost and rate of the best schedule at a price per send."""
+    if effort.method == "simulation" or effort.steps is not None:
+        raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
+    policy = loop.policy
+    asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), effort.standard_error)
+    ceiling = price / policy.tick  # sending always: no best schedule has more excess
+    best = solve_optimum(loop, price, _clipped(asked / ceiling), progress)
+    if best.excess_error > asked:
+        best = solve_optimum(loop, price, _clipped(asked / max(best.excess, 1e-300)), progress)
+    cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
+    rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
+    found = Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= _wanted(cost, effort.standard_error))
+    return Measured(found, "quadrature", "the best schedule is solved, and never simulated")
+
+
+def candidates_of(
+    loop: Loop, effort: Effort, progress: Progress | None
+) -> tuple[list[Candidate], NoQuadratureError | None]:
+    """Return the methods that apply to a loop and are asked for, and why there is no quadrature among them."""
+    found, refused = list[Candidate](), None
+    if effort.method == "exact" or (effort.method == "auto" and effort.steps is None):
+        try:
+            found.append(_quadrature(loop, effort))
         except NoQuadratureError as error:
-            if method == "exact":
-                raise ProblemError(f"method is 'exact', and {error}") from None
-            found = _sampled(loop, standard_error, seed) if decides_alone(policy) else None
-            notes += (f"simulated, because {error.reason}",) if decides_alone(policy) and found is None else ()
-    if found is not None and not found.steps:
-        found = replace(found, reached=found.cost.error <= _wanted(found.cost, standard_error))
-    if found is None or (method == "auto" and not found.reached):
-        found = _clocked(loop, average(loop, seed=seed, standard_error=standard_error, steps=steps, progress=progress))
-    return found, notes + found.notes
+            refused = error
+    if effort.method == "auto" and effort.steps is None:
+        with suppress(NoQuadratureError):
+            found.append(_conditional(loop, effort, progress))
+    if effort.method != "exact":
+        found.append(_simulation(loop, effort))
+    return found, refused
+
+
+def _quadrature(loop: Loop, effort: Effort) -> Candidate:
+    identity, link = loop.policy.identity, loop.policy.scheduled
+    if effort.method != "exact":
+        expect_affordable(loop)
+    quadrature = RenewalQuadrature(loop)
+    assert identity is not None
+
+    def predict(error: float) -> float:
+        return quadrature.predict(_clipped(quadrature.accuracy(error)))
+
+    def run(error: float | None, progress: Progress | None) -> Averages:
+        accuracy = None if error is None else _clipped(quadrature.accuracy(error))
+        renewal = quadrature.solve(accuracy, progress)
+        if error is not None and renewal.excess_error > error and loop.problem.jumps is None:
+            with suppress(OutOfTime):
+                renewal = quadrature.solve(_clipped(error / renewal.excess), progress)
+        cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, identity.constant)
+        rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
+        reached = cost.error <= _wanted(cost, effort.standard_error)
+        return Averages(cost, {link[0]: rate}, 0, 0, reached)
+
+    return Candidate("quadrature", quadrature.least, predict, run, False)
+
+
+def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candidate:
+    sampling = ConditionalSampling(loop, effort.seed, progress)
+    identity, link = loop.policy.identity, loop.policy.scheduled
+    assert identity is not None
+
+    def run(error: float | None, _: Progress | None) -> Averages:
+        found = sampling.run(_asked(loop, effort.standard_error) if error is None else error)
+        cost = found.excess.scaled(1.0, identity.constant)
+        reached = cost.standard_error <= _wanted(cost, effort.standard_error)
+        rates = {link[0]: found.rate}
+        return Averages(cost, rates, found.steps, 0, reached, estimator="conditional sampling")
+
+    return Candidate("conditional sampling", sampling.least, sampling.predict, run, True)
+
+
+def _simulation(loop: Loop, effort: Effort) -> Candidate:
+    def predict(error: float) -> float:
+        try:
+            return predict_average(loop, error, effort.seed)
+        except UnstableError:
+            return float("inf")
+
+    def run(_: float | None, progress: Progress | None) -> Averages:
+        found = average(
+            loop, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
+        )
+        return _clocked(loop, found)
+
+    return Candidate("simulation", least_work(loop), predict, run, True)
+
+
+def _run(candidate: Candidate, error: float | None, effort: Effort, progress: Progress | None, alone: bool) -> Averages:
+    """Return what a candidate finds; one that is all or nothing leaves time for the others."""
+    if effort.time_limit is not None and not candidate.gradual and not alone:
+        progress = limited(progress, SHARE * effort.time_limit)
+    return candidate.run(error, progress)
+
+
+def _asked(loop: Loop, standard_error: float | None) -> float:
+    """Return the error that is asked for, before the cost is known: at most what ``_wanted`` says of the cost."""
+    identity = loop.policy.identity
+    constant = loop.policy.cost_all_time if identity is None else identity.constant
+    return _wanted(Estimate(constant, 0.0, "exact"), standard_error)
 
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
-    """Return the standard error that is asked for."""
+    """Return the error that is asked for."""
     return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
 
-def _sampled(loop: Loop, standard_error: float | None, seed: int) -> Averages | None:
-    """Return averages of never-die paths, where they are quicker than a simulation."""
-    policy = loop.policy
-    assert policy.identity is not None
-    rough = Estimate(policy.identity.constant, 0.0, "simulation")  # at most the cost
-    try:
-        found = sample_renewal(loop, _wanted(rough, standard_error), seed)
-    except NoQuadratureError:
-        return None
-    if found is None:
-        return None
-    cost = found.excess.scaled(1.0, policy.identity.constant)
-    reached = cost.standard_error <= _wanted(cost, standard_error)
-    return Averages(cost, {policy.scheduled[0]: found.rate}, found.steps, 0, reached, estimator="never-die paths")
+def _off(found: Averages) -> float:
+    return found.cost.standard_error + found.cost.error
 
 
-def measure_optimum(loop: Loop, price: float, method: str, steps: int | None) -> Averages:
-    """Return cost and rate of the best schedule at a price per send."""
-    if method == "simulation" or steps is not None:
-        raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
-    policy, best = loop.policy, solve_optimum(loop, price)
-    cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
-    rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
-    return Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= RELATIVE_ERROR * abs(cost.value))
+def _clipped(accuracy: float) -> float:
+    return min(max(accuracy, FINEST), COARSEST)
 
 
-def _solved(loop: Loop, whatever_it_takes: bool, standard_error: float | None) -> Averages:
-    """Return exact cost and rates, or those of a quadrature, if it is affordable.
-
-    Raises:
-        NoQuadratureError: the loop has neither.
-    """
-    policy = loop.policy
-    if loop.nominal and policy.closed_form is not None:
-        form = policy.closed_form
-        rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
-        return Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
-    if not whatever_it_takes:
-        expect_affordable(loop)
-    accuracy = None
-    if standard_error is not None and loop.problem.jumps is None and policy.identity is not None:
-        share = standard_error / max(abs(policy.identity.constant), 1e-300)
-        accuracy = min(max(share, FINEST), COARSEST)
-    renewal = solve_renewal(loop, accuracy)
-    if accuracy is not None and standard_error is not None and renewal.excess_error > standard_error:
-        renewal = solve_renewal(loop, max(standard_error / renewal.excess, FINEST))
-    assert policy.identity is not None
-    cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, policy.identity.constant)
-    rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
-    return Averages(cost, {policy.scheduled[0]: rate}, 0, 0, True)
+def _seconds(work: float) -> str:
+    return "too many nodes" if work == float("inf") else f"{work / SPEED:.2g} s"
 
 
 def _clocked(loop: Loop, found: Averages) -> Averages:

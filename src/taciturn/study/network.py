@@ -16,6 +16,7 @@ import numpy as np
 
 from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn._table import data_frame
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -31,7 +32,6 @@ from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
 from taciturn.simulation.doubts import comes_never_to_rest
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.ticks import cost_of_ticks, measured, settled
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit

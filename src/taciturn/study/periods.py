@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from taciturn._arrays import number
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
-from taciturn.simulation.sampling import Progress
 from taciturn.study.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.problem.tables import suggest
-from taciturn.simulation.sampling import Progress
 from taciturn.study.chapter2 import chapter2
 from taciturn.study.chapter3 import chapter3
 from taciturn.study.chapter4 import chapter4

@@ -11,13 +11,13 @@ from math import ceil, lcm
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import Progress
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
 from taciturn.renewal.allocation import Allocation, Sharer, allocate
 from taciturn.simulation.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
 from taciturn.simulation.channel import ERROR, Group, SharedChannel, Stretch
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import mean
 from taciturn.study.kinds import Kind
 from taciturn.study.prices import ALWAYS, CLOCK, Curves, DualBound, Settled

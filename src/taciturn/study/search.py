@@ -8,12 +8,12 @@ from typing import Never
 import numpy as np
 
 from taciturn import _scipy
+from taciturn._progress import Progress
 from taciturn.design.catalogue import Knob
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
-from taciturn.simulation.sampling import Progress
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.looks import look_at
 

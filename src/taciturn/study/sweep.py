@@ -18,11 +18,11 @@ import numpy as np
 
 from taciturn._arrays import instance, quoted
 from taciturn._files import write_whole
+from taciturn._progress import Progress
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
-from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.record import digest, encode, fingerprint

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem, expect_problem
-from taciturn.simulation.sampling import Progress
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve, why_no_periodic

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from taciturn._progress import Progress
 from taciturn.design.catalogue import KNOBS, Knob
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
-from taciturn.simulation.sampling import Progress
 from taciturn.study.budget import budget_of
 from taciturn.study.search import Goal, Look, Search
 from taciturn.study.tuned import Parameter, Tuned

@@ -9,9 +9,9 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._figure import Panel, Series, draw
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.simulation.sampling import Progress
 from taciturn.study.chapter7 import TRACKING_PRICES
 from taciturn.study.reproduction import Reproduction, Row, Table
 from taciturn.twin.figures import inputs, path, positions, running_costs, sends

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.problem import load, parse
-from taciturn.simulation.sampling import Progress
 from taciturn.twin.catalogue import find_robot
 from taciturn.twin.figures import figure_of
 from taciturn.twin.mission import MISSIONS, all_time, check_mission, check_parameters

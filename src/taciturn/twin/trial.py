@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from taciturn._arrays import choice, count, number
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import KEY, Wire
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.simulation.sampling import Progress
 from taciturn.study.network import kernel_losses, logged_lines, losses
 from taciturn.twin.body import Body
 from taciturn.twin.control import write_calibration

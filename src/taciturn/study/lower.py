@@ -1,0 +1,64 @@
+"""Whether a lower bound is sought, and what is said of it and of the certified rate."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from statistics import NormalDist
+
+from taciturn._progress import Progress
+from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.model.estimate import Estimate
+from taciturn.problem import Problem
+from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+
+
+def choose_confidence(problem: Problem, asked: float | None) -> float | None:
+    """Return the confidence of a lower bound: that asked for, none for 0; by default the usual one where one is had."""
+    if asked is not None:
+        return asked or None
+    try:
+        expect_bound(problem)
+    except ProblemError:
+        return None
+    return USUAL
+
+
+def expect_bound(problem: Problem) -> None:
+    """Refuse a problem that has no lower bound of the cost of any scheduling.
+
+    Raises:
+        ProblemError: why it has none.
+    """
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy):
+        raise ProblemError(
+            f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
+        )
+    resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
+
+
+def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
+    """Return the lower bound at a rate that was measured: at what it is at most, with the same confidence.
+
+    Raises:
+        ProblemError: nothing is sent, or there is no bound.
+    """
+    if rate.value == 0:
+        raise ProblemError("nothing is sent")
+    lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
+    margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
+    return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
+
+
+def contradicted(rate: Estimate, certified: tuple[float, float] | None) -> tuple[str, ...]:
+    """Tell of a simulated rate that is not within its certified bounds."""
+    if certified is None or rate.method != "simulation" or certified[0] <= rate.value <= certified[1]:
+        return ()
+    nearest = min(certified, key=lambda end: abs(end - rate.value))
+    off = abs(nearest - rate.value) / max(rate.standard_error, 1e-300)
+    return (
+        f"the simulated rate is {off:.2g} standard errors outside its certified bounds, which are right: intervals so "
+        "regular are not forgotten within the run",
+    )
