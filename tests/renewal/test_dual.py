@@ -116,7 +116,9 @@ def test_a_bound_is_above_the_optimum_no_more_often_than_it_says() -> None:
         quick=2,
     ),
 )
-def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(silly, line: tuple[Fitted, float], few_draws: None) -> None:
+def test_a_bound_made_of_a_bad_schedule_is_a_bound_that_is_loose(
+    silly, line: tuple[Fitted, float], few_draws: None
+) -> None:
     """Whatever the martingale is made of, nothing costs less; nothing is better than what is fitted."""
     fitted, good = line
     found = bound_schedules(UNIT, UNIT, UNIT, 4.0, silly(fitted), 0.9999)

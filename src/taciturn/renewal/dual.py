@@ -250,7 +250,7 @@ class _Duel:
             self.told(len(found) / rounds)
         sums = np.concatenate([sums for sums, _, _ in found], axis=2) / self.paths
         longest, work = max(last for _, last, _ in found), sum(work for _, _, work in found)
-        return [_Outcome(*sums[:, k], longest, work) for k in range(len(self.gains))]
+        return [_Outcome(sums[0, k], sums[1, k], longest, work) for k in range(len(self.gains))]
 
     def _side_by_side(self) -> tuple[Array, int, int]:
         """Return the sums of minima and of their checks, (2, gains, batches), and the checks of the longest and all."""

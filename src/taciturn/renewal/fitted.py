@@ -211,7 +211,7 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
 
 def _least_squares(rows: Array, values: Array) -> Array:
     """Return the shortest x that is nearest to rows·x = values."""
-    triangle = np.linalg.qr(np.column_stack([rows, values]), mode="r")
+    triangle: Array = np.asarray(np.linalg.qr(np.column_stack([rows, values]), mode="r"), dtype=np.float64)
     turned, upper = triangle[: rows.shape[1], -1], triangle[: rows.shape[1], :-1]
     diagonal = np.abs(np.diag(upper))
     if diagonal.min(initial=1.0) > FULL * diagonal.max(initial=0.0):

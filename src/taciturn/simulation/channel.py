@@ -75,7 +75,7 @@ class SharedChannel:
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
         """Begin with errors of 0."""
         self._groups, self._access, self._channels, self._tick = groups, access, channels, 0
-        alike: dict[Hashable, list[_Turn]] = {}
+        alike: dict[tuple[Hashable, int, int], list[_Turn]] = {}
         first = 0
         for index, group in enumerate(groups):
             program = contend(group)

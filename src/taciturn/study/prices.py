@@ -245,8 +245,8 @@ class Curves:
             Job(kind, price, _seed_of(kind, self._seed), confidence, precise / float(looks))
             for kind, looks in zip(self._different, np.bincount(self._which, self._looks), strict=True)
         ]
-        keys = [(question, job.key) for job in jobs]
-        found = {key: _KNOWN[key] for key in keys if key in _KNOWN}
+        keys: list[tuple[object, Hashable]] = [(question, job.key) for job in jobs]
+        found: dict[tuple[object, Hashable], Any] = {key: _KNOWN[key] for key in keys if key in _KNOWN}
         missing = {key: job for key, job in zip(keys, jobs, strict=True) if key not in found}
         found |= zip(missing, answer_all(self._executor, question, list(missing.values()), self._came), strict=True)
         _KNOWN.update(found)
