@@ -12,17 +12,6 @@ import scipy.linalg
 from taciturn._arrays import Array
 
 
-def discrete_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
-    """Return scipy's solution of the discrete Riccati equation, or None where it finds none."""
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the callers verify what they get
-            K = cast(Array, scipy.linalg.solve_discrete_are(A, B, Q, R, s=N))
-    except (np.linalg.LinAlgError, ValueError):
-        return None
-    return (K + K.T) / 2 if np.isfinite(K).all() else None
-
-
 def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
     """Return scipy's solution of the continuous Riccati equation, or None where it finds none."""
     try:
