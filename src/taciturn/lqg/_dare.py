@@ -1,4 +1,4 @@
-"""The stabilising solution of the discrete Riccati equation: scipy starts, Newton's method adds the digits.
+"""The stabilising solution of the discrete Riccati equation: doubling starts, Newton's method adds the digits.
 
 Serves the regulator and, by duality, the filter. H = R + B'KB may be singular (noise-free measurements): the
 gain then obeys H L = −(B'KA + N') and keeps, in the directions where H vanishes, whatever makes A + BL
