@@ -106,7 +106,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 def is_definite(matrix: Array) -> bool:
     """Say whether a symmetric matrix is positive definite and can be inverted, whatever the units of the variables."""
-    return bool((np.diag(matrix) > TINY).all()) and _least_eigenvalue(matrix) > DEFINITENESS_TOLERANCE
+    return bool((matrix.diagonal() > TINY).all()) and _least_eigenvalue(matrix) > DEFINITENESS_TOLERANCE
 
 
 def number(name: str, value: object, low: float = -np.inf, high: float = np.inf, *, closed: bool = False) -> float:
@@ -221,7 +221,7 @@ def _least_eigenvalue(matrix: Array) -> float:
 def _is_rounding(matrix: Array) -> bool:
     """Say whether what makes a matrix indefinite is no more than the rounding of its products."""
     others = np.abs(matrix).max(axis=1, initial=0.0)
-    if (np.diag(matrix) < -ROUNDING * len(matrix) * others).any():
+    if (matrix.diagonal() < -ROUNDING * len(matrix) * others).any():
         return False
     values = np.linalg.eigvalsh(matrix)
     return bool(values[0] >= -ROUNDING * len(matrix) * np.abs(values).max())

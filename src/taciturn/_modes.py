@@ -18,6 +18,9 @@ ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
 LARGEST = 1e140  # of a power of a stable map: its square is still a number
+LOOSE = 1e-2  # distance to the edge, beyond which a computed mode decays
+SPREAD = 100  # times the rounding of a mode to first order: what it is allowed
+FAR, FEW_MODES = 1e-4, 4  # relative least singular value that proves a rank; modes at which it is cheap to look
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -139,6 +142,37 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
         turned = left.T @ rest @ left
         pushed, rest, size = turned[rank:, :rank], turned[rank:, rank:], norm
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
+
+
+def lost_modes(A: Array, B: Array, continuous: bool) -> Modes:
+    """Return the modes that do not decay and that the input through B cannot move, the largest modulus first.
+
+    Where [A − λI, B] is far from losing rank at every mode that may not decay, farther than rounding may have moved the
+    mode, there are none. Otherwise ``uncontrollable_modes`` decides.
+
+    Args:
+        A: (n, n) dynamics.
+        B: (n, m) input matrix.
+        continuous: whether time is.
+    """
+    modes, vectors = np.linalg.eig(A)
+    size = float(np.sqrt(np.sum(A * A)))
+    may = (modes.real > -LOOSE * size) if continuous else (np.abs(modes) > 1 - LOOSE)
+    may = np.flatnonzero(may & (modes.imag >= 0))
+    if not len(may):
+        return np.zeros(0, dtype=np.complex128)
+    if len(may) <= FEW_MODES:
+        shifted = np.tile(np.hstack([A, B]).astype(np.complex128), (len(may), 1, 1))
+        shifted[:, range(len(A)), range(len(A))] -= modes[may, None]
+        try:
+            with np.errstate(over="ignore"):  # of a mode that is defective
+                doubt = np.linalg.norm(np.linalg.inv(vectors)[may], axis=1)
+            values = np.linalg.svd(shifted, compute_uv=False)
+        except np.linalg.LinAlgError:
+            return persistent(uncontrollable_modes(A, B), A, continuous)
+        if (values[:, -1] > np.maximum(FAR * values[:, 0], SPREAD * len(A) * ROUNDOFF * size * doubt)).all():
+            return np.zeros(0, dtype=np.complex128)
+    return persistent(uncontrollable_modes(A, B), A, continuous)
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:

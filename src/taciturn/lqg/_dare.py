@@ -31,8 +31,8 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     unit diagonal. So the units of the variables decide nothing.
     """
     H = symmetrised(R + B.T @ K @ B)
-    diagonal = np.diag(H)
-    products = (np.abs(B.T) @ np.sqrt(np.maximum(np.diag(K), 0))) ** 2 + np.abs(np.diag(R))
+    diagonal = H.diagonal()
+    products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(np.diag(R))
     kept = diagonal > np.maximum(1e-14 * products, TINY)
     scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
@@ -64,9 +64,8 @@ def is_clear(found: Solution | None, F: Array) -> bool:
 
 class _Steps(Time):
     def rough(self, given: Quadratic) -> Array | None:
-        moved = float(np.sum(given.B**2))
-        worth = float(np.trace(given.R) + np.sum(given.B * (given.Q @ given.B))) / moved if moved > TINY else 0.0
-        last = given.Q + LAST * worth * np.eye(len(given.A))
+        worth, reached = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B)), float(np.sum(given.B**2))
+        last = given.Q + (LAST * worth / reached if reached > TINY else 0.0) * np.eye(len(given.A))
         return double(given, last, *price(given.B, last, given.R))
 
     def stable(self, F: Array, given: Quadratic) -> bool:
@@ -81,7 +80,7 @@ class _Steps(Time):
         return best + (np.eye(len(H)) - inverse @ H) @ L, H
 
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
-        root = np.sqrt(np.maximum(np.diag(K), 0.0))
+        root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         return symmetrised(F.T @ K @ F + stage - K), np.abs(F).T @ root
 
     def saved(self, given: Quadratic, K: Array, L: Array) -> Array:

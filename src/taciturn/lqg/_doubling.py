@@ -43,11 +43,11 @@ def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | N
             except np.linalg.LinAlgError:
                 return None
             more = F.T @ K @ solved[:, :n]
-            G = symmetrised(G + F @ solved[:, n:] @ F.T)
             K = symmetrised(K + more)
-            F = F @ solved[:, :n]
-            if not (np.isfinite(K).all() and np.isfinite(G).all()):
+            if not np.isfinite(K).all():
                 return None
-            if (np.abs(np.diag(more)) <= SETTLED * np.abs(np.diag(last) + np.diag(K))).all():
+            if (np.abs(more.diagonal()) <= SETTLED * np.abs(last.diagonal() + K.diagonal())).all():
                 break
+            G = symmetrised(G + F @ solved[:, n:] @ F.T)
+            F = F @ solved[:, :n]
     return symmetrised(last + K)

@@ -47,7 +47,7 @@ class Solution:
     @property
     def relative(self) -> Array:
         """Bound on the relative error of the cost of each state, (n,)."""
-        return np.diag(self.error) / np.maximum(self.unit, TINY)
+        return self.error.diagonal() / np.maximum(self.unit, TINY)
 
     @property
     def doubt(self) -> float:
@@ -186,7 +186,7 @@ class Time(ABC):
             if found is None:
                 return
             K, L, H = found
-            if np.diag(K).max(initial=0.0) <= 4 and np.diag(K).min(initial=1.0) >= 1 / 4:
+            if K.diagonal().max(initial=0.0) <= 4 and K.diagonal().min(initial=1.0) >= 1 / 4:
                 break
         yield self.judged(given, axes, K, L, H)
         turned = principal_axes(axes, K)
@@ -230,7 +230,7 @@ class Time(ABC):
         F, stage = here.under(L)
         missed, spread = self.residual(here, F, stage, K)
         missed = missed - self.saved(here, K, L)
-        root = np.sqrt(np.maximum(np.diag(K), 0.0))
+        root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         moved = (size + np.abs(here.B) @ np.abs(L)).T @ root
         pushed = np.abs(here.N) @ np.abs(L)
         terms = np.outer(spread, moved) + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
@@ -238,7 +238,7 @@ class Time(ABC):
         bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
-        diagonal, least = np.diag(K), nothing(given, L)
+        diagonal, least = K.diagonal(), nothing(given, L)
         written = 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K as it stands here
         return Solution(
             K,

@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
-from taciturn._modes import mode_text, persistent, radius, root, uncontrollable_modes
+from taciturn._modes import lost_modes, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
@@ -254,7 +254,7 @@ def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Arr
 
 
 def _refuse_unseen(A: Array, C: Array) -> None:
-    unseen = persistent(uncontrollable_modes(A.T, C.T), A, continuous=False)
+    unseen = lost_modes(A.T, C.T, False)
     if unseen.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "

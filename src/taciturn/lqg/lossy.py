@@ -12,7 +12,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, frozen, symmetrised
-from taciturn._modes import balancing, bound_residual, eigenvalues, mode_text, persistent, radius, uncontrollable_modes
+from taciturn._modes import balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing, units_of
@@ -263,7 +263,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     n, m = B.shape
     scale = balancing(A)  # the units of the states decide nothing
     A, B = A / scale[:, None] * scale, B / scale[:, None]
-    lost = persistent(uncontrollable_modes(A, B), A, continuous=False)
+    lost = lost_modes(A, B, False)
     if lost.size:
         raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
     A_u, V = _scipy.unstable_part(A, 1 - _dare.CIRCLE)

@@ -12,9 +12,9 @@ from taciturn._modes import (
     TOLERANCE,
     Modes,
     eigenvalues,
+    lost_modes,
     mode_text,
     pace,
-    persistent,
     root,
     uncontrollable_modes,
 )
@@ -213,7 +213,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     """
     A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
-    _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=True), "the open left half-plane")
+    _refuse_unmoved(lost_modes(A, B, True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
     _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N), None)
@@ -243,7 +243,7 @@ def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> 
     """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
     found = _dare.solve(A, B, Q, R, N)
     if found is None or not _dare.is_clear(found, A + B @ found.L):  # what it is that has no solution
-        _refuse_unmoved(persistent(uncontrollable_modes(A, B), A, continuous=False) / unit, _disc(unit))
+        _refuse_unmoved(lost_modes(A, B, False) / unit, _disc(unit))
         if is_definite(R):
             unseen = _unseen_modes(A, B, Q, R, N)
             _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))

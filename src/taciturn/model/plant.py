@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
-from taciturn._modes import mode_text, persistent, uncontrollable_modes
+from taciturn._modes import lost_modes, mode_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
@@ -357,7 +357,7 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = persistent(uncontrollable_modes(A, B), A, continuous)
+        lost = lost_modes(A, B, continuous)
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(

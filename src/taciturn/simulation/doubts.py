@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from taciturn._modes import eigenvalues, persistent, root, uncontrollable_modes
+from taciturn._modes import eigenvalues, lost_modes, persistent, root
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -81,6 +81,6 @@ def comes_never_to_rest(loop: Loop) -> bool:
         return False
     A = plant.A
     all_modes = persistent(eigenvalues(A), A, False)
-    still = persistent(uncontrollable_modes(A, root(plant.W)), A, False)
-    unseen = persistent(uncontrollable_modes(A.T, loop.problem.Q), A, False)
+    still = lost_modes(A, root(plant.W), False)
+    unseen = lost_modes(A.T, loop.problem.Q, False)
     return len(all_modes) > len(still) and not len(unseen)

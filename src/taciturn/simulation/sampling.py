@@ -25,7 +25,7 @@ from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
 
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
-FEW_PATHS, SMALL = 512, 2000  # of a large loop; operations of a step up to which it is none
+FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; operations of a step, above which a loop is large
 FEWEST_PATHS = 64  # where a slow loop makes every path long
 FEWEST_MISSIONS = 8
 BURN_IN = 512  # ticks, at least
@@ -119,7 +119,8 @@ class Sampling:
         """Yield what is known after each window of ticks, until that is enough."""
         budget, width = steps or BUDGET, len(self.parts)
         least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
-        most = PATHS if steps else self._affordable_paths()
+        operations = max(program.operations for program in self.programs)  # many: the burn-in is more than is needed
+        most = PATHS if steps else min(PATHS, max(FEW_PATHS, PATHS * SMALL // max(operations, 1) // 8 * 8))
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
         states, dropped, forgotten = self._burn_in(states, min(least, budget // paths // width // 2), budget)
@@ -201,11 +202,6 @@ class Sampling:
     def _affordable(self, states: Sequence[Array], budget: int) -> int:
         """Return how many ticks the budget is still good for."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
-
-    def _affordable_paths(self) -> int:
-        """Return how many paths to start with: fewer of a large loop, whose burn-in alone is more than it needs."""
-        operations = max(program.operations for program in self.programs)
-        return min(PATHS, max(FEW_PATHS, PATHS * SMALL // operations // 8 * 8))
 
     def _target(self, standard_error: float | None, first: float) -> float:
         """Return the standard error that is asked, or a share of the first part's cost, given the mean of its sum."""
