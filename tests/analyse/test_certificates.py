@@ -147,18 +147,18 @@ def test_two_masses_decay_almost_as_fast_as_under_all_time_control() -> None:
 
 def small(theta: float) -> Switched:
     """Return the loop of two states, held inputs."""
-    system = make_system(1, 2, 1, 1, True)
+    system = make_system(3, 2, 1, 1, True)
     return switched(closed(design.lqg(system.plant, system.cost, theta=theta)))
 
 
 @pytest.mark.parametrize("loop_of", [small, pytest.param(two_masses, marks=pytest.mark.evidence)])
 def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> None:
     """Decay, gain and cost bound grow with θ, from those of sending always on."""
-    loops = [loop_of(theta) for theta in (1e-6, 0.3, 1.0)]
+    loops = [loop_of(theta) for theta in (1e-6, 0.1, 1.0)]
     always = loops[0].under(1)
     rates, gains = [find_decay(loop).rate for loop in loops], [find_gain(loop).value for loop in loops]
     costs = [bound_cost(loop).value for loop in loops]
-    assert radius(always.F[0]) <= rates[0] < rates[1] < rates[2] < 1
+    assert radius(always.F[0]) < rates[0] < rates[1] < rates[2] < 1
     assert find_gain(always).value < gains[0] < gains[1] < gains[2]
     assert bound_cost(always).value < costs[0] < costs[1] < costs[2]
 

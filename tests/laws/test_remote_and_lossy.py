@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import closed, lossy, started
+from drawn import law
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from systems import System, systems
@@ -15,7 +16,6 @@ from taciturn.errors import InformationError
 from taciturn.model.policy import Policy
 from taciturn.simulation.average import average
 
-MANY = settings(max_examples=300, deadline=None)
 FEW = settings(max_examples=15, deadline=None)
 NETWORKS = (Network("udp"), Network("tcp"), Network())
 
@@ -34,10 +34,9 @@ def assert_same_numbers(one: Policy, other: Policy) -> None:
     np.testing.assert_allclose(one_gain, other_gain, rtol=1e-9, atol=1e-12)
 
 
-@MANY
-@given(system=systems(), horizon=st.sampled_from([None, 1, 2, 17]), delay=st.booleans())
+@law(10, 300, system=systems(), horizon=st.sampled_from([None, 1, 2, 17]), delay=st.booleans())
 def test_zero_loss_makes_the_three_protocols_equal(system: System, horizon: int | None, delay: bool) -> None:
-    """300 systems: the same gains, costs and bounds, for missions and averages, with and without delay."""
+    """The same gains, costs and bounds, for missions and averages, with and without delay."""
     plant = started(Plant(system.plant.A, system.plant.B, system.plant.W), system.seed)
     cost = Cost(system.cost.Q, system.cost.R, horizon=horizon)
     udp, tcp, ideal = (
@@ -101,10 +100,9 @@ def test_a_price_of_zero_is_all_time_control(system: System, protocol: str, hori
     assert found.cost.value == pytest.approx(free.cost_all_time, rel=1e-9)
 
 
-@MANY
-@given(system=systems(), share=st.floats(0.1, 0.95))
+@law(10, 300, system=systems(), share=st.floats(0.1, 0.95))
 def test_with_no_query_possible_the_estimator_is_open_loop(system: System, share: float) -> None:
-    """300 stable plants: Σ = AΣA' + W, x̂ stays 0, and the cost is tr(QΣ), that of doing nothing."""
+    """Stable plants: Σ = AΣA' + W, x̂ stays 0, and the cost is tr(QΣ), that of doing nothing."""
     A = system.plant.A * share / radius(system.plant.A)
     plant = Plant(A, system.plant.B, system.plant.W, system.plant.C, system.plant.V)
     policy = design.remote_lqg(plant, system.cost, zeta=1e9, controller="actuator")

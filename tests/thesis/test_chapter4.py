@@ -58,6 +58,7 @@ def test_the_printed_alpha_is_not_admissible() -> None:
         design.integral(DOUBLE, COST, slope=9.1557, alpha=1.5, h_max=2.0)
 
 
+@pytest.mark.evidence
 def test_the_dynamic_trigger_beats_periodic_control_where_a_euclidean_threshold_loses_to_it() -> None:
     """Counter-example 4.5.2: E[θ] = .971 and g = 1.2 against 3.06; |e| ≥ 2: E[θ] = .256 and g = .858 against .439."""
     price = prediction_cost(COUNTER.A, COUNTER.B, WEIGHTS.Q, WEIGHTS.R, WEIGHTS.N, COUNTER.W)

@@ -64,7 +64,7 @@ def test_eleven_digits(period: float, rate: float, cost: float) -> None:
     assert found.rate_error < 1e-8
 
 
-@pytest.mark.parametrize(("checks", "rate", "cost"), rows(JUMPS, quick=1))
+@pytest.mark.parametrize(("checks", "rate", "cost"), rows(JUMPS, quick=1, start=4))
 def test_the_rows_of_poisson_jumps(checks: float, rate: float, cost: float) -> None:
     """By simulation, within four standard errors."""
     problem = taciturn.load("double-integrator").changed({"period": 1 / checks})
