@@ -94,7 +94,7 @@ def contest(loop: Loop, error: float) -> dict[str, Any]:
         stop = limited(None, max(LEAST, SLOWEST * min(times.values(), default=mine)))
         fresh = next(one for one in candidates_of(loop, effort, stop)[0] if one.name == candidate.name)
         reached: list[bool] = []
-        seconds, ended = spent(lambda one=fresh, at=stop, ok=reached: ok.append(one.run(error, at).reached))
+        seconds, ended = spent(lambda one=fresh, at=stop, ok=reached: ok.append(one.run(at).reached))
         if ended and all(reached):
             times[candidate.name] = seconds
     best = min([mine, *times.values()])

@@ -84,6 +84,11 @@ class RenewalQuadrature:
         """Operations that it takes at least."""
         return LEAST_OF_JUMPS if self.gaussian is None else self.gaussian.least
 
+    @property
+    def usual(self) -> float:
+        """The relative accuracy that is aimed at where none is asked for."""
+        return ACCURACY_OF_JUMPS if self.gaussian is None else self.gaussian.usual
+
     def accuracy(self, error: float) -> float:
         """Return the relative accuracy that an absolute error of the excess asks for: about, as it is not yet known."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
@@ -98,7 +103,7 @@ class RenewalQuadrature:
             return self.gaussian.solve(accuracy, progress)
         from taciturn.renewal.jumps import solve_jumps
 
-        return solve_jumps(self.chain, ACCURACY_OF_JUMPS if accuracy is None else accuracy, progress)
+        return solve_jumps(self.chain, self.usual if accuracy is None else accuracy, progress)
 
 
 class ConditionalSampling:

@@ -105,6 +105,11 @@ class Quadrature:
         return len(self.white.m)
 
     @property
+    def usual(self) -> float:
+        """The relative accuracy that is aimed at where none is asked for."""
+        return usual_accuracy(self.white)
+
+    @property
     def least(self) -> float:
         """Operations that it takes at least."""
         return LEAST[self.dimensions]
@@ -117,7 +122,7 @@ class Quadrature:
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
         """Return what ``solve_gaussian`` does."""
         white, region = self.white, self.region
-        accuracy = number("accuracy", usual_accuracy(white) if accuracy is None else accuracy, 0.0, 1.0)
+        accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
         effort = Effort(accuracy, told.tick, self._dense(accuracy))
         window = find_window(white, region, self.covariance, effort)

@@ -33,15 +33,15 @@ class Candidate:
     Args:
         name: of the method.
         least: work that it takes at least, known without trying.
-        predict: the work for an absolute error of the cost, where needed by a pilot whose draws are thrown away.
-        run: gives the answer, to an absolute error of the cost; None for the method's usual one.
+        predict: the work for the error that is asked for, where needed by a pilot whose draws are thrown away.
+        run: gives the answer.
         gradual: whether it has an answer long before its end.
     """
 
     name: str
     least: float
-    predict: Callable[[float], float]
-    run: Callable[[float | None, Progress | None], Averages]
+    predict: Callable[[], float]
+    run: Callable[[Progress | None], Averages]
     gradual: bool
 
 
@@ -97,55 +97,50 @@ def measure(loop: Loop, effort: Effort, progress: Progress | None) -> Measured:
     candidates, refused = candidates_of(loop, effort, progress)
     if method == "exact" and not candidates:
         raise ProblemError(f"method is 'exact', and {refused}") from None
-    notes = policy.notes
-    if method == "auto" and effort.steps is None and decides_alone(policy) and refused is not None:
-        notes += (f"simulated, because {refused.reason}",) if len(candidates) == 1 else ()
     if len(candidates) == 1:
-        reason = "asked for" if method != "auto" or effort.steps is not None else "no other method applies"
-        found = _run(candidates[0], effort.standard_error, effort, progress, alone=True)
-        return Measured(found, candidates[0].name, reason, notes + found.notes)
-    error, reasons, best = _asked(loop, effort.standard_error), list[str](), None
-    while candidates:
-        ordered, reason = rank(candidates, error, effort.time_limit)
+        reason = "no other method applies" if method == "auto" and effort.steps is None else "asked for"
+        return _measured(loop, _run(candidates[0], effort, progress, alone=True), candidates[0].name, reason, refused)
+    reasons, best = list[str](), None
+    while candidates and (best is None or not best.averages.reached):
+        ordered, reason = rank(candidates, effort.time_limit)
         candidate, candidates = ordered[0], ordered[1:]
         reasons.append(reason)
         try:
-            found = _run(candidate, error, effort, progress, alone=not candidates)
-        except NoQuadratureError as refusal:
+            found = _run(candidate, effort, progress, alone=not candidates)
+        except (NoQuadratureError, OutOfTime) as error:
             if not candidates and best is None:
                 raise
-            reasons.append(f"{candidate.name} failed")
-            notes += (f"no {candidate.name}: {refusal.reason}",)
-            continue
-        except OutOfTime:
-            if not candidates and best is None:
-                raise
-            reasons.append(f"{candidate.name} ran out of time")
+            refused = error if isinstance(error, NoQuadratureError) else refused
+            reasons.append(f"{candidate.name} {'failed' if error is refused else 'ran out of time'}")
             continue
         if best is None or found.reached or _off(found) < _off(best.averages):
-            best = Measured(found, candidate.name, "; ".join(reasons), notes + found.notes)
-        if found.reached:
-            break
+            best = _measured(loop, found, candidate.name, "; ".join(reasons), refused)
         reasons.append(f"{candidate.name} missed the asked error")
     assert best is not None  # the last candidate answers or raises
     return best
 
 
-def rank(candidates: list[Candidate], error: float, time_limit: float | None) -> tuple[list[Candidate], str]:
-    """Return candidates by the work they take for an error, the least first, and a sentence that says so.
+def _measured(loop: Loop, found: Averages, method: str, reason: str, refused: NoQuadratureError | None) -> Measured:
+    """Return what was found with its notes: those of the policy, why it was simulated, and what makes it doubtful."""
+    told = refused is not None and method == "simulation" and decides_alone(loop.policy)
+    why = (f"simulated, because {refused.reason}",) if told and refused is not None else ()
+    return Measured(found, method, reason, loop.policy.notes + why + found.notes)
+
+
+def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Candidate], str]:
+    """Return candidates by the work they take, the least first, and a sentence that says so.
 
     One whose least work is more than another takes is not looked at more closely. One that is all or nothing and is
     predicted to need more than its share of the time limit comes last.
 
     Args:
         candidates: at least one.
-        error: absolute, of the cost.
         time_limit: seconds, or None.
     """
     work, rough = dict[str, float](), dict[str, bool]()
     for candidate in sorted(candidates, key=lambda one: one.least):
         seen = min(work.values(), default=float("inf")) > candidate.least
-        work[candidate.name] = max(candidate.predict(error), candidate.least) if seen else candidate.least
+        work[candidate.name] = max(candidate.predict(), candidate.least) if seen else candidate.least
         rough[candidate.name] = not seen
 
     def late(candidate: Candidate) -> bool:
@@ -199,11 +194,10 @@ def _quadrature(loop: Loop, effort: Effort) -> Candidate:
     quadrature = RenewalQuadrature(loop)
     assert identity is not None
 
-    def predict(error: float) -> float:
-        return quadrature.predict(_clipped(quadrature.accuracy(error)))
+    error = effort.standard_error
+    accuracy = quadrature.usual if error is None else _clipped(quadrature.accuracy(error))
 
-    def run(error: float | None, progress: Progress | None) -> Averages:
-        accuracy = None if error is None else _clipped(quadrature.accuracy(error))
+    def run(progress: Progress | None) -> Averages:
         renewal = quadrature.solve(accuracy, progress)
         if error is not None and renewal.excess_error > error and loop.problem.jumps is None:
             with suppress(OutOfTime):
@@ -213,7 +207,7 @@ def _quadrature(loop: Loop, effort: Effort) -> Candidate:
         reached = cost.error <= _wanted(cost, effort.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 
-    return Candidate("quadrature", quadrature.least, predict, run, False)
+    return Candidate("quadrature", quadrature.least, lambda: quadrature.predict(accuracy), run, False)
 
 
 def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candidate:
@@ -221,24 +215,26 @@ def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candi
     identity, link = loop.policy.identity, loop.policy.scheduled
     assert identity is not None
 
-    def run(error: float | None, _: Progress | None) -> Averages:
-        found = sampling.run(_asked(loop, effort.standard_error) if error is None else error)
+    asked = _asked(loop, effort.standard_error)
+
+    def run(_: Progress | None) -> Averages:
+        found = sampling.run(asked)
         cost = found.excess.scaled(1.0, identity.constant)
         reached = cost.standard_error <= _wanted(cost, effort.standard_error)
         rates = {link[0]: found.rate}
         return Averages(cost, rates, found.steps, 0, reached, estimator="conditional sampling")
 
-    return Candidate("conditional sampling", sampling.least, sampling.predict, run, True)
+    return Candidate("conditional sampling", sampling.least, lambda: sampling.predict(asked), run, True)
 
 
 def _simulation(loop: Loop, effort: Effort) -> Candidate:
-    def predict(error: float) -> float:
+    def predict() -> float:
         try:
-            return predict_average(loop, error, effort.seed)
+            return predict_average(loop, _asked(loop, effort.standard_error), effort.seed)
         except UnstableError:
             return float("inf")
 
-    def run(_: float | None, progress: Progress | None) -> Averages:
+    def run(progress: Progress | None) -> Averages:
         found = average(
             loop, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
         )
@@ -247,11 +243,11 @@ def _simulation(loop: Loop, effort: Effort) -> Candidate:
     return Candidate("simulation", least_work(loop), predict, run, True)
 
 
-def _run(candidate: Candidate, error: float | None, effort: Effort, progress: Progress | None, alone: bool) -> Averages:
+def _run(candidate: Candidate, effort: Effort, progress: Progress | None, alone: bool) -> Averages:
     """Return what a candidate finds; one that is all or nothing leaves time for the others."""
     if effort.time_limit is not None and not candidate.gradual and not alone:
         progress = limited(progress, SHARE * effort.time_limit)
-    return candidate.run(error, progress)
+    return candidate.run(progress)
 
 
 def _asked(loop: Loop, standard_error: float | None) -> float:
