@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -157,16 +158,22 @@ def test_what_silence_may_never_cost_is_refused() -> None:
         bound_schedules(F, UNIT, UNIT, price, fitted, 0.999)
 
 
+@cache
+def scalar(k: int, many: int) -> tuple[np.ndarray, float, Fitted, float]:
+    """Return one of many scalars: its growth, the price, the nearly best schedule, and the least mean cost."""
+    F, price = np.array([[0.8 + 0.4 * k / many]]), 2.0 * (1 + k)
+    return F, price, fit_schedule(F, UNIT * (1 + k), UNIT, price), solve_optimal(F, UNIT * (1 + k), UNIT, price).cost
+
+
 def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.Sampled]], float]:
     """Return what draws tell of different scalars, weighted, and the sum of their least mean costs by quadrature."""
     terms: list[tuple[float, dual.Sampled]] = []
     exact = 0.0
     for k in range(many):
-        data = np.array([[0.8 + 0.4 * k / many]]), UNIT * (1 + k), UNIT
-        price, weight = 2.0 * (1 + k), 1.0 / (1 + k)
-        fitted = fit_schedule(*data, price)
-        terms.append((weight, dual.sample_dual(*data, price, fitted, 0.9, [seed, k], 5e-3 * fitted.gain)))
-        exact += weight * solve_optimal(*data, price).cost
+        F, price, fitted, least = scalar(k, many)
+        found = dual.sample_dual(F, UNIT * (1 + k), UNIT, price, fitted, 0.9, [seed, k], 1e-2 * fitted.gain)
+        terms.append((1.0 / (1 + k), found))
+        exact += least / (1 + k)
     return terms, exact
 
 

@@ -27,6 +27,7 @@ FREE = 2000  # paths that bound what is still to be saved
 CERTAIN = 6.0  # standard errors
 ASIDE = 2.0  # times the certain error of a pilot: how far on either side of the root its slope is taken
 SAFETY = 1.1
+INTERVALS = 16  # mean intervals after which a pilot ends
 LIKELY = 2.0  # prices that hardly any path still saves: where those of a pilot end
 AWAY = 1.0  # times the depth of φ: so far above its minimum a path hardly ever finds another
 HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
@@ -170,7 +171,8 @@ def sample_dual(
     draws, told = np.random.default_rng(seed), Stages(progress)
     highest = _highest(F, noise, Gamma, fitted.gain)
     saved = min(_most_saved(game, min(fitted.gain, highest), fitted.interval, draws), LIKELY * price)
-    (pilot,) = _Duel(game, [fitted.gain], saved, draws, FEWEST, told.stage(0.0, 0.05)).run(ABREAST)
+    soon = int(np.clip(INTERVALS * fitted.interval, INTERVALS, LONGEST))
+    (pilot,) = _Duel(game, [fitted.gain], saved, draws, FEWEST, soon, told.stage(0.0, 0.05)).run(ABREAST)
     spread, quantile = float(pilot.least.std(ddof=1)), float(stdtrit(ABREAST - 1, confidence))
     error = (precise or PRECISE * fitted.gain) / quantile if quantile > 0 else np.inf
     wanted = FEWEST * (spread / (error * pilot.slope)) ** 2  # paths
@@ -183,7 +185,7 @@ def sample_dual(
     aside = ASIDE * CERTAIN * spread / np.sqrt(ABREAST) / pilot.slope
     sides = [max(gain - aside, gain / 2), gain, min(gain + aside, highest)]
     saved = _most_saved(game, sides[2], fitted.interval, draws)
-    below, here, beyond = _Duel(game, sides, saved, draws, paths, told.stage(0.05, 1.0)).run(batches)
+    below, here, beyond = _Duel(game, sides, saved, draws, paths, LONGEST, told.stage(0.05, 1.0)).run(batches)
     above = price - gain + float(here.least.mean())
     before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
@@ -235,9 +237,10 @@ class _Duel:
         saved: float,
         draws: np.random.Generator,
         paths: int,
+        longest: int,
         told: Stages,
     ) -> None:
-        self.paths = paths
+        self.paths, self.longest = paths, longest
         self.game, self.gains, self.saved, self.draws = game, np.array(gains)[:, None, None], saved, draws
         self.rank, self.away, self.told = game.half.shape[1], AWAY * game.depth, told
         self.lattice = Lattice(NOISES, self.rank)
@@ -259,7 +262,7 @@ class _Duel:
         total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
         least, when = np.full(shape, np.inf), np.zeros(shape)
         sums, work = np.zeros((2, len(self.gains), ABREAST)), 0
-        for check in range(1, LONGEST + 1):
+        for check in range(1, self.longest + 1):
             self.told.tick()
             work += going.size
             nearly = (total - (check - 1) * self.gains < least + self.away).any(axis=0)
@@ -274,10 +277,10 @@ class _Duel:
             least, when = np.where(lower, sent, least), np.where(lower, check, when)
             total = total + squares(error, game.Gamma)
             saves = total - check * self.gains - self.saved
-            if check == LONGEST:
+            if check == self.longest:
                 least, when = np.minimum(least, saves), np.where(saves < least, check + 1, when)
             certain: Bits = np.asarray((saves >= least).all(axis=0), dtype=np.bool_)
-            ends = going & (certain | (check == LONGEST))
+            ends = going & (certain | (check == self.longest))
             sums += np.stack([np.where(ends, least, 0.0).sum(axis=2), np.where(ends, when, 0.0).sum(axis=2)])
             going = going & ~ends
             width = int(going.sum(axis=1).max())
