@@ -6,12 +6,12 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 import typer
 
-import taciturn
 from taciturn import cli
 
 PLANT = "[plant]\nA = [[1.2]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
@@ -63,15 +63,16 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 def once(monkeypatch: pytest.MonkeyPatch) -> Once:
     """Return what lets a function of the package answer with its first answer ever after, to be printed twice."""
 
-    def once(name: str) -> None:
-        function, found = getattr(taciturn, name), list[object]()
+    def once(path: str) -> None:
+        module, _, name = path.rpartition(".")
+        function, found = getattr(import_module(module), name), list[object]()
 
         def answer(*arguments: object, **options: object) -> object:
             if not found:
                 found.append(function(*arguments, **options))
             return found[0]
 
-        monkeypatch.setattr(taciturn, name, answer, raising=False)
+        monkeypatch.setattr(import_module(module), name, answer, raising=False)
 
     return once
 

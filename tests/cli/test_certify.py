@@ -68,7 +68,7 @@ def test_what_cannot_be_certified_is_one_sentence(run: Run, write: Write, policy
 def test_a_policy_without_ticks_is_one_sentence(run: Run, write: Write) -> None:
     """A trigger in continuous time has no map from tick to tick."""
     plant = "[plant]\nA = [[0.5]]\nB = [[1.0]]\n[plant.jumps]\nrate = 2.0\ncovariance = [[1.0]]\n"
-    policy = '[policy]\nkind = "integral"\nslope = 0.05\nh_max = 2.0\n'
+    policy = '[policy]\nkind = "integral"\nslope = 0.05\nalpha = 0.1\nh_max = 2.0\n'
     assert "has no loop of nodes; expected policy.period" in run("certify", write(plant=plant, policy=policy)).sentence
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from taciturn import _cv2
 from taciturn.twin.body import Body
 from taciturn.twin.calibration import Calibration
 from taciturn.twin.camera import Camera
+from taciturn.twin.catalogue import ROBOTS
 from taciturn.twin.robot import Robot
 from taciturn.twin.vision import Eye
 
@@ -26,12 +28,24 @@ def true_calibration(robot: Robot) -> Calibration:
     return Calibration(robot.lens.K, np.array(robot.lens.distortion), rotation, -axes @ data.camera("webcam").xpos, 0.0)
 
 
+@cache
+def _camera(name: str, seed: int) -> Camera:
+    return Camera(ROBOTS[name], seed)
+
+
+def camera_of(robot: Robot, seed: int = 0) -> Camera:
+    """Return the camera of a robot, in its usual light and with nothing over the marker; it is made once."""
+    camera = _camera(robot.name, seed)
+    camera.lighting, camera.covered = 1.0, False
+    return camera
+
+
 def errors(
     robot: Robot, calibration: Calibration, places: int, lighting: float = 1.0, seed: int = 7
 ) -> npt.NDArray[np.float64]:
     """Return measured less true states at places all over the workspace, (found, n)."""
     random = np.random.default_rng(seed)
-    body, camera, eye = Body(robot, disturbance=0.0), Camera(robot, seed), Eye(robot, calibration)
+    body, camera, eye = Body(robot, disturbance=0.0), camera_of(robot, seed), Eye(robot, calibration)
     camera.lighting = lighting
     found = []
     for k in range(places):
@@ -41,5 +55,4 @@ def errors(
             found.append(measured - body.pose)
             if robot.turns:
                 found[-1][2] = math.remainder(found[-1][2], 2 * math.pi)
-    camera.close()
     return np.array(found)

@@ -140,6 +140,7 @@ def test_a_gain_error_is_one_of_the_motors() -> None:
     assert abs(askew.pose[2]) > 3 * abs(straight.pose[2])
 
 
+@pytest.mark.evidence
 def test_wheels_of_capsules_and_of_rollers_drive_the_same_circle() -> None:
     """In open loop a circle of 0.5 m at 0.5 m/s while the robot turns: 3 cm apart at most, one hundredth of the way.
 

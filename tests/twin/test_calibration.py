@@ -8,7 +8,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from counts import few
 from twin.looks import errors, true_calibration
 
 from taciturn.errors import ProblemError
@@ -26,7 +25,8 @@ def calibrated(name: str) -> Calibration:
     return calibrate(ROBOTS[name], 1)
 
 
-@pytest.mark.parametrize("name", few(ROBOTS, 1, 1))
+@pytest.mark.evidence
+@pytest.mark.parametrize("name", ROBOTS)
 def test_a_calibration_repeats_with_its_seed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit."""
     monkeypatch.setattr("taciturn.twin.calibration.VIEWS", 5)

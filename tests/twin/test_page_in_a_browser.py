@@ -166,6 +166,7 @@ def test_the_slider_acts_when_it_is_released(tabs: Tabs, page: Page) -> None:
     assert tab.input_value("#knob") == "500"
 
 
+@pytest.mark.evidence
 def test_pause_and_push_reach_the_run_and_the_other_tabs(tabs: Tabs, page: Page) -> None:
     """A pause on one page is one on all, and any page ends it."""
     first, second = tabs.open(page.url), tabs.open(page.url)

@@ -105,6 +105,7 @@ def test_the_omni_follows_its_path_over_links_that_lose_what_is_foretold(tmp_pat
     assert np.hypot(*(trial.poses - trial.problem.reference.states)[..., :2].T).max() < 0.3
 
 
+@pytest.mark.evidence
 @pytest.mark.usefixtures("kernel")
 def test_what_nftables_lose_is_foretold_packet_for_packet(tmp_path: Path) -> None:
     """Pictures of many fragments and commands of a few bytes: what comes is what the rule's hash lets through."""

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 import pytest
 from counts import few
-from twin.looks import errors, true_calibration
+from twin.looks import camera_of, errors, true_calibration
 
 from taciturn import _cv2, _mujoco
 from taciturn.errors import ProblemError
@@ -51,13 +51,12 @@ def test_a_picture_depends_on_seed_and_number_alone() -> None:
 @both
 def test_a_picture_is_a_jpeg_that_fits_a_packet(robot: Robot) -> None:
     """Of 640×480 pixels in colour, and at most 60 000 bytes in any light."""
-    camera = Camera(robot)
+    camera = camera_of(robot)
     for lighting in (0.0, 1.0, 3.0):
         camera.lighting = lighting
         picture = camera.take(Body(robot).snapshot)
         assert len(picture) <= LARGEST
         assert pixels(picture).shape == (HEIGHT, WIDTH, 3)
-    camera.close()
 
 
 @pytest.mark.parametrize("scene", few(product(ROBOTS, [0.4, 1.0, 1.6]), 2, 2), ids=str)
@@ -74,7 +73,7 @@ def test_a_marker_is_found_wherever_it_is_in_dim_and_bright_light(scene: tuple[s
 @both
 def test_a_covered_marker_is_not_seen(robot: Robot) -> None:
     """Nor in the dark; uncovered and lit it is seen again."""
-    camera, eye, seen = Camera(robot), Eye(robot, true_calibration(robot)), Body(robot).snapshot
+    camera, eye, seen = camera_of(robot), Eye(robot, true_calibration(robot)), Body(robot).snapshot
     assert eye.see(camera.take(seen)) is not None
     camera.covered = True
     assert eye.see(camera.take(seen)) is None
@@ -83,7 +82,6 @@ def test_a_covered_marker_is_not_seen(robot: Robot) -> None:
     assert eye.see(camera.take(seen)) is None
     camera.lighting = 1.0
     assert eye.see(camera.take(seen)) is not None
-    camera.close()
 
 
 @both
@@ -92,9 +90,8 @@ def test_a_damaged_picture_is_none(robot: Robot) -> None:
 
     Bits that turn are the wire's: the checksum of a datagram.
     """
-    camera, eye, random = Camera(robot), Eye(robot, true_calibration(robot)), np.random.default_rng(0)
+    camera, eye, random = camera_of(robot), Eye(robot, true_calibration(robot)), np.random.default_rng(0)
     whole = camera.take(Body(robot).snapshot)
-    camera.close()
     small = _cv2.write_jpeg(np.zeros((48, 64, 3), np.uint8), 85)
     for broken in (b"", b"not a picture", random.bytes(5000), small, whole[:300], whole[100:], b"\0" + whole[1:]):
         assert eye.see(broken) is None
@@ -105,11 +102,10 @@ def test_a_damaged_picture_is_none(robot: Robot) -> None:
 def test_what_is_pink_and_no_marker_is_not_believed() -> None:
     """Too large, too small, too long, off the track, or a second one."""
     calibration = true_calibration(ROVER)
-    eye, camera = Eye(ROVER, calibration), Camera(ROVER)
+    eye, camera = Eye(ROVER, calibration), camera_of(ROVER)
     clear = pixels(camera.take(Body(ROVER).snapshot))
     camera.covered = True
     empty = pixels(camera.take(Body(ROVER).snapshot))
-    camera.close()
     pink = (118, 16, 204)
 
     def with_pink(picture: _cv2.Pixels, x: float, y: float, wide: int, high: int) -> bytes:
@@ -132,10 +128,9 @@ def test_what_is_pink_and_no_marker_is_not_believed() -> None:
 
 def test_a_tag_of_another_size_or_number_is_not_believed() -> None:
     """The robot's own number at two thirds of its size and at more, and the tags of the field alone."""
-    eye, camera = Eye(OMNI, true_calibration(OMNI)), Camera(OMNI)
+    eye, camera = Eye(OMNI, true_calibration(OMNI)), camera_of(OMNI)
     camera.covered = True
     empty = pixels(camera.take(Body(OMNI).snapshot))
-    camera.close()
     assert sorted(_cv2.find_tags(empty)) == [0, 1, 2, 3, 4, 5]
     for cells, believed in ((6, True), (4, False), (8, False)):
         tag = np.pad(_cv2.draw_tag(7, 6 * cells), cells, constant_values=255)
@@ -149,7 +144,7 @@ def test_a_tag_of_another_size_or_number_is_not_believed() -> None:
 @both
 def test_what_is_seen_is_drawn_where_it_is(robot: Robot) -> None:
     """Green pixels around the marker, and none without it."""
-    calibration, camera = true_calibration(robot), Camera(robot)
+    calibration, camera = true_calibration(robot), camera_of(robot)
     eye, body = Eye(robot, calibration), Body(robot)
     place = calibration.see(np.array([[*body.pose[:2], 0.1] if robot.turns else [body.pose[0], 0.0, 0.1]]))[0]
 
@@ -161,19 +156,17 @@ def test_what_is_seen_is_drawn_where_it_is(robot: Robot) -> None:
     assert green(eye.draw(camera.take(body.snapshot))) > 20
     camera.covered = True
     assert green(eye.draw(camera.take(body.snapshot))) == 0
-    camera.close()
 
 
 def test_impossible_pictures_are_refused() -> None:
     """Each by one sentence."""
-    camera = Camera(ROVER)
+    camera = camera_of(ROVER)
     with pytest.raises(ProblemError, match="expected"):
         camera.take([0.0, 1.0])
     with pytest.raises(ProblemError, match="expected"):
         camera.take(Body(ROVER).snapshot, -1)
     with pytest.raises(ProblemError, match="expected"):
         camera.lighting = -0.5
-    camera.close()
     with pytest.raises(ProblemError, match="lacks translation"):
         Calibration.from_document({"K": np.eye(3).tolist(), "distortion": [0] * 4, "rotation": [0] * 3, "error": 0})
 
