@@ -6,14 +6,16 @@ Every quantity that decides something is formed there, so that the units a probl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
 from taciturn._modes import reach
 
+Bits: TypeAlias = npt.NDArray[np.bool_]
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
 VANISHING = 1e-40  # of what a cost could be
 FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which an axis is no longer told from others
@@ -45,6 +47,21 @@ class Quadratic(NamedTuple):
             _arrays.symmetric("R", R, m, "inputs × inputs"),
             _arrays.array("N", N, (n, m), "states × inputs"),
         )
+
+    def seen(self) -> Bits:
+        """Return which states cost something, themselves or by the states that they move, (n,)."""
+        found = np.asarray((self.Q != 0).any(axis=0) | (self.N != 0).any(axis=1), dtype=np.bool_)
+        for _ in range(len(found)):
+            more = found | (self.A[found] != 0).any(axis=0)
+            if (more == found).all():
+                break
+            found = more
+        return found
+
+    def among(self, states: Bits) -> Quadratic:
+        """Return the problem of some of the states alone."""
+        A, B, Q, R, N = self
+        return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
     def under(self, L: Array) -> tuple[Array, Array]:
         """Return the closed loop A + BL and its stage cost."""

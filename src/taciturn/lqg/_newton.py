@@ -12,7 +12,7 @@ import numpy as np
 from taciturn._arrays import TINY, Array, symmetrised
 from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
 from taciturn.errors import UnstableError
-from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
+from taciturn.lqg._axes import Axes, Bits, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
 
 ENOUGH = 1e-11  # relative error of ten states, above which other coordinates are tried; rounding grows as states²
 POOR = 1e-4  # relative error from which on a start that gained nothing is the last
@@ -53,6 +53,13 @@ class Solution:
     def doubt(self) -> float:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
+
+    def within(self, states: Bits) -> Solution:
+        """Return the solution of a problem with more states, of which only these cost anything."""
+        place, n = np.ix_(states, states), len(states)
+        K, L, error, unit = np.zeros((n, n)), np.zeros((len(self.L), n)), np.zeros((n, n)), np.zeros(n)
+        K[place], L[:, states], error[place], unit[states] = self.K, self.L, self.error, self.unit
+        return Solution(K, L, self.H, error, self.residual, unit)
 
     @property
     def sound(self) -> bool:
@@ -127,7 +134,19 @@ class Time(ABC):
         """Return a closed loop as that of a step, up to a factor."""
 
     def solve(self, given: Quadratic) -> Solution | None:
-        """Return the best of the solutions found; None where no start stabilises or nothing settles."""
+        """Return the best of the solutions found; None where no start stabilises or nothing settles.
+
+        States that cost nothing, themselves or by what they move, and that decay by themselves, have a cost-to-go of
+        exactly 0. They are left out, for they have no size of their own by which an error could be measured.
+        """
+        seen = given.seen()
+        rest = ~seen
+        if seen.all() or not seen.any() or not self.stable(given.A[np.ix_(rest, rest)], given):
+            return self._solved(given)
+        found = self._solved(given.among(seen))
+        return None if found is None else found.within(seen)
+
+    def _solved(self, given: Quadratic) -> Solution | None:
         best: Solution | None = None
         enough = ENOUGH * max(1.0, len(given.A) / 10) ** 2
         for start in self._starts(given):
