@@ -119,8 +119,8 @@ def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
         "policy": {"kind": "consistent", "period": 0.3},
     }
     problem = parse(tables, "here")
-    paths = taciturn.evaluate(problem, standard_error=0.05)
-    plain = taciturn.evaluate(problem, standard_error=0.05, method="simulation")
+    paths = taciturn.evaluate(problem, standard_error=2e-5)
+    plain = taciturn.evaluate(problem, standard_error=1e-4, method="simulation")
     spread = np.hypot(paths.cost.standard_error, plain.cost.standard_error)
     assert abs(paths.cost.value - plain.cost.value) <= 4 * spread
     assert (paths.cost.method, paths.estimator, paths.notes) == ("simulation", "conditional sampling", ())

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 from counts import few
-from taciturn.runtime.launch import Fork
 
 from taciturn.runtime.processes import Process
 from taciturn.runtime.udp import Endpoint, free_addresses
@@ -147,12 +147,12 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool, monkeypat
         processes = [Process(command) for command in others]
         for process in processes:
             process.expect()
-        world = Fork(plant, os.environ)
-        assert world.wait(60.0) == 0, world.stderr.read()
+        command = [sys.executable, "-m", "taciturn.cli", *plant]
+        done = subprocess.run(command, capture_output=True, encoding="utf-8", check=False)
+        assert done.returncode == 0, done.stderr
         reports = [process.stop() for process in processes]
         ticks = int(plant[plant.index("--ticks") + 1])
-        report = json.loads(world.stdout.read())
-        world.close()
+        report = json.loads(done.stdout)
         assert report["tick"] == ticks - 1
         assert report["cost"]["value"] > 0
         assert all(report["tick"] == ticks - 1 for report in reports if report["role"] != "relay")

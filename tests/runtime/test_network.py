@@ -218,7 +218,7 @@ def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: py
     silent.kill()
     process = Process(["relay", "--bind", ":0", "--peer", ":9"], "the relay")
     process.expect()
-    os.kill(process.pid, signal.SIGSTOP)
+    os.kill(process._process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patch:
         patch.setattr("taciturn.runtime.processes.PATIENCE", 0.1)
         with pytest.raises(ProblemError, match=r"the relay has not ended after 0\.1 s; expected"):
