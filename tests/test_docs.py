@@ -25,6 +25,7 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 COMPILED = {"devices", "fmu"}  # pages that need a C compiler from their first cell on
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+ROBOT = "a_robot_that_is_seen_by_a_camera"  # which is prepared, and drives two missions: half a minute
 MODULES = sorted(
     ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
     for path in (ROOT / "src" / "taciturn").rglob("*.py")
@@ -34,12 +35,12 @@ MODULES = sorted(
 
 REDUCED = {
     "a_loop_over_udp_that_loses_packets": {"range(2)": "range(1)"},
-    "a_robot_that_is_seen_by_a_camera": {"runs=2": "runs=1"},
     "baselines": {"standard_error=3e-4": "standard_error=3e-3"},
     "channels": {"copies=[80, 20], capacity=10, ticks=4000": "copies=[16, 4], capacity=2, ticks=1000"},
     "consistency": {
         "steps=4_000_000": "steps=400_000",
         "cycles=1_000_000": "cycles=100_000",
+        '"slope": 5.0, "h_max": 2.0': '"slope": 5.0, "h_max": 2.0, "alpha": 0.5',
         "evaluate(dynamic)": "evaluate(dynamic, standard_error=0.05)",
         "standard_error=5e-3": "standard_error=5e-2",
     },
@@ -56,6 +57,12 @@ REDUCED = {
         'cli.app(["evaluate", str(file)]': 'cli.app(["evaluate", str(file), "--confidence", "0"]',
     },
     "sweeps": {"np.geomspace(0.02, 1.0, 12)": "[0.02, 0.2, 1.0]", "np.linspace(0.3, 1.65, 10)": "[0.5, 1.65]"},
+    "which_threshold_beats_a_clock": {
+        "(0.2, 0.5, 0.95)": "(0.5,)",
+        "h_max=3.0": "h_max=3.0, alpha=0.5",
+        "average_events(policy)": "average_events(policy, standard_error=0.02)",
+        "cycles=100_000": "cycles=20_000",
+    },
     "which_prices_fit_a_radio": {
         "np.geomspace(0.02, 2.0, 10)": "[0.02, 0.2, 2.0]",
         "np.linspace(0.2, 1.65, 8)": "[1.0, 1.65]",
@@ -220,7 +227,11 @@ def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert run_blocks(blocks, "README.md") > 0
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem == ROBOT)) for path in EXAMPLES],
+    ids=lambda path: path.stem,
+)
 def test_every_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An example is short, ends in an assert, and holds in reduced counts."""
     text = path.read_text(encoding="utf-8")

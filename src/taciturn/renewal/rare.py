@@ -45,7 +45,7 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
     Example:
         >>> unit = np.eye(1)
         >>> found = bound_rare_sends(0.2 * unit, unit, unit, 100.0)
-        >>> found.rate < 1e-9, 0 <= 1 / 0.96 - found.gain < 1e-9
+        >>> found.rate < 1e-9, abs(found.gain - 1 / 0.96) < 1e-9
         (True, True)
     """
     if radius(F) >= 1:
