@@ -155,7 +155,7 @@ def lost_modes(A: Array, B: Array, continuous: bool) -> Modes:
         B: (n, m) input matrix.
         continuous: whether time is.
     """
-    modes, vectors = np.linalg.eig(A)
+    modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(A))
     size = float(np.sqrt(np.sum(A * A)))
     may = (modes.real > -LOOSE * size) if continuous else (np.abs(modes) > 1 - LOOSE)
     may = np.flatnonzero(may & (modes.imag >= 0))

@@ -258,15 +258,17 @@ class _Duel:
     def _side_by_side(self) -> tuple[Array, int, int]:
         """Return the sums of minima and of their checks, (2, gains, batches), and the checks of the longest and all."""
         game, n = self.game, len(self.game.F)
-        error, going = np.zeros((ABREAST, self.paths, n)), np.ones((ABREAST, self.paths), dtype=bool)
-        total, shape = np.zeros(going.shape), (len(self.gains), *going.shape)
-        least, when = np.full(shape, np.inf), np.zeros(shape)
+        error: Array = np.zeros((ABREAST, self.paths, n))
+        going: Bits = np.ones((ABREAST, self.paths), dtype=np.bool_)
+        total: Array = np.zeros(going.shape)
+        least: Array = np.full((len(self.gains), *going.shape), np.inf)
+        when: Array = np.zeros(least.shape)
         sums, work = np.zeros((2, len(self.gains), ABREAST)), 0
         for check in range(1, self.longest + 1):
             self.told.tick()
             work += going.size
-            nearly = (total - (check - 1) * self.gains < least + self.away).any(axis=0)
-            near: Bits = np.asarray(going & nearly, dtype=np.bool_)
+            nearly: Bits = np.asarray(total - (check - 1) * self.gains < least + self.away, dtype=np.bool_)
+            near: Bits = np.asarray(going & nearly.any(axis=0), dtype=np.bool_)
             expected = game.bell_after(error) + self._off(error, near)
             drawn = self.draws.standard_normal((ABREAST, error.shape[1], self.rank))
             error = error @ game.F.T + drawn @ game.half.T
