@@ -192,3 +192,22 @@ def test_a_discount_outside_its_range_is_refused(discount):
     """0 < α ≤ 1."""
     with pytest.raises(ProblemError, match="discount"):
         regulate_discounted([[0.5]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], discount)
+
+
+@law(8, 100, seed=seeds)
+def test_states_that_cost_nothing_change_no_cost(draw, seed):
+    """Stable states that move no other: K, L and error have zeros there, and are otherwise as before."""
+    c = draw(seed)
+    n, more = len(c.A), 2
+    one = regulate(c.A, c.B, c.Q, c.R, c.N)
+    A = np.zeros((n + more, n + more))
+    A[:n, :n], A[n:, :n], A[n:, n:] = c.A, c.rng.normal(size=(more, n)), np.diag([0.0, 0.9])
+    B = np.vstack([c.B, c.rng.normal(size=(more, c.B.shape[1]))])
+    Q = np.zeros_like(A)
+    Q[:n, :n] = c.Q
+    found = regulate(A, B, Q, c.R, np.vstack([c.N, np.zeros((more, c.B.shape[1]))]))
+    assert not found.K[n:].any()
+    assert not found.L[:, n:].any()
+    assert not found.error[n:].any()
+    assert found.K[:n, :n] == pytest.approx(one.K, rel=1e-9, abs=1e-12 * np.abs(one.K).max())
+    assert found.L[:, :n] == pytest.approx(one.L, rel=1e-8, abs=1e-10 * np.abs(one.L).max())

@@ -1,0 +1,73 @@
+"""The method that is predicted to take the least work is taken, and a time limit is kept."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn import _progress
+from taciturn.errors import ProblemError
+from taciturn.problem import Problem
+from taciturn.simulation.sampling import Averages
+from taciturn.study.measure import SPEED, Candidate, rank
+
+
+def candidate(name: str, least: float, work: float, gradual: bool = True) -> Candidate:
+    """Return a method of known work that is never run."""
+
+    def run(_: object) -> Averages:
+        raise AssertionError
+
+    return Candidate(name, least * SPEED, lambda: work * SPEED, run, gradual)
+
+
+def test_the_least_predicted_work_comes_first_and_the_sentence_names_all() -> None:
+    """A method whose least work is more than another's is not looked at more closely."""
+    ordered, reason = rank(
+        [candidate("slow", 5.0, 1e9), candidate("quick", 0.1, 0.5), candidate("mid", 0.2, 2.0)], None
+    )
+    assert [one.name for one in ordered] == ["quick", "mid", "slow"]
+    assert reason == "quick 0.5 s estimated, mid 2 s, slow at least 5 s"
+
+
+def test_what_answers_at_its_end_alone_comes_last_where_it_would_be_late() -> None:
+    """Half of the limit is what it may be predicted to take."""
+    both = [candidate("all or nothing", 0.0, 3.0, gradual=False), candidate("gradual", 0.0, 50.0)]
+    assert [one.name for one in rank(both, 10.0)[0]] == ["all or nothing", "gradual"]
+    assert [one.name for one in rank(both, 5.0)[0]] == ["gradual", "all or nothing"]
+
+
+def integrators(states: int) -> Problem:
+    """Return a chain of integrators under Wiener noise, looked at every half second."""
+    plant = taciturn.ContinuousPlant(np.eye(states, k=1), np.eye(states)[:, -1:], np.eye(states))
+    cost = taciturn.Cost(np.eye(states), np.eye(1))
+    return taciturn.Problem(plant, cost, taciturn.Network(), "consistent", {"period": 0.5})
+
+
+def test_a_quadrature_works_to_the_asked_error_and_no_further() -> None:
+    """Where a rough answer is asked for, its nodes are few; it is within the errors of the fine one."""
+    rough, fine = (taciturn.evaluate(integrators(2), standard_error=error, method="exact") for error in (0.05, 1e-5))
+    assert rough.method == fine.method == "quadrature"
+    assert fine.cost.error < rough.cost.error <= 0.05
+    assert abs(rough.cost.value - fine.cost.value) <= rough.cost.error + fine.cost.error
+
+
+def test_a_run_out_of_time_answers_with_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock that jumps by a second at every look: the asked error is out of reach, and the answer says so."""
+    ticks = itertools.count()
+    monkeypatch.setattr(_progress, "clock", lambda: float(next(ticks)))
+    found = taciturn.evaluate(taciturn.load("two-mass"), standard_error=1e-9, time_limit=5.0)
+    assert not found.reached
+    assert found.method == "simulation"
+    assert found.cost.standard_error > 1e-9
+    assert next(ticks) < 100
+
+
+@pytest.mark.parametrize("limit", [0.0, -1.0, float("nan")])
+def test_a_time_limit_is_positive(limit: float) -> None:
+    """In one sentence."""
+    with pytest.raises(ProblemError, match="time_limit"):
+        taciturn.evaluate(taciturn.load("two-mass"), time_limit=limit)
