@@ -14,6 +14,7 @@ from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
 from taciturn.model.plant import Jumps
 from taciturn.renewal import gaussian
+from taciturn.renewal._check import INTERPOLATED, SOLVED
 from taciturn.renewal.chain import Chain, Intervals, JumpNoise, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 
@@ -177,10 +178,11 @@ def test_sums_on_a_grid_say_what_a_matrix_says(seed, states, monkeypatch):
     monkeypatch.setattr(gaussian, "DENSE", 0)
     grid = solve_gaussian(chain, 1e-3)
     assert grid.nodes == matrix.nodes
-    assert grid.rate == pytest.approx(matrix.rate, rel=1e-7)
-    assert grid.excess == pytest.approx(matrix.excess, rel=1e-7)
+    slack = INTERPOLATED + SOLVED * 1e-3  # what the grid claims
+    assert grid.rate == pytest.approx(matrix.rate, rel=slack)
+    assert grid.excess == pytest.approx(matrix.excess, rel=slack)
     checks = np.arange(30.0)
-    assert grid.intervals.beyond(checks) == pytest.approx(matrix.intervals.beyond(checks), abs=1e-7)
+    assert grid.intervals.beyond(checks) == pytest.approx(matrix.intervals.beyond(checks), abs=slack)
 
 
 def simulated(chain, seed):
