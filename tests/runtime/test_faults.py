@@ -88,7 +88,7 @@ def test_a_node_that_is_killed_in_real_time_rejoins(tmp_path: Path, role: str, k
 
     found = run_network(chapter_7(tmp_path), ticks=300, tick=TICK, seed=1, key=KEY, meanwhile=kill)
     shown(f"{role} killed, {'with' if kept else 'without'} its state", found)
-    assert found.reports["plant"]["largest_state"] < 1000  # 30 for a second without control, 500 for three on a busy machine
+    assert found.reports["plant"]["largest_state"] < 1000  # some 30 for a second without control; 546 was seen
     assert found.costs[-50:].mean() < 10.0  # hundreds if it had not rejoined
     assert found.reports[role]["tick"] >= 290
 
