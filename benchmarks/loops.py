@@ -13,6 +13,7 @@ import argparse
 import json
 import os
 import resource
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -71,7 +72,11 @@ def measure(source: Path, loops: int, different: bool) -> dict[str, Any]:
         check=False,
     )
     row = {"kind": kind, "loops": loops, "limit": LIMIT}
-    return row | (json.loads(run.stdout) if run.returncode == 0 else {"ended": run.returncode})
+    if run.returncode in (-signal.SIGKILL, -signal.SIGXCPU):
+        return row
+    if run.returncode:
+        raise SystemExit(f"{kind} {loops}: the run ended with {run.returncode}; expected 0, or the limit of its time")
+    return row | json.loads(run.stdout)
 
 
 def main() -> None:
