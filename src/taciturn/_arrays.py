@@ -13,6 +13,7 @@ from taciturn.errors import ProblemError
 
 Array: TypeAlias = npt.NDArray[np.float64]
 ArrayLike: TypeAlias = npt.ArrayLike
+Bits: TypeAlias = npt.NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 

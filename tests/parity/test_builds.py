@@ -16,7 +16,7 @@ from taciturn import Network, design
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.program.ir import Program
-from taciturn.program.machine import Kernel
+from taciturn.program.machine import Kernel, host
 from taciturn.program.ops import Precision
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -121,7 +121,8 @@ def undrawn(monkeypatch: pytest.MonkeyPatch, loop: Loop) -> Program:
 def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 12_500) -> float:
     """Check the decisions of both builds on eight paths and the same draws, up to ties; return the rate of sending.
 
-    After a tie that fell differently a path is another one, and no more is asked of it.
+    After a tie that fell differently a path is another one, and no more is asked of it. On a processor without fused
+    multiply-adds the two builds agree in every bit.
     """
     inputs = np.random.default_rng(seed).normal(size=(ticks, len(program.inputs), 8))
     states = loop.start(program, 8, seed)
@@ -132,7 +133,7 @@ def assert_same_decisions(program: Program, loop: Loop, seed: int, ticks: int = 
         tick = int(np.argmax(differ[:, path]))
         options = [outputs[tick, path] for name, outputs in parity.items() if name.startswith("option send")]
         assert abs(options[0] - options[1]) < 1e-10 * max(map(abs, options))
-    assert not same(parity["x 0"], fast["x 0"]), "the builds are one: nothing was tested"
+    assert same(parity["x 0"], fast["x 0"]) == ("+fma" not in host().features.split(","))
     return float(parity[sent].mean())
 
 

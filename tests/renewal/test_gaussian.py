@@ -173,9 +173,9 @@ def test_sums_on_a_grid_say_what_a_matrix_says(seed, states, monkeypatch):
     """Rate, excess and survival, for few and many nodes."""
     chain = random_chain(seed, states)
     with monkeypatch.context() as patched:
-        patched.setattr(gaussian, "DENSE", 10_000)
+        patched.setattr(gaussian, "most_dense", lambda *_: 10_000)
         matrix = solve_gaussian(chain, 1e-3)
-    monkeypatch.setattr(gaussian, "DENSE", 0)
+    monkeypatch.setattr(gaussian, "most_dense", lambda *_: 0)
     grid = solve_gaussian(chain, 1e-3)
     assert grid.nodes == matrix.nodes
     slack = INTERPOLATED + SOLVED * 1e-3  # what the grid claims

@@ -77,18 +77,22 @@ def test_links_that_do_worse_cost_what_their_losses_cost(tmp_path: Path, fault: 
 @pytest.mark.parametrize("role", ["sensor", "controller", "actuator"])
 def test_a_node_that_is_killed_in_real_time_rejoins(tmp_path: Path, role: str, kept: bool) -> None:
     """kill -9 at 50 Hz, and a start a moment later: the state stays bounded, and the loop goes on by itself."""
+    away = []
 
     def kill(processes: Processes) -> None:
         await_ticks(processes, role, 60)
         processes.running[role].kill()
+        killed, known = time.monotonic(), (processes.folder / f"{role}.jsonl").read_bytes().count(b"\n")
         if not kept:
             (processes.folder / f"{role}.json").unlink(missing_ok=True)
             time.sleep(1.1)  # an epoch is a second
         processes.start(role)
+        await_ticks(processes, role, known + 1)
+        away.append(time.monotonic() - killed)
 
     found = run_network(chapter_7(tmp_path), ticks=300, tick=TICK, seed=1, key=KEY, meanwhile=kill)
     shown(f"{role} killed, {'with' if kept else 'without'} its state", found)
-    assert found.reports["plant"]["largest_state"] < 1000  # some 30 for a second without control; 546 was seen
+    assert found.reports["plant"]["largest_state"] < 100 * max(1.0, away[0]) ** 2  # an input held moves masses as time²
     assert found.costs[-50:].mean() < 10.0  # hundreds if it had not rejoined
     assert found.reports[role]["tick"] >= 290
 

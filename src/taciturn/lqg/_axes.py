@@ -6,16 +6,14 @@ Every quantity that decides something is formed there, so that the units a probl
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from taciturn import _arrays
-from taciturn._arrays import TINY, Array, ArrayLike, symmetrised
+from taciturn._arrays import TINY, Array, ArrayLike, Bits, symmetrised
 from taciturn._modes import reach
 
-Bits: TypeAlias = npt.NDArray[np.bool_]
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
 VANISHING = 1e-40  # of what a cost could be
 FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which an axis is no longer told from others

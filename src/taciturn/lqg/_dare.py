@@ -49,7 +49,7 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
-def is_clear(found: Solution | None, F: Array) -> bool:
+def is_clear(found: Solution, F: Array) -> bool:
     """Say whether a solution is sound and its closed loop clear of the unit circle.
 
     Then the inputs move all modes that do not decay, and the cost sees all modes on the circle: one that they do not
@@ -59,7 +59,7 @@ def is_clear(found: Solution | None, F: Array) -> bool:
         found: a solution.
         F: the modes of its closed loop, or some that decay as slowly.
     """
-    return found is not None and found.sound and radius(F) < 1 - CLEAR
+    return found.sound and radius(F) < 1 - CLEAR
 
 
 class _Steps(Time):

@@ -9,10 +9,10 @@ from functools import partial
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, symmetrised
+from taciturn._arrays import TINY, Array, Bits, symmetrised
 from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
 from taciturn.errors import UnstableError
-from taciturn.lqg._axes import Axes, Bits, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
+from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
 
 ENOUGH = 1e-11  # relative error of ten states, above which other coordinates are tried; rounding grows as states²
 POOR = 1e-4  # relative error from which on a start that gained nothing is the last

@@ -101,8 +101,7 @@ class _Compiled:
         kernel = machine.Kernel(programs[0], own=own)
         constants = kernel.pack(programs, paths) if own else None
         self._there, self._ticks = machine.Resident(kernel, programs[0], states, constants), 0
-        self._totals = [program.totals for program in programs]
-        self._paths = paths
+        self._totals, self._cuts = [program.totals for program in programs], np.cumsum(paths)[:-1]
 
     def tick(self, inputs: Array) -> Array:
         self._ticks += 1
@@ -110,12 +109,14 @@ class _Compiled:
 
     def take_sums(self) -> dict[str, Array]:
         rows, ticks, self._ticks = self._there.take_sums(), self._ticks, 0
-        factors, offsets = (
-            {name: np.repeat([total[name][k] for total in self._totals], self._paths) for name in self._totals[0]}
-            for k in (1, 2)
-        )
         return {
-            name: factors[name] * row + offsets[name] * ticks for name, row in zip(self._totals[0], rows, strict=True)
+            name: np.concatenate(
+                [
+                    totals[name].of(own, ticks)
+                    for totals, own in zip(self._totals, np.split(row, self._cuts), strict=True)
+                ]
+            )
+            for name, row in zip(self._totals[0], rows, strict=True)
         }
 
 

@@ -66,6 +66,11 @@ class Kernel:
         known = np.array([constants_of(program) for program in programs])
         return _into_blocks(np.repeat(known, paths, axis=0).T, self.lanes)
 
+    def known(self, program: Program, constants: Array | None) -> Array:
+        """Return the constants that the machine reads: those of each path (``pack``), or else the program's for all."""
+        assert self.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
+        return shared_constants(program) if constants is None else constants
+
     def run(
         self,
         program: Program,
@@ -91,9 +96,7 @@ class Kernel:
         sums = np.zeros((blocks, len(program.sums), lanes))
         supplied = _ticks_into_blocks(inputs, lanes) if inputs is not None and program.inputs else np.zeros(1)
         outputs = np.empty((blocks, ticks, len(program.outputs), lanes))
-        assert self.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
-        known = shared_constants(program) if constants is None else constants
-        arrays = (state, sums, known, supplied, outputs)
+        arrays = (state, sums, self.known(program, constants), supplied, outputs)
 
         def work(part: tuple[int, int]) -> None:
             self.call(*part, ticks, arrays)
@@ -135,13 +138,11 @@ class Resident:
     def __init__(self, kernel: Kernel, program: Program, states: Array, constants: Array | None = None) -> None:
         """Bring the states into the order of the machine."""
         self._kernel, self._paths = kernel, states.shape[1]
-        assert kernel.own == (constants is not None), "constants are supplied to a kernel that has none, or are missing"
         state = _into_blocks(states, kernel.lanes)
         self._sums, self._inputs, self._outputs = (
             np.zeros((len(state), len(part), kernel.lanes)) for part in (program.sums, program.inputs, program.outputs)
         )
-        known = shared_constants(program) if constants is None else constants
-        self._arrays = state, self._sums, known, self._inputs, self._outputs
+        self._arrays = state, self._sums, kernel.known(program, constants), self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
         """Run one tick: (inputs, paths) to (outputs, paths)."""

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._progress import OutOfTime, Stages
-from taciturn.renewal._check import Effort, Grid, Matrix
+from taciturn.renewal._check import INTERPOLATED, Effort, Grid, Matrix
 from taciturn.renewal._nodes import Nodes, Region, TooManyNodes, Window, place
 from taciturn.renewal._whiten import White
 from taciturn.renewal.chain import NoQuadratureError
@@ -114,6 +114,11 @@ def afforded(step: int, dimensions: int) -> int:
     """Return how many nodes a rung may take: the first leaves room for the next, without which it says nothing."""
     # a chord's ends take nodes at any density
     return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
+
+
+def most_dense(dimensions: int, accuracy: float) -> int:
+    """Return the nodes up to which the map of a check is a matrix: a grid has too few digits for a fine accuracy."""
+    return DENSEST if dimensions < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
 
 def first_density(accuracy: float) -> float:

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import stdtrit
 
-from taciturn._arrays import TINY, Array
+from taciturn._arrays import TINY, Array, Bits
 from taciturn._modes import root, stationary
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal._martingale import Martingale
-from taciturn.renewal.fitted import Bits, Fitted, squares
+from taciturn.renewal.fitted import Fitted, squares
 
 ABREAST = 32  # batches that run side by side; their means are independent
 MOST = 16  # times as many, where that is no more

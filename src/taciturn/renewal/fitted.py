@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from taciturn._arrays import Array, frozen, symmetrised
+from taciturn._arrays import Array, Bits, frozen, symmetrised
 from taciturn._modes import radius, root
 from taciturn.errors import ProblemError
 from taciturn.renewal._lattice import Lattice
 from taciturn.renewal.rare import bound_rate
 
-Bits = npt.NDArray[np.bool_]
 PATHS = 1000
 SNAPSHOTS = 100  # of the paths, whose kept errors are fitted to
 LONGEST = 20_000  # checks in which every path should have been sent a few times

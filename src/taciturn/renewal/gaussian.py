@@ -8,14 +8,13 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._progress import Progress, Stages
-from taciturn.renewal._check import INTERPOLATED, STENCIL, Effort
+from taciturn.renewal._check import STENCIL, Effort
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, TooManyNodes, Window, place
 from taciturn.renewal._system import (
     BEYOND,
     COARSE,
     DENSE,
-    DENSEST,
     FINER,
     LOOSEST,
     WIDER,
@@ -24,6 +23,7 @@ from taciturn.renewal._system import (
     climb,
     find_window,
     first_density,
+    most_dense,
     solve,
     usual_accuracy,
 )
@@ -124,7 +124,7 @@ class Quadrature:
         white, region = self.white, self.region
         accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
-        effort = Effort(accuracy, told.tick, self._dense(accuracy))
+        effort = Effort(accuracy, told.tick, most_dense(self.dimensions, accuracy))
         window = find_window(white, region, self.covariance, effort)
 
         def attempt(density: float, factor: float, step: int) -> Solved | None:
@@ -158,12 +158,8 @@ class Quadrature:
         return (
             self.least
             + PASSES * self._work(coarse, DENSE)
-            + sum(self._work(min(nodes, afforded(1, n)), self._dense(accuracy)) for nodes in rungs)
+            + sum(self._work(min(nodes, afforded(1, n)), most_dense(self.dimensions, accuracy)) for nodes in rungs)
         )
-
-    def _dense(self, accuracy: float) -> int:
-        """Return the nodes up to which the map of a check is a matrix."""
-        return DENSEST if self.dimensions < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
     def _work(self, nodes: float, dense: int) -> float:
         if nodes > dense:

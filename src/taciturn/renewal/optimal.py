@@ -8,20 +8,19 @@ import numpy as np
 
 from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
 from taciturn._progress import Progress, Stages
-from taciturn.renewal._check import INTERPOLATED, Effort
+from taciturn.renewal._check import Effort
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place
 from taciturn.renewal._quiet import Quiet, holes, improve
 from taciturn.renewal._system import (
     COARSE,
-    DENSE,
-    DENSEST,
     LOOSEST,
     MOST_NODES,
     SAFETY,
     Solved,
     climb,
     find_window,
+    most_dense,
     solve,
     usual_accuracy,
 )
@@ -199,8 +198,7 @@ class _Iteration:
 
     def __init__(self, white: White, accuracy: float, told: Stages) -> None:
         self.white = white
-        dense = DENSEST if len(white.m) < 3 and accuracy < 10 * INTERPOLATED else DENSE
-        self.effort = Effort(accuracy, told.tick, dense)
+        self.effort = Effort(accuracy, told.tick, most_dense(len(white.m), accuracy))
         self.settled = LITTLE * min(accuracy, LOOSEST)
         self.count = 0
         self.found: Solved | None = None

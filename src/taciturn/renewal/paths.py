@@ -113,7 +113,7 @@ def solve_paths(
         spent = sum(course.work for course in new)
         courses, work = courses + new, work + spent
         found, kept = _ratios(courses), courses
-        off = max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found[:2])
+        off = _off(*found[:2])
         if off <= standard_error or work + spent > steps:
             break
         told.at = max(told.at, work / steps, min(standard_error / off, 1.0) ** 2)
@@ -123,9 +123,15 @@ def solve_paths(
             paths, courses = paths << int(np.log2(more)), []
     assert found is not None
     rate, excess, covariance = found
-    off = max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found[:2])
     intervals, errors = _intervals(courses, rate.value)
-    return PathAnswer(rate, excess, covariance, intervals, errors, len(courses), paths, work, off <= standard_error)
+    return PathAnswer(
+        rate, excess, covariance, intervals, errors, len(courses), paths, work, _off(rate, excess) <= standard_error
+    )
+
+
+def _off(*found: Estimate) -> float:
+    """Return the largest of some relative standard errors."""
+    return max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found)
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:

@@ -8,9 +8,8 @@ from typing import Protocol, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, Bits
 
-Bits: TypeAlias = npt.NDArray[np.bool_]
 Places: TypeAlias = npt.NDArray[np.int64]
 ARRIVALS = float(np.exp(-1))  # new packets per slot that a busy channel of random access carries
 COLLISION = 1 / (np.e - 2)  # packets more than one that a collision tells of, on average

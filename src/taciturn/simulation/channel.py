@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._arrays import Array, Bits
 from taciturn._modes import factor
 from taciturn.model.trigger import Form
 from taciturn.program.draws import NORMAL, seed_generators, with_draws
 from taciturn.program.engine import Resident, prepare
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import Tick
-from taciturn.simulation.access import Access, Bits, Places
+from taciturn.simulation.access import Access, Places
 
 ERROR = "error"  # what a rule's forms weigh
 KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"

@@ -22,7 +22,7 @@ from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.lower import bounded, contradicted, expect_bound
-from taciturn.study.measure import Effort, measure, measure_optimum
+from taciturn.study.measure import Request, measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
@@ -209,7 +209,7 @@ def evaluate(
     told = Stages(limited(progress, time_limit))
     try:
         return replace(
-            _evaluated(problem, Effort(seed, standard_error, steps, method, time_limit), precision, confidence, told),
+            _evaluated(problem, Request(seed, standard_error, steps, method, time_limit), precision, confidence, told),
             seconds=time.perf_counter() - began,
         )
     except OutOfTime:
@@ -219,7 +219,7 @@ def evaluate(
 
 
 def _evaluated(
-    problem: Problem, effort: Effort, precision: Precision, confidence: float | None, told: Stages
+    problem: Problem, effort: Request, precision: Precision, confidence: float | None, told: Stages
 ) -> Evaluation:
     """Return the evaluation; whoever asked knows the time it took.
 
@@ -286,7 +286,7 @@ def _evaluated(
     )
 
 
-def _events(problem: Problem, policy: EventPolicy, effort: Effort, progress: Progress) -> Evaluation:
+def _events(problem: Problem, policy: EventPolicy, effort: Request, progress: Progress) -> Evaluation:
     """Return the evaluation of a policy without ticks."""
     if effort.method == "exact":
         raise ProblemError(f"method is 'exact', and {policy.kind} has no exact method; expected 'auto' or 'simulation'")

@@ -46,8 +46,8 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Effort:
-    """What may be spent, and on what.
+class Request:
+    """What is asked of a measurement, and what it may spend.
 
     Args:
         seed: of the draws.
@@ -81,7 +81,7 @@ class Measured:
     notes: tuple[str, ...] = ()
 
 
-def measure(loop: Loop, effort: Effort, progress: Progress | None) -> Measured:
+def measure(loop: Loop, effort: Request, progress: Progress | None) -> Measured:
     """Return cost and rates: in closed form, else by the candidate that is predicted to take the least work.
 
     Raises:
@@ -153,7 +153,7 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
     return ordered, f"{', '.join(parts)}"
 
 
-def measure_optimum(loop: Loop, price: float, effort: Effort, progress: Progress | None) -> Measured:
+def measure_optimum(loop: Loop, price: float, effort: Request, progress: Progress | None) -> Measured:
     """Return cost and rate of the best schedule at a price per send."""
     if effort.method == "simulation" or effort.steps is not None:
         raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
@@ -170,7 +170,7 @@ def measure_optimum(loop: Loop, price: float, effort: Effort, progress: Progress
 
 
 def candidates_of(
-    loop: Loop, effort: Effort, progress: Progress | None
+    loop: Loop, effort: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
     """Return the methods that apply to a loop and are asked for, and why there is no quadrature among them."""
     found, refused = list[Candidate](), None
@@ -187,7 +187,7 @@ def candidates_of(
     return found, refused
 
 
-def _quadrature(loop: Loop, effort: Effort) -> Candidate:
+def _quadrature(loop: Loop, effort: Request) -> Candidate:
     identity, link = loop.policy.identity, loop.policy.scheduled
     if effort.method != "exact":
         expect_affordable(loop)
@@ -210,7 +210,7 @@ def _quadrature(loop: Loop, effort: Effort) -> Candidate:
     return Candidate("quadrature", quadrature.least, lambda: quadrature.predict(accuracy), run, False)
 
 
-def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candidate:
+def _conditional(loop: Loop, effort: Request, progress: Progress | None) -> Candidate:
     sampling = ConditionalSampling(loop, effort.seed, progress)
     identity, link = loop.policy.identity, loop.policy.scheduled
     assert identity is not None
@@ -227,7 +227,7 @@ def _conditional(loop: Loop, effort: Effort, progress: Progress | None) -> Candi
     return Candidate("conditional sampling", sampling.least, lambda: sampling.predict(asked), run, True)
 
 
-def _simulation(loop: Loop, effort: Effort) -> Candidate:
+def _simulation(loop: Loop, effort: Request) -> Candidate:
     def predict() -> float:
         try:
             return predict_average(loop, _asked(loop, effort.standard_error), effort.seed)
@@ -243,7 +243,7 @@ def _simulation(loop: Loop, effort: Effort) -> Candidate:
     return Candidate("simulation", least_work(loop), predict, run, True)
 
 
-def _run(candidate: Candidate, effort: Effort, progress: Progress | None, alone: bool) -> Averages:
+def _run(candidate: Candidate, effort: Request, progress: Progress | None, alone: bool) -> Averages:
     """Return what a candidate finds; one that is all or nothing leaves time for the others."""
     if effort.time_limit is not None and not candidate.gradual and not alone:
         progress = limited(progress, SHARE * effort.time_limit)

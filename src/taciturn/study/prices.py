@@ -13,6 +13,7 @@ import numpy as np
 from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import stationary
+from taciturn._progress import Progress
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
@@ -20,7 +21,6 @@ from taciturn.model.trigger import Bell, Form
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.rare import bound_rare_sends
 from taciturn.simulation.channel import ERROR, Group, measure_freely
-from taciturn.simulation.sampling import Progress
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.kinds import Kind
 from taciturn.study.workers import answer_all, idle

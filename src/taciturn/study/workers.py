@@ -13,9 +13,9 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.program.machine import available_processors, one_thread
-from taciturn.simulation.sampling import Progress
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
