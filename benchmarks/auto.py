@@ -28,7 +28,7 @@ from taciturn._progress import OutOfTime, limited
 from taciturn.errors import TaciturnError
 from taciturn.loop import Loop
 from taciturn.simulation.average import average
-from taciturn.study.measure import Effort, candidates_of, measure
+from taciturn.study.measure import Request, candidates_of, measure
 
 PROBLEMS, SEED = 50, 20_240
 ERRORS = (1e-2, 1e-3, 1e-4)
@@ -85,7 +85,7 @@ def spent(run: Callable[[], object]) -> tuple[float, bool]:
 
 def contest(loop: Loop, error: float) -> dict[str, Any]:
     """Return the seconds of the choice, and of every method."""
-    effort = Effort(0, error, None, "auto")
+    effort = Request(0, error, None, "auto")
     began = time.process_time()
     chosen = measure(loop, effort, None)
     mine = time.process_time() - began
