@@ -25,7 +25,13 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 COMPILED = {"devices", "fmu"}  # pages that need a C compiler from their first cell on
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-ROBOT = "a_robot_that_is_seen_by_a_camera"  # which is prepared, and drives two missions: half a minute
+DRAWN = {path for path in EXAMPLES if "savefig(" in path.read_text(encoding="utf-8")}  # the site's gallery runs them
+LONG = {  # examples that take more than three seconds in reduced counts
+    "a_loop_over_udp_that_loses_packets",
+    "a_robot_that_is_seen_by_a_camera",
+    "how_many_loops_share_a_radio",
+    "who_wins_at_half_of_the_traffic",
+}
 MODULES = sorted(
     ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
     for path in (ROOT / "src" / "taciturn").rglob("*.py")
@@ -39,13 +45,13 @@ REDUCED = {
     "channels": {"copies=[80, 20], capacity=10, ticks=4000": "copies=[16, 4], capacity=2, ticks=1000"},
     "consistency": {
         "steps=4_000_000": "steps=400_000",
-        "cycles=1_000_000": "cycles=100_000",
+        "cycles=1_000_000": "cycles=20_000",
+        "cycles=100_000": "cycles=20_000",
         '"slope": 5.0, "h_max": 2.0': '"slope": 5.0, "h_max": 2.0, "alpha": 0.5',
         "evaluate(dynamic)": "evaluate(dynamic, standard_error=0.05)",
-        "standard_error=5e-3": "standard_error=5e-2",
+        "standard_error=5e-3": "standard_error=0.2",
     },
     "first-hour": {'"theta": [0.01, 0.05, 0.2, 0.6]': '"theta": [0.05, 0.6]', "steps=20_000_000": "steps=2_000_000"},
-    "how_far_from_the_best": {"[0.003, 0.01, 0.03]": "[0.03]"},
     "how_many_loops_share_a_radio": {"RADIO, MORE = 10, 1.2": "RADIO, MORE = 4, 1.2"},
     "lossy-links": {"steps=20_000_000": "steps=2_000_000", "steps=10_000_000": "steps=1_000_000"},
     "network": {"steps=1_000_000": "steps=100_000"},
@@ -57,16 +63,6 @@ REDUCED = {
         'cli.app(["evaluate", str(file)]': 'cli.app(["evaluate", str(file), "--confidence", "0"]',
     },
     "sweeps": {"np.geomspace(0.02, 1.0, 12)": "[0.02, 0.2, 1.0]", "np.linspace(0.3, 1.65, 10)": "[0.5, 1.65]"},
-    "which_threshold_beats_a_clock": {
-        "(0.2, 0.5, 0.95)": "(0.5,)",
-        "h_max=3.0": "h_max=3.0, alpha=0.5",
-        "average_events(policy)": "average_events(policy, standard_error=0.02)",
-        "cycles=100_000": "cycles=20_000",
-    },
-    "which_prices_fit_a_radio": {
-        "np.geomspace(0.02, 2.0, 10)": "[0.02, 0.2, 2.0]",
-        "np.linspace(0.2, 1.65, 8)": "[1.0, 1.65]",
-    },
 }
 """Counts that the quick suite replaces in pages and examples. The site is built with those that they show."""
 
@@ -227,16 +223,22 @@ def test_the_readme_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert run_blocks(blocks, "README.md") > 0
 
 
-@pytest.mark.parametrize(
-    "path",
-    [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem == ROBOT)) for path in EXAMPLES],
-    ids=lambda path: path.stem,
-)
-def test_every_example_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An example is short, ends in an assert, and holds in reduced counts."""
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_every_example_is_short_and_ends_in_an_assert(path: Path) -> None:
+    """What it shows holds, or the example fails."""
     text = path.read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 60
     assert text.rstrip().splitlines()[-1].startswith("assert ")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem in LONG)) for path in EXAMPLES if path not in DRAWN],
+    ids=lambda path: path.stem,
+)
+def test_every_example_without_a_figure_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It holds in reduced counts."""
+    text = path.read_text(encoding="utf-8")
     if "taciturn.twin" in text and blind():
         pytest.skip(blind())
     monkeypatch.chdir(tmp_path)

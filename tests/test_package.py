@@ -47,6 +47,7 @@ def test_the_package_holds_every_file_of_the_sources(package: Path) -> None:
     assert {path.name for path in metadata.glob("licenses/**/*")} >= {"LICENSE", "THIRD_PARTY.md", "uPlot.LICENSE"}
 
 
+@pytest.mark.evidence
 def test_the_package_runs_without_the_repository(package: Path, tmp_path: Path) -> None:
     """A number, a function from a file beside its problem, and C with the core that comes along."""
     environment = {**os.environ, "PYTHONPATH": str(package)}

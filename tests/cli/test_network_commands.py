@@ -106,6 +106,7 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     assert "one mission" in text
 
 
+@pytest.mark.evidence
 def test_losses_are_those_of_the_command_line(run: Run) -> None:
     """A link that is named loses so much, and others what the file says; without a name each does."""
     lossy = ("network", "lossy-double-integrator", "--seed", "1", "--json", "--ticks", "30")

@@ -238,7 +238,7 @@ def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> P
     return pair
 
 
-@pytest.mark.parametrize("place", few(places(), 8), ids=str)
+@pytest.mark.parametrize("place", few(places(), 4), ids=str)
 @given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1), st.sampled_from([None, KEY]))
 @settings(deadline=None, max_examples=15)
 def test_a_node_in_c_does_and_counts_what_the_host_does(

@@ -182,6 +182,7 @@ def over_systems(many: settings) -> None:
     assert np.mean(tally) > 0.8
 
 
+@pytest.mark.evidence
 def test_no_certificate_is_contradicted_by_simulation() -> None:
     """Three systems of at most two states, each with one of the policies."""
     over_systems(FEW)

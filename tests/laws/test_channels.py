@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from counts import few
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from systems import make_system, well_posed
@@ -141,7 +140,8 @@ def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, sche
     return (total / ticks).tolist()
 
 
-@pytest.mark.parametrize("scheduler", few(["price", "largest", "once-discard"], quick=1, start=1))
+@pytest.mark.parametrize("scheduler", ["price", "largest", "once-discard"])
+@pytest.mark.evidence
 def test_whole_plants_with_their_filters_cost_what_errors_alone_say(scheduler: str) -> None:
     """The reduced simulation knows errors and a completed square; this one knows neither."""
     plants = {

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from counts import few
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from systems import continuous_system, price_of
@@ -37,7 +38,7 @@ def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 40
     assert found.cost.value - error <= policy.guarantee.at_rate(least * period) + rounding
 
 
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize("law", few(LAWS))
 def test_a_consistent_policy_beats_periodic_control_at_its_own_rate(law: str) -> None:
     """A random plant for each law of the noise, thresholds up to the largest consistent one."""
     settings(FEW, max_examples=1)(DRAWN(lambda seed, share: it_beats_periodic_control(seed, law, share, 100_000)))()

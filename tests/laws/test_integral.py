@@ -8,6 +8,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 from counts import few
+from drawn import rows
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from systems import continuous_system, price_of
@@ -74,6 +75,7 @@ def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
     assert (policy.bound(), policy.bound(2.0)) == (pytest.approx(1.32, rel=1e-12), pytest.approx(1.08, rel=1e-12))
 
 
+@pytest.mark.evidence
 def test_the_dynamic_trigger_beats_periodic_control_at_its_own_interval() -> None:
     """A random plant under jumps of normal size."""
     settings(FEW, max_examples=1)(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, "normal", 20_000)))()
@@ -86,9 +88,10 @@ def test_the_dynamic_trigger_beats_periodic_control_over_many_plants(law: str) -
     MANY(given(seed=SEEDS)(lambda seed: it_beats_periodic_control(seed, law)))()
 
 
-@pytest.mark.parametrize("law", few(["normal", "two-point"], quick=1))
+@pytest.mark.parametrize("law", ["normal", "two-point"])
 @settings(FEW, max_examples=2)
 @given(seed=SEEDS)
+@pytest.mark.evidence
 def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, seed: int) -> None:
     """Lemma 4.2: L(ε) > ε for a small ε, L(h_max) < h_max, and L never falls."""
     plant, _, price, h_max, slope = admissible(seed, law)
@@ -106,7 +109,7 @@ LIMITS = [{}, {"h_max": 1.0}, {"saturation": 0.4}, {"h_min": 0.3, "h_max": 1.5}]
 
 
 @pytest.mark.parametrize(
-    "case", few([("jumps", limits) for limits in LIMITS] + [("Wiener", limits) for limits in LIMITS])
+    "case", few([("jumps", limits) for limits in LIMITS] + [("Wiener", limits) for limits in LIMITS], quick=1)
 )
 def test_nodes_do_what_cycles_tell(case: tuple[str, dict]) -> None:
     """Rate and cost by the loop with its plant, by its exact identity, and by the cycles of the error alone."""
@@ -168,6 +171,7 @@ def test_looking_more_often_comes_to_every_instant() -> None:
         assert abs(one.value - other.value) <= allowed
 
 
+@pytest.mark.evidence
 def test_wiener_noise_is_looked_at_and_the_resolution_is_told() -> None:
     """Without a period one is chosen; the note says what a finer one would change."""
     policy = design.integral(WIENER, COST, slope=8.0, h_max=2.0)
@@ -204,7 +208,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(
-    ("change", "sentence"), REFUSED, ids=lambda value: value[:30] if isinstance(value, str) else ""
+    ("change", "sentence"), rows(REFUSED, quick=5), ids=lambda value: value[:30] if isinstance(value, str) else ""
 )
 def test_what_is_not_consistent_is_refused(change: dict, sentence: str) -> None:
     """With the admissible interval where there is one."""
@@ -236,6 +240,7 @@ def test_a_policy_without_ticks_is_evaluated_and_has_no_loop() -> None:
             refused()
 
 
+@pytest.mark.evidence
 def test_a_weight_that_the_cost_does_not_know_can_lose_and_is_found_to() -> None:
     """Wiener noise by quadrature: the Euclidean norm loses where the weight of the cost does not."""
     skewed = ContinuousPlant([[1.0, 0.01], [0.0, 1.0]], np.eye(2), 50 * np.diag([0.001, 0.4]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from catalogue import closed, lossy, started
+from counts import few
 from drawn import law
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -85,8 +86,8 @@ def test_zeta_and_theta_of_zero_are_all_time_control(system: System, horizon: in
         assert found.rates["actuator"].value >= 1 - 1e-3  # a tie (an input that is already held) is silence
 
 
-@pytest.mark.parametrize("protocol", ["udp", "tcp"])
-@pytest.mark.parametrize("horizon", [None, 20])
+@pytest.mark.parametrize("protocol", few(["udp", "tcp"], quick=1))
+@pytest.mark.parametrize("horizon", few([None, 20], quick=1))
 @FEW
 @given(system=systems())
 def test_a_price_of_zero_is_all_time_control(system: System, protocol: str, horizon: int | None) -> None:

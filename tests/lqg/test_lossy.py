@@ -292,7 +292,8 @@ def diverges(problem: tuple[np.ndarray, ...], channel: Channel) -> bool:
     raise AssertionError("neither settles nor diverges")
 
 
-@pytest.mark.parametrize("link", few(LINKS, quick=1, start=1), ids=str)
+@pytest.mark.evidence
+@pytest.mark.parametrize("link", LINKS, ids=str)
 @settings(max_examples=2, deadline=None)
 @given(seed=SEEDS)
 def test_missions_settle_below_the_critical_losses_and_diverge_above(link, seed):
@@ -310,6 +311,7 @@ def test_missions_settle_below_the_critical_losses_and_diverge_above(link, seed)
 
 @settings(max_examples=2, deadline=None)
 @given(seed=SEEDS)
+@pytest.mark.evidence
 def test_less_knowledge_survives_fewer_losses(seed):
     """Critical losses without acknowledgement or with the delay are at most those with it or without."""
     A, B, _, _ = system(seed, 3, 1.02, 1.6)
@@ -352,7 +354,8 @@ def test_no_gain_grows_slower_than_the_slowest_growth(link, seed):
             assert rate <= mean_square_rate(A, B, gain, channel) * (1 + 1e-9)
 
 
-@pytest.mark.parametrize("link", few(LINKS, quick=1), ids=str)
+@pytest.mark.parametrize("link", LINKS, ids=str)
+@pytest.mark.evidence
 def test_two_plants_that_share_nothing_but_the_links_survive_what_the_weaker_survives(link):
     """Two axes with an input each: growth and critical losses are those of the worse axis."""
     axes = [

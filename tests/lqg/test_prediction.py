@@ -116,6 +116,7 @@ def test_no_line_below_the_least_ratio_meets_the_growth(seed: int, shortest: flo
         assert where == pytest.approx(shortest, abs=1e-9)
 
 
+@pytest.mark.evidence
 def test_convexity_is_told_where_it_holds_and_where_it_ends() -> None:
     """Integrators and unstable plants: throughout. A stable plant: nowhere, and its ratio falls to 0."""
     assert prediction_cost(*DOUBLE).convex_until(10.0) == 10.0

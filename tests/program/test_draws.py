@@ -91,6 +91,7 @@ def test_a_path_of_a_seed_does_not_depend_on_how_many_are_run() -> None:
     assert (seed_generators(5, 10, first=990).view(np.uint64) == many[:, 990:]).all()
 
 
+@pytest.mark.evidence
 def test_no_two_of_a_million_paths_and_seeds_start_alike() -> None:
     """64-bit starts of a thousand seeds by a thousand paths are distinct."""
     first = np.concatenate([seed_generators(seed, 1000)[0] for seed in range(1000)]).view(np.uint64)
@@ -123,6 +124,7 @@ def test_a_uniform_lies_strictly_between_zero_and_one() -> None:
 
 
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs more digits than a double's")
+@pytest.mark.evidence
 def test_the_normals_are_box_muller_to_the_claimed_errors() -> None:
     """Against logarithm, cosine and sine in extended precision, at random words and at the edges of every field."""
     words = telling_words()
@@ -185,6 +187,7 @@ def totals() -> dict[str, float]:
     return {name: math.fsum(values) for name, values in result.sums.items()}
 
 
+@pytest.mark.evidence
 def test_moments_up_to_the_eighth_are_those_of_the_normal_law(totals: dict[str, float]) -> None:
     """Of both outputs, and the mixed moments of the pair and of successive pairs, to 4.5 standard errors."""
     ticks = PATHS * TICKS

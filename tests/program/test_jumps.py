@@ -76,6 +76,7 @@ def test_a_loop_that_always_sends_has_the_cost_of_the_covariance(distribution) -
     assert found.cost.standard_error < 0.005 * found.cost.value
 
 
+@pytest.mark.evidence
 def test_the_identity_holds_under_jumps_with_the_full_state_and_is_not_claimed_with_a_filter() -> None:
     """White noise is all that completion of squares needs where the state is known; a filter needs Gaussian noise."""
     jumps = Jumps(1.5, np.diag([0.1, 0.4]))

@@ -34,6 +34,7 @@ def drawn(words: np.ndarray, precision: Precision, *names: str) -> list[np.ndarr
     return [outputs[name][0] for name in names]
 
 
+@pytest.mark.evidence
 def test_the_normals_of_a_word_are_those_of_double_precision() -> None:
     """At random words and at the edges of every field: the logarithm to 3e-7 of 1, all else to a few roundings."""
     words = telling_words()
@@ -59,6 +60,7 @@ def masses(precision: Precision = "float64") -> Loop:
     return replace(problem.close(problem.design()), precision=precision)
 
 
+@pytest.mark.evidence
 def test_the_bias_is_below_a_millionth_of_the_cost() -> None:
     """Paths of both precisions share their draws, so the difference is known to 1e-7, in both forms of the loop."""
     for estimator in (choose_estimator, plain_average):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from counts import few
-from drawn import rows
 from numpy.polynomial import Polynomial
 from renewal.crossings import SlowPath, critical_points, error_polynomials, first_crossing, form, jumps, size
 
@@ -79,7 +78,7 @@ def humped(f: Polynomial, wait: float) -> float | None:
 
 
 @pytest.mark.parametrize("n", few(CHAINS, quick=1, start=1))
-@pytest.mark.parametrize("kind", ["integral", "level"])
+@pytest.mark.parametrize("kind", few(["integral", "level"], quick=1))
 def test_crossings_of_wild_errors_are_those_of_the_slow_way(n: int, kind: str) -> None:
     """Random starts: many turn, many cross several times."""
     random = np.random.default_rng([n, len(kind)])
@@ -105,7 +104,7 @@ def threshold(process: JumpProcess, trigger: Trigger, e: Array, gone: float, tim
 
 
 @pytest.mark.parametrize("n", few([3, 4], quick=1))
-@pytest.mark.parametrize("touch", few(TOUCHES, quick=2))
+@pytest.mark.parametrize("touch", few(TOUCHES, quick=1))
 def test_humps_that_touch_the_threshold_are_seen(n: int, touch: float) -> None:
     """Double roots: a hump below passes, one that reaches the threshold does not."""
     random = np.random.default_rng([n, 7])
@@ -192,22 +191,19 @@ def earlier_hump(value, end: float, found: float) -> bool:  # type: ignore[no-un
 
 @pytest.mark.parametrize(
     ("law", "trigger"),
-    rows(
-        [
-            ("normal", IntegralTrigger(6.0)),
-            ("uniform", IntegralTrigger(6.0, h_max=0.9)),
-            ("two-point", IntegralTrigger(6.0, h_min=0.3, h_max=1.5)),
-            ("normal", IntegralTrigger(6.0, saturation=0.4)),
-            ("uniform", IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0)),
-            ("two-point", IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0)),
-            ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
-            ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
-        ],
-        quick=1,
-        start=4,
-    ),
+    [
+        ("normal", IntegralTrigger(6.0)),
+        ("uniform", IntegralTrigger(6.0, h_max=0.9)),
+        ("two-point", IntegralTrigger(6.0, h_min=0.3, h_max=1.5)),
+        ("normal", IntegralTrigger(6.0, saturation=0.4)),
+        ("uniform", IntegralTrigger(6.0, saturation=0.5, h_min=0.2, h_max=2.0)),
+        ("two-point", IntegralTrigger(6.0, saturation=0.2, h_min=0.5, h_max=2.0)),
+        ("normal", LevelTrigger(np.diag([2.0, 1.0]), 1.5)),
+        ("uniform", LevelTrigger(np.diag([2.0, 1.0]), 1.5, h_max=0.5)),
+    ],
     ids=["linear", "longest", "shortest", "saturating", "all", "saturated-at-first", "level", "level-longest"],
 )
+@pytest.mark.evidence
 def test_whole_cycles_are_those_of_the_slow_way(law: str, trigger: Trigger) -> None:
     """Every duration and every cost, cycle by cycle, from the same jumps."""
     S, W = np.array([[1.0, 2.7], [2.7, 7.4]]), np.array([[0.2, 0.1], [0.1, 0.5]])

@@ -122,7 +122,7 @@ def test_without_memory_white_noise_is_sent_with_the_probability_of_a_chi_square
 
 
 @pytest.mark.parametrize(
-    ("F", "delta"), rows([(0.5, 1.0), (0.95, 9.0), (1.0, 25.0), (1.3, 4.0), (-2.0, 9.0), (8.0, 4.0)], quick=2)
+    ("F", "delta"), rows([(0.5, 1.0), (0.95, 9.0), (1.0, 25.0), (1.3, 4.0), (-2.0, 9.0), (8.0, 4.0)], quick=1)
 )
 def test_a_scalar_chain_is_that_of_a_dense_grid(F, delta):
     """Rate, excess, survival and its decay are those of 1200 nodes of Gauss, without any symmetry."""

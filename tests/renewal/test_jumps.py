@@ -216,7 +216,8 @@ def test_a_scalar_chain_agrees_with_its_simulation(a: float, rate: float, delta:
     agree(chain(a, 1.0, rate, 0.5, delta))
 
 
-@pytest.mark.parametrize("seed", few([0, 2], quick=1))
+@pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.evidence
 def test_a_chain_in_the_plane_agrees_with_its_simulation(seed: int) -> None:
     """Jumps of either rank."""
     agree(random_chain(seed), 500, 200)

@@ -137,8 +137,9 @@ def test_the_equation_of_optimality_holds_by_drawn_noise(F):
 
 
 @pytest.mark.parametrize(
-    ("F", "price"), rows([(TURNING, 6.0), (0.5 * TURNING, 2.0), (np.array([[1.0, 0.7], [0.0, 1.0]]), 10.0)], quick=1)
+    ("F", "price"), [(TURNING, 6.0), (0.5 * TURNING, 2.0), (np.array([[1.0, 0.7], [0.0, 1.0]]), 10.0)]
 )
+@pytest.mark.evidence
 def test_a_simulation_of_the_scheduler_agrees_within_four_standard_errors(F, price):
     """Rate and excess of what ``sends`` says, stable, unstable and neutral."""
     found = solve_optimal(F, SKEW, UNIT, price, 1e-4)
@@ -223,7 +224,8 @@ def test_a_scheduler_that_looks_costs_less_than_any_period():
     assert found.cost + found.cost_error < min(costs)
 
 
-@pytest.mark.parametrize("F", few([TURNING, 0.3 * TURNING, np.array([[1.0, 0.7], [0.0, 1.0]])], quick=1, start=1))
+@pytest.mark.parametrize("F", [TURNING, 0.3 * TURNING, np.array([[1.0, 0.7], [0.0, 1.0]])])
+@pytest.mark.evidence
 def test_claimed_errors_hold_against_a_finer_answer(F):
     """For three accuracies, over stable, unstable and neutral chains, where the price is small and large."""
     for price in (0.3, 8.0):

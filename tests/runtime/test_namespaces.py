@@ -109,6 +109,7 @@ def test_the_hash_loses_the_share_that_is_asked_for(permille: int) -> None:
 
 
 @pytest.mark.usefixtures("kernel")
+@pytest.mark.evidence
 def test_a_loop_receives_exactly_what_is_predicted(file: str) -> None:
     """Chapter 7 in lockstep: data, marks and losses in their order, and nothing is left behind."""
     found = run_network(file, ticks=400, seed=3, namespaces=True)

@@ -69,6 +69,7 @@ def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
         return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=TICKS, seed=2, key=KEY)
 
 
+@pytest.mark.evidence
 def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: NetworkRun) -> None:
     """Three processes and two relays: the bits of nodes in memory, every datagram accounted for, all of the JSON."""
     assert quiet.costs.tobytes() == by_hand(chapter_7(tmp_path), TICKS, 2).tobytes()
@@ -142,6 +143,7 @@ def test_what_a_relay_loses_can_be_told_before(tmp_path: Path, quiet: NetworkRun
     assert quiet.datagrams["sensor"]["lost"] == sum(fate.lost(k, k) for k in range(TICKS))
 
 
+@pytest.mark.evidence
 def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
     """Noise, an old capture, a wrong key, no key and another policy, at once: the same bits, and each counted."""
     file = chapter_7(tmp_path)
@@ -163,6 +165,7 @@ def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
     assert refused(report) == thrown["forged"] + thrown["foreign"] + thrown["noise"]
 
 
+@pytest.mark.evidence
 def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: NetworkRun) -> None:
     """30 % of the packets come twice: the same bits, and as many duplicates as the links have made."""
     file = chapter_7(tmp_path)
@@ -181,6 +184,7 @@ def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: N
         assert found.reports[role]["counters"]["duplicate"] == doubled > 15
 
 
+@pytest.mark.evidence
 def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun) -> None:
     """Every node is killed (SIGKILL) and started again in virtual time: not a bit is lost."""
     killed: list[str] = []

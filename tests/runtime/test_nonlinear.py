@@ -7,7 +7,6 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from counts import few
 from export.test_folders import AGREES, compile_check, run_check, write
 
 from taciturn import Nodes, Plant, ProblemError, load, run_network, to_control
@@ -17,7 +16,8 @@ from taciturn.runtime.plant import SimulatedPlant
 NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")
 
 
-@pytest.mark.parametrize("name", few(NAMES, 1, 1))
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.evidence
 def test_processes_control_a_plant_that_is_not_linear_as_nodes_in_memory_do(name: str) -> None:
     """The same costs and sends to the last bit, and no guarantee."""
     problem, ticks = load(name), 150

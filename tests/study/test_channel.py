@@ -178,9 +178,9 @@ def test_silence_that_costs_nothing_is_no_error() -> None:
     [
         pytest.param(1.0, 400, 2, marks=pytest.mark.evidence),
         pytest.param(0.9, 200, 2, marks=pytest.mark.evidence),
-        (0.9, 50, 1),
+        pytest.param(0.9, 50, 1, marks=pytest.mark.evidence),
         (3.0, 3, 1),
-        (1.2, 10, 4),
+        pytest.param(1.2, 10, 4, marks=pytest.mark.evidence),
     ],
 )
 def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: int, slots: int) -> None:
@@ -215,6 +215,7 @@ CLASH = {  # looks 0.1 s and 0.03 s apart meet now and then, and in most hundred
 }
 
 
+@pytest.mark.evidence
 def test_where_looks_meet_the_largest_loss_goes_first() -> None:
     """At no price, as there are slots enough in the mean; and none is called worse than a clock that cannot be."""
     price, largest, turns = (

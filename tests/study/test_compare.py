@@ -67,6 +67,7 @@ def test_common_draws_make_the_difference_of_neighbours_small() -> None:
     assert found.ranking[1].above.value >= 0
 
 
+@pytest.mark.evidence
 def test_bounds_are_those_at_the_rate() -> None:
     """Sharper where the guarantee depends on the rate; of a shared time shared; none where none is proved."""
     found = {one.name: one for one in compare(

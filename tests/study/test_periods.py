@@ -27,6 +27,7 @@ def sought(least: float) -> tuple[Evaluation, TunedPeriod]:
     return proved, tune_period(INTEGRATOR, rate=proved.rates["sensor"].value, least=least)
 
 
+@pytest.mark.evidence
 def test_looking_more_often_and_asking_for_more_costs_less_at_the_same_rate() -> None:
     """Where the proved threshold removes 47 % of what periodic control costs too much; the rate is exactly the same."""
     proved, found = sought(0.4)

@@ -36,7 +36,7 @@ def with_policy(kind: str, problem: Problem = MASSES, **settings: Any) -> Proble
     return problem.changed({**old, "kind": kind, **settings})
 
 
-@pytest.mark.parametrize("kind", few(SETTINGS, quick=3))
+@pytest.mark.parametrize("kind", few(SETTINGS, quick=1))
 def test_a_rate_is_met_wherever_the_search_starts(kind: str) -> None:
     """Within three standard errors of the rate, exactly without simulation; its error follows from that of the rate."""
     problem = with_policy(kind, **SETTINGS[kind])

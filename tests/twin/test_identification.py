@@ -41,6 +41,7 @@ def physics(robot: Robot, groups: int) -> tuple[np.ndarray, np.ndarray]:
     return np.mean(estimates, axis=0), np.std(estimates, axis=0, ddof=1) / np.sqrt(groups)
 
 
+@pytest.mark.evidence
 def test_the_rover_is_the_integrator_that_the_physics_makes_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """B is within 4.5 standard errors of what true positions of other runs give; A, left free, is nearly 1.
 

@@ -50,6 +50,7 @@ def bits(trial: Trial) -> tuple[bytes, ...]:
     return tuple(part.tobytes() for part in (*parts, *trial.sent.values(), *trial.arrived.values()))
 
 
+@pytest.mark.evidence
 def test_the_rover_is_driven_by_pictures_that_are_asked_for(tmp_path: Path, quiet: TwinRun) -> None:
     """It asks by the schedule of its policy, sees within millimetres, and repeats bit for bit, also beside another."""
     file = short_mission("rover", TICKS["rover"], tmp_path)
@@ -119,6 +120,7 @@ def test_what_nftables_lose_is_foretold_packet_for_packet(tmp_path: Path) -> Non
         assert dropped.any()
 
 
+@pytest.mark.evidence
 def test_what_goes_wrong_does_and_is_told(tmp_path: Path, quiet: TwinRun) -> None:
     """A dead camera, a covered marker, a dead link, a kidnap, a node that is killed: none of them ends the run."""
     prepared, file = stand_in("rover"), short_mission("rover", TICKS["rover"], tmp_path)
