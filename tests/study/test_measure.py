@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ import taciturn
 from taciturn import _progress
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
+from taciturn.simulation.average import Averaging, average
 from taciturn.simulation.sampling import Averages
 from taciturn.study.measure import SPEED, Candidate, rank
 
@@ -21,7 +23,7 @@ def candidate(name: str, least: float, work: float, gradual: bool = True) -> Can
     def run(_: object) -> Averages:
         raise AssertionError
 
-    return Candidate(name, least * SPEED, lambda: work * SPEED, run, gradual)
+    return Candidate(name, least * SPEED, lambda _: work * SPEED, run, gradual)
 
 
 def test_the_least_predicted_work_comes_first_and_the_sentence_names_all() -> None:
@@ -53,6 +55,41 @@ def test_a_quadrature_works_to_the_asked_error_and_no_further() -> None:
     assert rough.method == fine.method == "quadrature"
     assert fine.cost.error < rough.cost.error <= 0.05
     assert abs(rough.cost.value - fine.cost.value) <= rough.cost.error + fine.cost.error
+
+
+def test_every_method_is_asked_by_the_name_that_the_answer_gives_it() -> None:
+    """All of them agree within their errors, and a method that does not apply is refused by its name."""
+    names = ("exact", "conditional sampling", "simulation")
+    found = [taciturn.evaluate(integrators(2), method=name, standard_error=0.05) for name in names]
+    assert [one.method for one in found] == ["quadrature", *names[1:]]
+    for one in found[1:]:
+        spread = one.cost.standard_error + found[0].cost.error
+        assert abs(one.cost.value - found[0].cost.value) <= 5 * spread
+    with pytest.raises(ProblemError, match="method is 'conditional sampling', and"):
+        taciturn.evaluate(taciturn.load("remote-scalar"), method="conditional sampling")
+    with pytest.raises(ProblemError, match="expected 'auto'"):
+        taciturn.evaluate(integrators(2), method="conditional sampling", steps=10_000)
+
+
+def test_a_simulation_continues_from_the_windows_that_predicted_its_work() -> None:
+    """Numbers and steps are those of a run without prediction, so nothing was simulated twice."""
+    problem = taciturn.load("two-mass")
+    loop = problem.close(problem.design())
+    looked_at = Averaging(loop, standard_error=1e-3)
+    left = looked_at.predict(1e-3)
+    assert 0 < left < np.inf
+    assert looked_at.predict(1e-3) == left
+    assert looked_at.finish() == average(loop, standard_error=1e-3)
+
+
+def test_a_prediction_that_runs_out_of_time_leaves_the_answer_of_another_method() -> None:
+    """The method that was stopped counts as out of reach."""
+
+    def late(_: float) -> float:
+        raise _progress.OutOfTime
+
+    slow = replace(candidate("slow", 0.1, 0.0), predict=late)
+    assert [one.name for one in rank([slow, candidate("other", 0.2, 5.0)], 1.0)[0]] == ["other", "slow"]
 
 
 def test_a_run_out_of_time_answers_with_what_it_has(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -132,19 +132,25 @@ class ConditionalSampling:
         """What a few paths find."""
         return self._solved(ROUGH)
 
-    def predict(self, standard_error: float) -> float:
-        """Return about how many operations a standard error of the excess takes, from a pilot.
+    def predict(self, standard_error: float, others: float) -> float:
+        """Return about how many operations a standard error of the excess takes after a pilot, which is run.
 
-        It is infinite where intervals are so long that points which fill space evenly do not help.
+        Where the pilot alone takes more than others do, it is not run, and its own work is returned.
+
+        Args:
+            standard_error: absolute, of the excess.
+            others: operations that other methods take.
+
+        Raises:
+            OutOfTime: the time limit has passed.
         """
-        from taciturn.renewal.paths import expect_quicker, predict_paths
+        from taciturn.renewal.paths import predict_fewest, predict_paths
 
         try:
-            if not expect_quicker(self.chain):
-                return float("inf")
+            fewest = predict_fewest(self.chain)
+            return fewest if fewest > others else predict_paths(self.chain, self.pilot, self._share(standard_error))
         except NoQuadratureError:  # hardly anything is sent
             return float("inf")
-        return predict_paths(self.chain, self.pilot, self._share(standard_error))
 
     def run(self, standard_error: float) -> PathAnswer:
         """Return rate per tick and excess, to a standard error of the excess."""

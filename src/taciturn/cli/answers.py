@@ -33,7 +33,7 @@ def evaluate(
     seed: Seed = 0,
     standard_error: StandardError = None,
     steps: Steps = None,
-    method: Annotated[str, typer.Option(help="auto, simulation or exact.")] = "auto",
+    method: Annotated[str, typer.Option(help="auto, exact, 'conditional sampling' or simulation.")] = "auto",
     precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
     confidence: Confidence = None,
     time: TimeLimit = None,

@@ -38,7 +38,7 @@ ENTRY = 16.0  # operations for an entry of a matrix
 SOLVING = 0.05  # times the third power of the nodes: the solver does many at once
 READ = (80.0, 50.0)  # operations for a point that a value on a grid is read from: at all, and per check of an interval
 LONG = 13.0  # checks of an interval beyond which iterations do not get more
-LEAST = {1: 5e6, 2: 1.5e7, 3: 1.5e8}  # operations of the easiest chains, by dimension
+LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations of the easiest chains, by dimension
 
 
 def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:

@@ -19,9 +19,11 @@ FIRST, LARGEST = 1 << 10, 1 << 16  # paths of each
 CUT = 0.01  # of the accuracy: what the geometric tail may be of an interval
 USUAL = 50_000_000
 SHORT = 2.5  # checks
-SPARED = 0.75  # power of the paths with which an error falls
-DRAW = 250.0  # operations for a draw that is conditional
-START = 4e7  # operations, to bound the intervals and to scramble points
+SPARED, PLAIN = 0.75, 0.5  # powers of the paths with which an error falls, where intervals are short and elsewhere
+DRAW = 150.0  # operations for a draw that is conditional
+START = 3e7  # operations, to scramble points
+LASTING = 6.0  # times the checks of an interval: those that few paths take, each of which costs more than of many
+LOOKED = 16  # checks that tell about how long intervals are
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,7 @@ def _off(*found: Estimate) -> float:
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return about how many operations ``solve_paths`` takes, from an answer to a coarser accuracy.
+    """Return about how many operations ``solve_paths`` takes, from an answer to a coarser accuracy; 0 if that will do.
 
     Args:
         chain: with Gaussian noise.
@@ -143,13 +145,31 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
         standard_error: relative, of the excess.
     """
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
-    more = max(off / standard_error, 1.0) ** (1 / SPARED)
-    return START + DRAW * len(reduced(chain).F) * known.steps * more
+    if off <= standard_error:
+        return 0.0
+    power = SPARED if 1 / known.rate.value <= SHORT else PLAIN
+    return START + DRAW * len(reduced(chain).F) * known.steps * (off / standard_error) ** (1 / power)
+
+
+def predict_fewest(chain: Chain) -> float:
+    """Return about how many operations the fewest paths take, from a lower bound on the mean interval.
+
+    Args:
+        chain: with Gaussian noise.
+
+    Raises:
+        NoQuadratureError: nothing is ever sent, or jumps.
+    """
+    return _fewest(chain, least_interval(chain, LOOKED))
 
 
 def least_work(chain: Chain) -> float:
-    """Return how many operations the fewest paths take, at least."""
-    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST
+    """Return how many operations the fewest paths take, at least: those of intervals of one check."""
+    return _fewest(chain, 1.0)
+
+
+def _fewest(chain: Chain, interval: float) -> float:
+    return START + DRAW * len(reduced(chain).F) * RANDOMISATIONS * FIRST * LASTING * interval
 
 
 def expect_quicker(chain: Chain) -> bool:

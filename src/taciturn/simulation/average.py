@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from taciturn._arrays import count, instance, number
 from taciturn._progress import Progress
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.program.ir import Program
 from taciturn.simulation.doubts import expect_arrivals, find_doubts
 from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.sampling import (
@@ -19,13 +18,14 @@ from taciturn.simulation.sampling import (
     SETTLE,
     Averages,
     Sampling,
+    last_of,
 )
 
 LEAST_STEPS = 1024
 WINDOWS = 3  # times the burn-in, at least: itself, and two windows that are compared
-PILOT, OTHER_DRAWS = 1 << 19, 1_000_003  # steps of a pilot, and what its seed is off the one of the answer
 PER_STEP = 0.02  # operations of work that one of a program takes in a step: many run at once
 TO_COMPILE, TO_START = 5e4, 1.5e7  # operations of work for one of a program, and for all of them
+LEAN = 60  # operations of a small program
 EXPLAINED = 0.5  # of the variance, that control variates leave, about
 
 
@@ -104,11 +104,7 @@ def average(
         ProblemError: a budget, precision or number of threads that is not positive.
         UnstableError: the loop diverges, or a link loses every packet and the plant does not come to rest by itself.
     """
-    instance("loop", loop, Loop)
-    if estimator is not None:
-        instance("estimator", estimator, Estimator)
-    estimator = estimator or choose_estimator(loop)
-    return _sampled([Part(loop, estimator)], seed, standard_error, steps, progress, threads)
+    return Averaging(loop, estimator, seed, standard_error, steps, progress, threads).finish()
 
 
 def difference(
@@ -170,47 +166,96 @@ def difference(
     else:
         estimators = [plain_average(loop) for loop in loops]
     parts = [Part(loop, estimator, sign) for loop, estimator, sign in zip(loops, estimators, (1.0, -1.0), strict=True)]
-    return _sampled(parts, seed, standard_error, steps, progress, threads)
+    return _judged(parts, last_of(_answers(parts, seed, standard_error, steps, progress, threads), None))
 
 
 def least_work(loop: Loop) -> float:
-    """Return how many operations ``average`` takes at least, to compile and to settle."""
+    """Return how many operations ``average`` takes at least to settle, whatever the loop's program is."""
     least = max(BURN_IN, int(SETTLE * loop.policy.settling))
-    return _work(choose_estimator(loop).program, WINDOWS * least * PATHS)
+    return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
 
 
-def predict_average(loop: Loop, standard_error: float, seed: int = 0) -> float:
-    """Return about how many operations ``average`` takes to a standard error, from a pilot with other draws.
-
-    What is counted, steps and operations in a step, is the same on every machine.
+class Averaging:
+    """A simulation that predicts from its first windows how much work is left, and continues from them.
 
     Args:
-        loop: with an average over time.
-        standard_error: absolute, of the cost.
-        seed: of the answer.
+        loop: the closed loop.
+        estimator: omitted: the best that holds.
+        seed: of the draws.
+        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
+        steps: run this many steps of all paths together instead.
+        progress: called with the fraction done.
+        threads: at least 1; omitted: all processors.
 
     Raises:
-        UnstableError: the pilot diverges.
+        ProblemError: as ``average``.
 
     Example:
         >>> from taciturn import load
         >>> problem = load("two-mass")
         >>> loop = problem.close(problem.design())
-        >>> predict_average(loop, 1e-3) < predict_average(loop, 1e-5)
+        >>> rough, fine = (Averaging(loop, standard_error=error) for error in (1e-3, 1e-5))
+        >>> rough.predict(1e-3) < fine.predict(1e-5)
+        True
+        >>> rough.finish() == average(loop, standard_error=1e-3)
         True
     """
-    estimator = choose_estimator(loop)
-    found = average(loop, estimator, seed=seed + OTHER_DRAWS, steps=PILOT)
-    settled = PATHS * found.burn_in
-    missing = found.steps / 2 * (found.cost.standard_error / standard_error) ** 2
-    shortest = (WINDOWS - 1) * settled
-    if missing > PAYS * shortest and estimator.controlled is not None:
-        return _work(estimator.controlled, settled + EXPLAINED * missing)
-    return _work(estimator.program, settled + max(missing, shortest))
 
+    def __init__(
+        self,
+        loop: Loop,
+        estimator: Estimator | None = None,
+        seed: int = 0,
+        standard_error: float | None = None,
+        steps: int | None = None,
+        progress: Progress | None = None,
+        threads: int | None = None,
+    ) -> None:
+        """Choose the estimator, and run nothing yet."""
+        instance("loop", loop, Loop)
+        if estimator is not None:
+            instance("estimator", estimator, Estimator)
+        self.estimator = estimator or choose_estimator(loop)
+        self.parts = [Part(loop, self.estimator)]
+        self.answers = _answers(self.parts, seed, standard_error, steps, progress, threads)
+        self.first: Averages | None = None
+        self.failed: UnstableError | None = None
 
-def _work(program: Program, steps: float) -> float:
-    return TO_START + program.operations * (TO_COMPILE + PER_STEP * steps)
+    def predict(self, standard_error: float) -> float:
+        """Return about how many operations are left after the first windows, which are run; infinite if unstable.
+
+        Args:
+            standard_error: absolute, of the cost.
+
+        Raises:
+            OutOfTime: the time limit has passed.
+        """
+        if self.first is None and self.failed is None:
+            try:
+                self.first = next(self.answers)
+            except UnstableError as error:
+                self.failed = error
+        if self.first is None:
+            return float("inf")
+        seen = self.first.steps / 2  # the other half is the burn-in
+        missing = seen * (self.first.cost.standard_error / standard_error) ** 2
+        if missing > PAYS * seen and self.estimator.controlled is not None:
+            return TO_COMPILE * self.estimator.controlled.operations + self._work(EXPLAINED * missing)
+        return self._work(max(missing - seen, seen))
+
+    def _work(self, steps: float) -> float:
+        return PER_STEP * self.estimator.program.operations * steps
+
+    def finish(self) -> Averages:
+        """Return what ``average`` does.
+
+        Raises:
+            UnstableError: the loop diverges.
+            OutOfTime: before there was any answer.
+        """
+        if self.failed is not None:
+            raise self.failed
+        return _judged(self.parts, last_of(self.answers, self.first))
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
@@ -228,24 +273,30 @@ def check_effort(seed: int, standard_error: float | None, steps: int | None) -> 
         count("steps", steps, LEAST_STEPS)
 
 
-def _sampled(
+def _answers(
     parts: Sequence[Part],
     seed: int,
     standard_error: float | None,
     steps: int | None,
     progress: Progress | None,
     threads: int | None,
-) -> Averages:
+) -> Iterator[Averages]:
+    """Return ever better answers, none of which is computed yet."""
     check_effort(seed, standard_error, steps)
     if threads is not None:
         count("threads", threads)
     sampling, horizon = Sampling(parts, seed, progress, threads), parts[0].loop.horizon
-    used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
     if horizon is not None:
-        return replace(sampling.missions(horizon, standard_error, steps), estimator=used)
+        return sampling.missions(horizon, standard_error, steps)
     for part in parts:
         expect_arrivals(part.loop)
-    found = replace(sampling.stationary(standard_error, steps), estimator=used)
-    if len(parts) > 1:
+    return sampling.stationary(standard_error, steps)
+
+
+def _judged(parts: Sequence[Part], found: Averages) -> Averages:
+    """Return averages with what was averaged, and what makes them doubtful."""
+    used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
+    found, loop = replace(found, estimator=used), parts[0].loop
+    if loop.horizon is not None or len(parts) > 1:
         return found
-    return replace(found, notes=find_doubts(parts[0].loop, found.cost, found.rates, found.steps, found.settled))
+    return replace(found, notes=find_doubts(loop, found.cost, found.rates, found.steps, found.settled))

@@ -107,16 +107,11 @@ class Sampling:
         self._read([program], [[*part.names, *part.controls]])
         return True
 
-    def stationary(self, standard_error: float | None, steps: int | None) -> Averages:
-        """Return the means of the stationary loop, to an absolute standard error or in so many steps."""
-        return _last(self._windows(standard_error, steps))
+    def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield the means of the stationary loop after each window of ticks.
 
-    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Averages:
-        """Return the means of missions of so many ticks, to an absolute standard error or in so many steps."""
-        return _last(self._batches(horizon, standard_error, steps))
-
-    def _windows(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield what is known after each window of ticks, until that is enough."""
+        The last ones have an absolute standard error, or so many steps.
+        """
         budget, width = steps or BUDGET, len(self.parts)
         least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
         operations = max(program.operations for program in self.programs)  # many: the burn-in is more than is needed
@@ -161,8 +156,11 @@ class Sampling:
                 missing = measured
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
-    def _batches(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield what is known after each batch of missions, until that is enough."""
+    def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
+        """Yield the means of missions of so many ticks after each batch of them.
+
+        The last ones have an absolute standard error, or so many steps.
+        """
         budget, width = steps or BUDGET, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
@@ -324,13 +322,16 @@ class Sampling:
         self.progress(max(spent, precise))
 
 
-def _last(answers: Iterator[Averages]) -> Averages:
+def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
     """Return the last of ever better answers, or the best so far when the time is up.
+
+    Args:
+        answers: that are still to come.
+        found: the one before them, or None.
 
     Raises:
         OutOfTime: before the first.
     """
-    found = None
     try:
         for found in answers:  # noqa: B007 (the last one counts)
             pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from taciturn._arrays import number
 from taciturn._progress import OutOfTime, Progress, Stages, limited
@@ -22,11 +22,13 @@ from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.lower import bounded, contradicted, expect_bound
-from taciturn.study.measure import Request, measure, measure_optimum
+from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
 from taciturn.study.periodic import actuation_of, periodic_cost_at
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
+Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
+METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
 
 
@@ -159,7 +161,7 @@ def evaluate(
     seed: int = 0,
     standard_error: float | None = None,
     steps: int | None = None,
-    method: Literal["auto", "simulation", "exact"] = "auto",
+    method: Asked = "auto",
     precision: Precision = "float64",
     confidence: float | None = None,
     time_limit: float | None = None,
@@ -177,7 +179,8 @@ def evaluate(
         seed: of the draws, at least 0.
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
         steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
-        method: ``"simulation"`` uses neither closed form nor quadrature, ``"exact"`` never simulates.
+        method: ``"exact"`` takes a closed form or a quadrature and never simulates, ``"conditional sampling"`` and
+            ``"simulation"`` take nothing else.
         precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
         confidence: with which a lower bound is to hold of the cost of any scheduling at this rate (``bound_below``);
             omitted: neither that nor ``rate_bounds`` is sought, as they take seconds.
@@ -201,8 +204,10 @@ def evaluate(
     """
     expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
-    if method not in ("auto", "simulation", "exact"):
-        raise ProblemError(f"method is {method!r}; expected 'auto', 'simulation' or 'exact'")
+    if method not in METHODS:
+        raise ProblemError(f"method is {method!r}; expected one of {', '.join(map(repr, METHODS))}")
+    if method == CONDITIONAL and steps is not None:
+        raise ProblemError(f"method is {method!r}, and steps is {steps}; expected 'auto', 'simulation', or no steps")
     if confidence is not None:
         number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
@@ -288,8 +293,8 @@ def _evaluated(
 
 def _events(problem: Problem, policy: EventPolicy, effort: Request, progress: Progress) -> Evaluation:
     """Return the evaluation of a policy without ticks."""
-    if effort.method == "exact":
-        raise ProblemError(f"method is 'exact', and {policy.kind} has no exact method; expected 'auto' or 'simulation'")
+    if effort.method not in ("auto", "simulation"):
+        raise ProblemError(f"method is {effort.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
     for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
         if given is not None:
             raise ProblemError(

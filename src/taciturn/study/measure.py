@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 
 from taciturn._progress import OutOfTime, Progress, limited
 from taciturn.analyse.limits import solve_optimum
@@ -14,15 +15,16 @@ from taciturn.analyse.renewal import (
     decides_alone,
     expect_affordable,
 )
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.simulation.average import average, least_work, predict_average
+from taciturn.simulation.average import Averaging, least_work
 from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
 FINEST, COARSEST = 1e-8, 1e-3  # relative accuracies that a quadrature is asked for
 SPEED = 1e9  # operations that count as a second: a choice by work is the same on every machine
+CONDITIONAL = "conditional sampling"
 SHARE = 0.5  # of the time limit for a method that answers at its end or not at all
 
 
@@ -33,14 +35,15 @@ class Candidate:
     Args:
         name: of the method.
         least: work that it takes at least, known without trying.
-        predict: the work for the error that is asked for, where needed by a pilot whose draws are thrown away.
+        predict: the work that is left for the error that is asked for. What a simulation runs for this prediction, it
+            continues from. Given the least work of other methods, beyond which any lower bound will do.
         run: gives the answer.
         gradual: whether it has an answer long before its end.
     """
 
     name: str
     least: float
-    predict: Callable[[], float]
+    predict: Callable[[float], float]
     run: Callable[[Progress | None], Averages]
     gradual: bool
 
@@ -53,7 +56,7 @@ class Request:
         seed: of the draws.
         standard_error: absolute, of the cost; None for 1e-4 of it.
         steps: of all paths together, instead; or None.
-        method: ``"auto"``, ``"simulation"`` or ``"exact"``.
+        method: ``"auto"``, ``"simulation"``, ``"exact"`` or ``"conditional sampling"``.
         time_limit: seconds, or None.
     """
 
@@ -85,18 +88,18 @@ def measure(loop: Loop, effort: Request, progress: Progress | None) -> Measured:
     """Return cost and rates: in closed form, else by the candidate that is predicted to take the least work.
 
     Raises:
-        ProblemError: an exact method is asked for and there is none.
+        ProblemError: the method that is asked for does not apply.
         OutOfTime: the time limit passed before there was any answer.
     """
     policy, method = loop.policy, effort.method
-    if method != "simulation" and loop.nominal and policy.closed_form is not None:
+    if method in ("auto", "exact") and loop.nominal and policy.closed_form is not None:
         form = policy.closed_form
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
         return Measured(averages, "exact", "a closed form, which takes no time", policy.notes)
     candidates, refused = candidates_of(loop, effort, progress)
-    if method == "exact" and not candidates:
-        raise ProblemError(f"method is 'exact', and {refused}") from None
+    if not candidates:
+        raise ProblemError(f"method is {method!r}, and {refused}") from None
     if len(candidates) == 1:
         reason = "no other method applies" if method == "auto" and effort.steps is None else "asked for"
         return _measured(loop, _run(candidates[0], effort, progress, alone=True), candidates[0].name, reason, refused)
@@ -130,8 +133,9 @@ def _measured(loop: Loop, found: Averages, method: str, reason: str, refused: No
 def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Candidate], str]:
     """Return candidates by the work they take, the least first, and a sentence that says so.
 
-    One whose least work is more than another takes is not looked at more closely. One that is all or nothing and is
-    predicted to need more than its share of the time limit comes last.
+    One whose least work is more than another takes is not looked at more closely. Of one that has begun, only the work
+    that is left counts. One that is all or nothing and is predicted to need more than its share of the time limit comes
+    last, and so does one whose prediction runs out of time.
 
     Args:
         candidates: at least one.
@@ -139,8 +143,12 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
     """
     work, rough = dict[str, float](), dict[str, bool]()
     for candidate in sorted(candidates, key=lambda one: one.least):
-        seen = min(work.values(), default=float("inf")) > candidate.least
-        work[candidate.name] = max(candidate.predict(), candidate.least) if seen else candidate.least
+        others = min(work.values(), default=float("inf"))
+        seen = others > candidate.least
+        try:
+            work[candidate.name] = candidate.predict(others) if seen else candidate.least
+        except OutOfTime:
+            work[candidate.name] = float("inf")
         rough[candidate.name] = not seen
 
     def late(candidate: Candidate) -> bool:
@@ -155,7 +163,7 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
 
 def measure_optimum(loop: Loop, price: float, effort: Request, progress: Progress | None) -> Measured:
     """Return cost and rate of the best schedule at a price per send."""
-    if effort.method == "simulation" or effort.steps is not None:
+    if effort.method not in ("auto", "exact") or effort.steps is not None:
         raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
     policy = loop.policy
     asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), effort.standard_error)
@@ -172,18 +180,20 @@ def measure_optimum(loop: Loop, price: float, effort: Request, progress: Progres
 def candidates_of(
     loop: Loop, effort: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
-    """Return the methods that apply to a loop and are asked for, and why there is no quadrature among them."""
+    """Return the methods that apply to a loop and are asked for, and why others do not."""
     found, refused = list[Candidate](), None
     if effort.method == "exact" or (effort.method == "auto" and effort.steps is None):
         try:
             found.append(_quadrature(loop, effort))
         except NoQuadratureError as error:
             refused = error
-    if effort.method == "auto" and effort.steps is None:
-        with suppress(NoQuadratureError):
+    if effort.method == CONDITIONAL or (effort.method == "auto" and effort.steps is None):
+        try:
             found.append(_conditional(loop, effort, progress))
-    if effort.method != "exact":
-        found.append(_simulation(loop, effort))
+        except NoQuadratureError as error:
+            refused = refused or error
+    if effort.method in ("auto", "simulation"):
+        found.append(_simulation(loop, effort, progress))
     return found, refused
 
 
@@ -207,7 +217,7 @@ def _quadrature(loop: Loop, effort: Request) -> Candidate:
         reached = cost.error <= _wanted(cost, effort.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 
-    return Candidate("quadrature", quadrature.least, lambda: quadrature.predict(accuracy), run, False)
+    return Candidate("quadrature", quadrature.least, lambda _: quadrature.predict(accuracy), run, False)
 
 
 def _conditional(loop: Loop, effort: Request, progress: Progress | None) -> Candidate:
@@ -224,21 +234,24 @@ def _conditional(loop: Loop, effort: Request, progress: Progress | None) -> Cand
         rates = {link[0]: found.rate}
         return Averages(cost, rates, found.steps, 0, reached, estimator="conditional sampling")
 
-    return Candidate("conditional sampling", sampling.least, lambda: sampling.predict(asked), run, True)
+    def predict(others: float) -> float:
+        return sampling.predict(asked, others)
+
+    return Candidate(CONDITIONAL, sampling.least, predict, run, True)
 
 
-def _simulation(loop: Loop, effort: Request) -> Candidate:
-    def predict() -> float:
-        try:
-            return predict_average(loop, _asked(loop, effort.standard_error), effort.seed)
-        except UnstableError:
-            return float("inf")
-
-    def run(progress: Progress | None) -> Averages:
-        found = average(
+def _simulation(loop: Loop, effort: Request, progress: Progress | None) -> Candidate:
+    @cache
+    def averaging() -> Averaging:
+        return Averaging(
             loop, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
         )
-        return _clocked(loop, found)
+
+    def predict(_: float) -> float:
+        return averaging().predict(_asked(loop, effort.standard_error))
+
+    def run(_: Progress | None) -> Averages:
+        return _clocked(loop, averaging().finish())
 
     return Candidate("simulation", least_work(loop), predict, run, True)
 
