@@ -3,11 +3,11 @@
 Fifty random problems of one to four states, stable and unstable, with triggers that send often to rarely, are evaluated
 to a standard error of 1e-2, 1e-3 and 1e-4 of their cost: with ``method="auto"``, and with each method by its name. A
 user compares these calls, so both include everything: the design, the closed loop, predictions and pilots, the
-comparison with periodic control and the result. Times are processor seconds in one process. Every call runs once
-before, so that modules are imported and machine code is compiled. Calls of less than 0.3 seconds run three times, in
-turn, and the median counts. A method that takes ten times as long as the best call so far is stopped by ``time_limit``
-and does not count. Each answer of auto is compared with the most precise answer of the same case, in standard errors of
-their difference.
+comparison with periodic control and the result. Times are processor seconds in one process. Calls of less than a second
+run three more times, in turn, and the median of these counts: modules are imported and machine code is compiled then.
+A method that takes ten times as long as the best call so far is stopped by ``time_limit`` and does not count. Each
+answer of auto is compared with the most precise answer of the same case; ``off`` is their difference in units of the
+sum of their errors.
 
     python benchmarks/auto.py docs/auto.json
 """
@@ -39,7 +39,7 @@ METHODS: tuple[Asked, ...] = ("simulation", "exact", "conditional sampling")
 RADII = (0.6, 0.9, 0.98, 1.0, 1.1)
 SLOWEST = 10.0  # times the best, at which a call is stopped
 LEAST = 0.2  # seconds that every call may take
-QUICK, ROUNDS = 0.3, 3  # calls of fewer seconds run several times
+QUICK, ROUNDS = 1.0, 3  # calls of fewer seconds run several times more
 RAREST = 3e-4  # sends per sampling instant
 
 

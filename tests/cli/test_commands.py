@@ -138,7 +138,7 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
         ),
         (
             ("evaluate", "two-mass", "--method", "nonsense"),
-            "method is 'nonsense'; expected 'auto', 'simulation' or 'exact'",
+            "method is 'nonsense'; expected 'auto', 'simulation', 'exact' or 'conditional sampling'",
         ),
         (
             ("evaluate", "two-mass", "--method", "exact"),

@@ -14,7 +14,6 @@ from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.sampling import (
     BURN_IN,
     PATHS,
-    PAYS,
     SETTLE,
     Averages,
     Sampling,
@@ -23,10 +22,9 @@ from taciturn.simulation.sampling import (
 
 LEAST_STEPS = 1024
 WINDOWS = 3  # times the burn-in, at least: itself, and two windows that are compared
-PER_STEP = 0.02  # operations of work that one of a program takes in a step: many run at once
-TO_COMPILE, TO_START = 5e4, 1.5e7  # operations of work for one of a program, and for all of them
+PER_STEP = 0.05  # operations of work that one of a program takes in a step: many run at once
+TO_START = 1.2e7  # operations of work to write a program and to prepare it
 LEAN = 60  # operations of a small program
-EXPLAINED = 0.5  # of the variance, that control variates leave, about
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
@@ -239,12 +237,7 @@ class Averaging:
             return float("inf")
         seen = self.first.steps / 2  # the other half is the burn-in
         missing = seen * (self.first.cost.standard_error / standard_error) ** 2
-        if missing > PAYS * seen and self.estimator.controlled is not None:
-            return TO_COMPILE * self.estimator.controlled.operations + self._work(EXPLAINED * missing)
-        return self._work(max(missing - seen, seen))
-
-    def _work(self, steps: float) -> float:
-        return PER_STEP * self.estimator.program.operations * steps
+        return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
         """Return what ``average`` does.

@@ -205,7 +205,7 @@ def evaluate(
     expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in METHODS:
-        raise ProblemError(f"method is {method!r}; expected one of {', '.join(map(repr, METHODS))}")
+        raise ProblemError(f"method is {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}")
     if method == CONDITIONAL and steps is not None:
         raise ProblemError(f"method is {method!r}, and steps is {steps}; expected 'auto', 'simulation', or no steps")
     if confidence is not None:
