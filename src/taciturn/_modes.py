@@ -358,7 +358,7 @@ def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
         summands: how many of them.
     """
     rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
-    return np.diag(rounding) + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)) * np.eye(len(missed))
+    return np.diag(rounding + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)))
 
 
 def summed(F: Array, W: Array) -> Array:

@@ -22,8 +22,8 @@ class _Flow(Time):
     def slowest(self, F: Array) -> float:
         return float(np.linalg.eigvals(F).real.max(initial=-np.inf))
 
-    def edge(self, given: Quadratic) -> float:
-        return 0.0
+    def stable(self, slowest: float, given: Quadratic) -> bool:
+        return slowest < 0
 
     def summed(self, F: Array, stage: Array) -> Array:
         return _scipy.continuous_lyapunov(F.T, stage)

@@ -32,16 +32,18 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     """
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
-    products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(np.diag(R))
+    products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(R.diagonal())
     kept = diagonal > np.maximum(1e-14 * products, TINY)
-    scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
+    scale = 1 / np.sqrt(diagonal) if kept.all() else np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     # With R definite every direction is real; otherwise one this small may be the error of a computed K.
+    vectors = scale[:, None] * vectors
     inside = values > 1e-10 * len(diagonal)
-    if not inside.all() and is_definite(R):
-        inside = values > 1e-15 * len(diagonal)
-    vectors = scale[:, None] * vectors[:, inside]
-    return H, (vectors / values[inside]) @ vectors.T
+    if not inside.all():
+        if is_definite(R):
+            inside = values > 1e-15 * len(diagonal)
+        values, vectors = values[inside], vectors[:, inside]
+    return H, (vectors / values) @ vectors.T
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
@@ -67,8 +69,8 @@ class _Steps(Time):
     def slowest(self, F: Array) -> float:
         return radius(F)
 
-    def edge(self, given: Quadratic) -> float:
-        return 1 - (MARGIN if is_definite(given.R) else SINGULAR_MARGIN)
+    def stable(self, slowest: float, given: Quadratic) -> bool:
+        return slowest < 1 - SINGULAR_MARGIN or (slowest < 1 - MARGIN and is_definite(given.R))
 
     def summed(self, F: Array, stage: Array) -> Array:
         return summed(F.T, stage)

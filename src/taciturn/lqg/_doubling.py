@@ -48,7 +48,7 @@ def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | N
                 return None
             if (np.abs(more.diagonal()) <= SETTLED * np.abs(last.diagonal() + K.diagonal())).all():
                 break
-            G = symmetrised(G + F @ solved[:, n:] @ F.T)
+            G = G + F @ solved[:, n:] @ F.T
             F = F @ solved[:, :n]
             both[:, :n], both[:, n:] = F, G
     return symmetrised(last + K)

@@ -131,8 +131,8 @@ class Time(ABC):
         """Return the modulus of the slowest mode of a closed loop, or its real part in continuous time."""
 
     @abstractmethod
-    def edge(self, given: Quadratic) -> float:
-        """Return what the slowest mode of a stable closed loop stays below."""
+    def stable(self, slowest: float, given: Quadratic) -> bool:
+        """Say by its slowest mode whether a closed loop is stable, and clear of the edge."""
 
     @abstractmethod
     def summed(self, F: Array, stage: Array) -> Array:
@@ -165,7 +165,7 @@ class Time(ABC):
         if seen.all() or not seen.any():
             return self._solved(given)
         others = self.slowest(given.A[np.ix_(rest, rest)])
-        if not others < self.edge(given):
+        if not self.stable(others, given):
             return self._solved(given)
         found = self._solved(given.among(seen))
         return None if found is None else found.within(seen, others)
@@ -263,7 +263,7 @@ class Time(ABC):
             stalled = change <= 1e-5 * size and change >= 0.9 * last
             if done or change <= 1e-14 * size or stalled:
                 slowest = self.slowest(given.A + given.B @ L)
-                return (found, slowest) if slowest < self.edge(given) and exceeds(K, -TOLERANCE) else None
+                return (found, slowest) if self.stable(slowest, given) and exceeds(K, -TOLERANCE) else None
             previous = K
         return None
 
@@ -284,18 +284,19 @@ class Time(ABC):
         root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         moved = (size + np.abs(here.B) @ np.abs(L)).T @ root
         pushed = np.abs(here.N) @ np.abs(L)
-        terms = np.outer(spread, moved) + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
+        terms = spread[:, None] * moved + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
         terms = terms + terms.T
         bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
         diagonal, least = K.diagonal(), nothing(given, L)
-        written = 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K as it stands here
+        error = axes.form_from(self.summed(F, bound))
+        error.flat[:: len(K) + 1] += 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K
         return Solution(
             K,
             L,
             axes.price_from(H),
-            axes.form_from(self.summed(F, bound)) + np.diag(written),
+            error,
             float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
             np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
             slowest,

@@ -229,12 +229,14 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
     gain = Sigma @ C.T @ inverse
-    if not is_definite(S):
+    slowest, definite = found.slowest, is_definite(S)
+    if not definite:
         # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
         gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
-    slowest = radius(A - A @ gain @ C)
-    if slowest >= 1 - _dare.MARGIN:
-        return None
+    if not definite or Sigma is not found.K:
+        slowest = radius(A - A @ gain @ C)
+        if slowest >= 1 - _dare.MARGIN:
+            return None
     return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, slowest)
 
 
@@ -252,6 +254,8 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
 def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
     """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
     kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
+    if kept.all() and is_definite(Sigma):
+        return Sigma
     half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
