@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 from typing import TypeAlias, TypeVar
@@ -29,12 +30,12 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
         ProblemError: not numeric, not finite, or of another shape.
     """
     result = _numbers(name, value, shape, meaning)
-    if result.ndim != len(shape) or any(want not in (None, got) for got, want in zip(result.shape, shape, strict=True)):
+    if result.shape != shape and not _fits(result.shape, shape):
         turned = zip(result.T.shape, shape, strict=False)
         transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
         hint = ". Did you pass its transpose?" if transposed else ""
         raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
-    if not np.isfinite(result).all():
+    if not math.isfinite(np.vdot(result, result)) and not np.isfinite(result).all():  # a square may overflow
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise ProblemError(f"{name} holds {result[where]} at index {where}; expected finite numbers")
     result.setflags(write=False)
@@ -47,8 +48,9 @@ def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
     Raises:
         ProblemError: not numeric, not finite, or not square.
     """
-    size = array(name, value, (None, None), meaning).shape[0]
-    return array(name, value, (size, size), meaning)
+    result = array(name, value, (None, None), meaning)
+    rows, columns = result.shape
+    return result if rows == columns else array(name, value, (rows, rows), meaning)
 
 
 def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
@@ -210,6 +212,10 @@ def quoted(value: object) -> str:
     except ValueError:  # a whole number of more than 4300 digits
         return "a number too long to be shown"
     return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _fits(got: tuple[int, ...], shape: Shape) -> bool:
+    return len(got) == len(shape) and all(want in (None, size) for size, want in zip(got, shape, strict=True))
 
 
 def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:

@@ -233,11 +233,12 @@ class Time(ABC):
                 break
         if found is None:
             return
-        yield self.judged(given, axes, *found)
+        yield self.judged(given, axes, here, *found)
         turned = principal_axes(axes, K)
-        found = self._settled(turned.problem(given), turned.gain(axes.gain_from(L)))
+        here = turned.problem(given)
+        found = self._settled(here, turned.gain(axes.gain_from(L)))
         if found is not None:
-            yield self.judged(given, turned, *found)
+            yield self.judged(given, turned, here, *found)
 
     def _settled(self, given: Quadratic, L: Array) -> tuple[Answer, float] | None:
         """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles.
@@ -267,16 +268,17 @@ class Time(ABC):
             previous = K
         return None
 
-    def judged(self, given: Quadratic, axes: Axes, found: Answer, slowest: float) -> Solution:
+    def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
         """Return a solution with its error, measured in the coordinates in which it was found.
 
         Args:
             given: the problem as it was given.
             axes: the coordinates of the answer.
+            here: the problem in these.
             found: the answer.
             slowest: mode of its stable loop.
         """
-        here, (size, weight), (K, L, H, inverse) = axes.problem(given), axes.sizes(given), found
+        (size, weight), (K, L, H, inverse) = axes.sizes(given), found
         F, stage = here.under(L)
         missed, spread = self.residual(here, F, stage, K)
         off = self.missed(here, F, found)
