@@ -2,9 +2,10 @@
 
     python benchmarks/scaling.py [--sizes 2 5 10 20 40 80 100 140 200] [--before FOLDER] [--json docs/scaling.json]
 
-Each row has a process of its own, on one thread. Within it a design and python-control's dlqr and dlqe of the same
-matrices take turns; each has the least of its processor times. ``--before`` names a folder with the sources of another
-version, whose designs are measured as well. Memory is what a process holds at most beyond its imports.
+Each row has a process of its own, on one thread. A design is that of a plant and a cost from their matrices, checks
+included. Within the process it and python-control's dlqr and dlqe of the same matrices take turns; each has the median
+of its processor times, and their ratio the median of the turns' ratios. ``--before`` names a folder with the sources of
+another version, measured as well. Memory is what a process holds at most beyond its imports.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import json
 import os
 import platform
 import resource
+import statistics
 import subprocess
 import sys
 import time
@@ -27,7 +29,7 @@ import numpy as np
 import scipy.linalg
 
 SIZES = (2, 5, 10, 20, 40, 80, 100, 140, 200)
-LONGEST = 600  # seconds that a row may take
+LONGEST = 60  # seconds that a row may take
 MOST = {"evaluate": 200, "near-optimal": 20, "lower bound": 20}  # states
 SOURCE = Path(__file__).resolve().parent.parent / "src"
 Array = np.ndarray
@@ -142,12 +144,17 @@ def row(task: str, family: str, n: int) -> dict[str, Any]:
     if task == "design":
         from control import dlqe, dlqr
 
-        for turn in range(1, 2 if ours[0][0] > 5 else 3 if n > 20 else 8):
+        timed(control, *matrices("dense", 4))  # what it imports when it is first used
+        ours.clear()
+        for turn in range(1, 2 if n > 140 else 4 if n > 40 else 8 if n > 20 else 32):
             asked = matrices(family, n, turn)
             theirs.append(timed(control, *asked))
             ours.append(timed(solve, *asked))
-    seconds, control_seconds = (min((one for one, _ in found), default=None) for found in (ours, theirs))
-    return {"seconds": seconds, "control": control_seconds, "megabytes": megabytes, "refused": refused}
+    seconds, control_seconds = ([one for one, _ in found] for found in (ours, theirs))
+    ratios = [one / other for one, other in zip(seconds, control_seconds, strict=False)]
+    found = {"seconds": seconds, "control": control_seconds, "ratio": ratios}
+    medians = {name: statistics.median(values) if values else None for name, values in found.items()}
+    return {**medians, "megabytes": megabytes, "refused": refused}
 
 
 def apart(task: str, family: str, n: int, source: Path) -> dict[str, Any]:
@@ -158,10 +165,17 @@ def apart(task: str, family: str, n: int, source: Path) -> dict[str, Any]:
             asked, env={**os.environ, "PYTHONPATH": str(source)}, capture_output=True, text=True, timeout=LONGEST
         )
     except subprocess.TimeoutExpired:
-        return {"seconds": None, "control": None, "megabytes": None, "refused": f"more than {LONGEST} s"}
+        return {"seconds": None, "control": None, "ratio": None, "megabytes": None, "refused": f"> {LONGEST} s"}
     if done.returncode:
         raise SystemExit(done.stderr)
     return json.loads(done.stdout.splitlines()[-1])
+
+
+def processor() -> str:
+    """Return the name of the processor."""
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
+    return next((line.split(":")[1].strip() for line in lines if line.startswith("model name")), platform.machine())
 
 
 def main() -> None:
@@ -178,15 +192,15 @@ def main() -> None:
         return
     sources = {"after": SOURCE} | ({} if args.before is None else {"before": args.before.resolve()})
     rows: list[dict[str, Any]] = []
+    machine = {"processor": processor(), "cores": os.cpu_count(), "python": platform.python_version()}
     for task, families in (("design", list(FAMILIES)), *((task, ["dense"]) for task in MOST)):
         for n in args.sizes:
             for family in families if n <= MOST.get(task, n) else []:
                 found = {name: apart(task, family, n, source) for name, source in sources.items()}
                 rows.append({"task": task, "family": family, "states": n, **found})
                 print(task, family, n, found, flush=True)
-    machine = {"processor": platform.processor() or platform.machine(), "python": platform.python_version()}
-    if args.json:
-        args.json.write_text(json.dumps({"machine": machine, "rows": rows}, indent=1) + "\n")
+                if args.json:
+                    args.json.write_text(json.dumps({"machine": machine, "rows": rows}, indent=1) + "\n")
 
 
 if __name__ == "__main__":

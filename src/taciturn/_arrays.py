@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from numbers import Integral, Real
 from typing import TypeAlias, TypeVar
@@ -29,12 +30,12 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
         ProblemError: not numeric, not finite, or of another shape.
     """
     result = _numbers(name, value, shape, meaning)
-    if result.ndim != len(shape) or any(want not in (None, got) for got, want in zip(result.shape, shape, strict=True)):
+    if result.shape != shape and not _fits(result.shape, shape):
         turned = zip(result.T.shape, shape, strict=False)
         transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
         hint = ". Did you pass its transpose?" if transposed else ""
         raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
-    if not np.isfinite(result).all():
+    if not math.isfinite(np.vdot(result, result)) and not np.isfinite(result).all():  # a square may overflow
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
         raise ProblemError(f"{name} holds {result[where]} at index {where}; expected finite numbers")
     result.setflags(write=False)
@@ -47,8 +48,9 @@ def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
     Raises:
         ProblemError: not numeric, not finite, or not square.
     """
-    size = array(name, value, (None, None), meaning).shape[0]
-    return array(name, value, (size, size), meaning)
+    result = array(name, value, (None, None), meaning)
+    rows, columns = result.shape
+    return result if rows == columns else array(name, value, (rows, rows), meaning)
 
 
 def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array:
@@ -80,7 +82,10 @@ def semidefinite(name: str, value: ArrayLike, size: int, meaning: str = "") -> A
         ProblemError: an eigenvalue is negative.
     """
     result = symmetric(name, value, size, meaning)
-    smallest = _least_eigenvalue(result)
+    scaled = _in_units(result)
+    if exceeds(scaled, -DEFINITENESS_TOLERANCE):
+        return result
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
     if smallest < -DEFINITENESS_TOLERANCE and not _is_rounding(result):
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive semidefinite matrix "
@@ -96,7 +101,10 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
         ProblemError: an eigenvalue is not positive.
     """
     result = symmetric(name, value, size, meaning)
-    smallest = _least_eigenvalue(result)
+    scaled = _in_units(result)
+    if exceeds(scaled, DEFINITENESS_TOLERANCE):
+        return result
+    smallest = float(np.linalg.eigvalsh(scaled)[0])
     if smallest <= DEFINITENESS_TOLERANCE:
         raise ProblemError(
             f"{name} has the eigenvalue {_named(result, smallest)}; expected a positive definite matrix "
@@ -107,7 +115,18 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 def is_definite(matrix: Array) -> bool:
     """Say whether a symmetric matrix is positive definite and can be inverted, whatever the units of the variables."""
-    return bool((matrix.diagonal() > TINY).all()) and _least_eigenvalue(matrix) > DEFINITENESS_TOLERANCE
+    return bool((matrix.diagonal() > TINY).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
+
+
+def exceeds(matrix: Array, bound: float) -> bool:
+    """Say whether all eigenvalues of a symmetric matrix are above a bound: then the rest has Cholesky's factor."""
+    rest = matrix.copy()
+    rest.flat[:: len(rest) + 1] -= bound
+    try:
+        np.linalg.cholesky(rest)
+    except np.linalg.LinAlgError:
+        return False
+    return True
 
 
 def number(name: str, value: object, low: float = -np.inf, high: float = np.inf, *, closed: bool = False) -> float:
@@ -195,6 +214,10 @@ def quoted(value: object) -> str:
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
+def _fits(got: tuple[int, ...], shape: Shape) -> bool:
+    return len(got) == len(shape) and all(want in (None, size) for size, want in zip(got, shape, strict=True))
+
+
 def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
     try:
         given = np.asarray(value)
@@ -208,15 +231,13 @@ def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
         raise ProblemError(f"{name} is not an array of numbers ({error}); expected the shape {expected}") from None
 
 
-def _least_eigenvalue(matrix: Array) -> float:
-    """Return the least eigenvalue where each variable has the unit that makes its diagonal 1, 0 or −1."""
-    if matrix.size == 0:
-        return np.inf
-    scale = 1 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), TINY))
+def _in_units(matrix: Array) -> Array:
+    """Return a symmetric matrix where each variable has the unit that makes its diagonal 1, 0 or −1."""
+    scale = 1 / np.sqrt(np.maximum(np.abs(matrix.diagonal()), TINY))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = matrix * scale * scale[:, None]
     # An entry beyond 1 proves an eigenvalue below 0; how large it is decides nothing.
-    return float(np.linalg.eigvalsh(np.clip(scaled, -1e6, 1e6))[0])
+    return np.minimum(np.maximum(scaled, -1e6), 1e6)
 
 
 def _is_rounding(matrix: Array) -> bool:

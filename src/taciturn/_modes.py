@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 from typing import TypeAlias
 
 import numpy as np
@@ -18,9 +20,11 @@ ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
 LARGEST = 1e140  # of a power of a stable map: its square is still a number
+FADED = 1e-4  # square of a power of a stable map from which on its sum may have settled
 LOOSE = 1e-2  # distance to the edge, beyond which a computed mode decays
 SPREAD = 100  # times the rounding of a mode to first order: what it is allowed
-FAR, FEW_MODES = 1e-4, 4  # relative least singular value that proves a rank; modes at which it is cheap to look
+FAR = 1e-5  # relative least singular value that proves a rank; its square is far above rounding
+SMALL = 40  # states up to which eigenvectors cost less than a staircase
 RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
 
 
@@ -32,7 +36,7 @@ def eigenvalues(A: Array) -> Modes:
 
 def radius(A: Array) -> float:
     """Return the largest modulus among the eigenvalues of ``A``."""
-    return float(np.abs(eigenvalues(A)).max(initial=0.0))
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0))
 
 
 def balancing(A: Array) -> Array:
@@ -41,11 +45,10 @@ def balancing(A: Array) -> Array:
     Each state in turn gets the unit in which its row and its column are most alike, until none gains 5 %.
     """
     balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), TINY), np.ones(len(A))
-    gains = True
-    while gains:
+    while _may_gain(balanced):
         gains = False
         for i in range(len(A)):
-            row, column = float(np.linalg.norm(balanced[i])), float(np.linalg.norm(balanced[:, i]))
+            row, column = math.sqrt(balanced[i] @ balanced[i]), math.sqrt(balanced[:, i] @ balanced[:, i])
             if row == 0 or column == 0:
                 continue
             factor = 2.0 ** round(math.log2(row / column) / 2)
@@ -54,7 +57,16 @@ def balancing(A: Array) -> Array:
                 scale[i] *= factor
                 balanced[i] /= factor
                 balanced[:, i] *= factor
+        if not gains:
+            break
     return scale
+
+
+def _may_gain(A: Array) -> bool:
+    """Say whether some state's row and column differ by so much, a factor of two, that another unit may fit better."""
+    squares = A * A
+    rows, columns = squares.sum(axis=1), squares.sum(axis=0)
+    return bool(((rows > 1.9 * columns) & (columns > 0) | (columns > 1.9 * rows) & (rows > 0)).any())
 
 
 def pace(A: Array) -> float:
@@ -71,6 +83,8 @@ def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
         A: (n, n) dynamics.
         continuous: whether time is.
     """
+    if not modes.size:
+        return modes
     if continuous:
         return modes[modes.real >= -EDGE * pace(A)]
     return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
@@ -144,35 +158,77 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     return eigenvalues(rest) if rest.size else np.zeros(0, dtype=np.complex128)
 
 
-def lost_modes(A: Array, B: Array, continuous: bool) -> Modes:
+@dataclass(frozen=True, eq=False)
+class Slow:
+    """The modes of a matrix, or of its transpose, that may not decay, one of each pair; found when first asked for.
+
+    Args:
+        A: (n, n) dynamics.
+        continuous: whether time is.
+    """
+
+    A: Array
+    continuous: bool
+
+    @cached_property
+    def found(self) -> tuple[Modes, Array]:
+        """Return the modes, (k,), and by how much each moves with the matrix, to first order, (k,)."""
+        modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(self.A))
+        size = float(np.sqrt(np.sum(self.A * self.A)))
+        may = (modes.real > -LOOSE * size) if self.continuous else (np.abs(modes) > 1 - LOOSE)
+        may = np.flatnonzero(may & (modes.imag >= 0))
+        if not len(may):
+            return modes[may], np.zeros(0)
+        try:
+            with np.errstate(over="ignore"):  # of a mode that is defective
+                return modes[may], np.linalg.norm(np.linalg.inv(vectors)[may], axis=1)
+        except np.linalg.LinAlgError:
+            return modes[may], np.full(len(may), np.inf)
+
+    def clear(self, A: Array, B: Array) -> bool:
+        """Say whether M = [A − λI, B] is far from losing rank at all of them, farther than rounding may move them.
+
+        Cholesky's factor of MM' − (distance)²I proves it.
+
+        Args:
+            A: the matrix, or its transpose.
+            B: (n, m) input matrix.
+        """
+        modes, sensitivity = self.found
+        if not len(modes):
+            return True
+        n, size = len(A), float(np.sum(A * A))
+        norms = np.sqrt(size + float(np.sum(B * B)) + n * np.abs(modes) ** 2)  # of M, or more
+        distance = np.maximum(FAR * norms, SPREAD * n * ROUNDOFF * np.sqrt(size) * sensitivity)
+        if not (distance < norms).all():
+            return False
+        shifted = A @ A.T + B @ B.T - modes[:, None, None] * A.T - modes.conj()[:, None, None] * A
+        shifted[:, range(n), range(n)] += (np.abs(modes) ** 2 - distance**2)[:, None]
+        try:
+            np.linalg.cholesky(shifted)
+        except np.linalg.LinAlgError:
+            return False
+        return True
+
+
+def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -> Modes:
     """Return the modes that do not decay and that the input through B cannot move, the largest modulus first.
 
-    Where [A − λI, B] is far from losing rank at every mode that may not decay, farther than rounding may have moved the
-    mode, there are none. Otherwise ``uncontrollable_modes`` decides.
+    They are those that ``uncontrollable_modes`` finds, unless the plant is clear of losing any (:meth:`Slow.clear`).
+    What is cheaper is asked first.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         continuous: whether time is.
+        slow: the modes of A, or of A', that may not decay; omitted: found here.
     """
-    modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(A))
-    size = float(np.sqrt(np.sum(A * A)))
-    may = (modes.real > -LOOSE * size) if continuous else (np.abs(modes) > 1 - LOOSE)
-    may = np.flatnonzero(may & (modes.imag >= 0))
-    if not len(may):
-        return np.zeros(0, dtype=np.complex128)
-    if len(may) <= FEW_MODES:
-        shifted = np.tile(np.hstack([A, B]).astype(np.complex128), (len(may), 1, 1))
-        shifted[:, range(len(A)), range(len(A))] -= modes[may, None]
-        try:
-            with np.errstate(over="ignore"):  # of a mode that is defective
-                doubt = np.linalg.norm(np.linalg.inv(vectors)[may], axis=1)
-            values = np.linalg.svd(shifted, compute_uv=False)
-        except np.linalg.LinAlgError:
-            return persistent(uncontrollable_modes(A, B), A, continuous)
-        if (values[:, -1] > np.maximum(FAR * values[:, 0], SPREAD * len(A) * ROUNDOFF * size * doubt)).all():
-            return np.zeros(0, dtype=np.complex128)
-    return persistent(uncontrollable_modes(A, B), A, continuous)
+    slow = Slow(A, continuous) if slow is None else slow
+    none, small = np.zeros(0, dtype=np.complex128), len(A) <= SMALL
+    if small and slow.clear(A, B):
+        return none
+    lost = persistent(uncontrollable_modes(A, B), A, continuous)
+    return none if not small and lost.size and slow.clear(A, B) else lost
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:
@@ -302,7 +358,7 @@ def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
         summands: how many of them.
     """
     rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
-    return np.diag(rounding) + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)) * np.eye(len(missed))
+    return np.diag(rounding + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)))
 
 
 def summed(F: Array, W: Array) -> Array:
@@ -311,11 +367,11 @@ def summed(F: Array, W: Array) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):  # the callers look for overflow
         for _ in range(64):  # 2^64 terms
             term = power @ X @ power.T
-            X = X + (term + term.T) / 2
-            largest = max(float(power.max(initial=0.0)), -float(power.min(initial=0.0)))
-            if not largest < LARGEST:
+            X = X + term
+            square = float(np.vdot(power, power))
+            if not square < LARGEST**2:
                 return X * np.inf
-            if largest < 1 and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
+            if square < FADED and (np.abs(term.diagonal()) <= 1e-17 * np.abs(X.diagonal())).all():
                 break
             power = power @ power
-    return X
+    return (X + X.T) / 2

@@ -71,3 +71,24 @@ def sobol(dimensions: int, points: int, draws: np.random.Generator) -> Array:
 
     sequence = qmc.Sobol(dimensions, scramble=True, seed=draws)
     return np.asarray(sequence.random(points), dtype=np.float64) + 2.0**-31  # of 30 bits: in the middle of their cells
+
+
+def normal_share(x: Array) -> Array:
+    """Return the probability that a standard normal is below x."""
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(x), dtype=np.float64)
+
+
+def normal_quantile(share: Array) -> Array:
+    """Return the number that a standard normal is below with a probability."""
+    from scipy.special import ndtri
+
+    return np.asarray(ndtri(share), dtype=np.float64)
+
+
+def gamma_share(shape: Array, x: float) -> Array:
+    """Return the probability that a variable of the gamma law of a shape and of scale 1 is below x."""
+    from scipy.special import gammainc
+
+    return np.asarray(gammainc(shape, x), dtype=np.float64)

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.linalg
 from digits import regulated, sampled
 from drawn import law
-from hypothesis import assume
+from hypothesis import assume, reject
 from hypothesis import strategies as st
 
 from taciturn import ContinuousPlant, Cost, Plant, design
@@ -63,6 +64,55 @@ def test_the_error_of_a_solution_is_within_what_is_claimed(draw, seed, weak, con
     claimed, error = (part / unit / unit[:, None] for part in (found.error, found.K - K))
     assert np.linalg.eigvalsh(claimed - error)[0] > -1e-16  # of the difference itself
     assert np.linalg.eigvalsh(claimed + error)[0] > -1e-16
+
+
+def structured(family: str, n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B and C of a plant whose equations are easy, or hard in a way of their own."""
+    A, B, C = rng.normal(size=(n, n)), rng.normal(size=(n, 1 + n // 6)), rng.normal(size=(1 + n // 6, n))
+    if family == "sparse":
+        A = 0.5 * np.eye(n) + np.where(rng.random((n, n)) < 2 / n, A, 0)
+    if family in ("dense", "sparse", "hidden"):
+        A = A * rng.uniform(0.5, 1.2) / np.abs(np.linalg.eigvals(A)).max()
+    if family == "chain":  # moved at its start and seen at its end
+        A = np.diag(rng.uniform(0.3, 1.05, n)) + np.diag(rng.uniform(0.2, 0.5, n - 1), -1)
+        B, C = np.eye(n)[:, :1], np.eye(n)[-1:]
+    if family == "masses":  # between springs, hardly damped, pushed at one end and seen at the other
+        springs = np.zeros((n, n))
+        springs[0::2, 1::2] = np.eye(n // 2)
+        springs[1::2, 0::2] = np.eye(n // 2, k=1) + np.eye(n // 2, k=-1) - 2 * np.eye(n // 2)
+        A, B, C = scipy.linalg.expm(0.2 * springs), np.eye(n)[:, 1:2], np.eye(n)[-2:-1]
+    if family == "stiff":  # paces a million times apart, in turned coordinates
+        turn = np.linalg.qr(A)[0]
+        paces = np.append(rng.uniform(0, 0.5), -(10.0 ** rng.uniform(-3, 3, n - 1)))
+        A = (turn * np.exp(0.1 * paces)) @ turn.T
+    if family == "hidden":  # a growing mode that hardly shows and is hardly moved
+        A[-1], A[:, -1], A[-1, -1] = 0, 0, 1.1
+        B[-1], C[:, -1] = 10.0 ** rng.uniform(-4, 0), 10.0 ** rng.uniform(-4, 0)
+    return A, B, C
+
+
+@pytest.mark.parametrize("family", ["dense", "sparse", "chain", "masses", "stiff", "hidden"])
+@law(2, 25, seed=seeds, half=st.integers(2, 7))
+def test_the_error_of_a_design_is_within_what_is_claimed_in_every_family(family, seed, half):
+    """K and the prior covariance are as near to those of sixty digits as regulator and filter say."""
+    n, rng = 2 * half, np.random.default_rng(seed)
+    A, B, C = structured(family, n, rng)
+    Q, R = np.diag(10.0 ** rng.uniform(-2, 2, n)), np.diag(10.0 ** rng.uniform(-2, 2, B.shape[1]))
+    W, V = np.diag(10.0 ** rng.uniform(-2, 2, n)), np.diag(10.0 ** rng.uniform(-2, 2, len(C)))
+    try:
+        found, steady = regulate(A, B, Q, R, np.zeros(B.shape)), steady_filter(A, C, W, V)
+    except UnstableError:
+        reject()
+    K, _ = regulated(A, B, Q, R, np.zeros(B.shape), found.L)
+    prior, _ = regulated(A.T, C.T, W, V, np.zeros(C.T.shape), -(A @ steady.gain).T)
+    for answer, exact, claim in ((found.K, K, found.error), (steady.prior, prior, steady.error)):
+        unit = np.sqrt(np.diag(exact))
+        claimed, error = (part / unit / unit[:, None] for part in (claim, answer - exact))
+        assert np.linalg.eigvalsh(claimed - error)[0] > -1e-16
+        assert np.linalg.eigvalsh(claimed + error)[0] > -1e-16
+        assert np.trace(claimed) <= 1.01 * TOLERANCE * n
+    assert found.slowest == pytest.approx(radius(A + B @ found.L), abs=1e-6)
+    assert steady.slowest == pytest.approx(radius(A - A @ steady.gain @ C), abs=1e-6)
 
 
 @law(3, 40, seed=seeds)

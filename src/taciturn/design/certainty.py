@@ -17,8 +17,8 @@ from taciturn._arrays import Array, ArrayLike, block_diagonal, choice
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter, forgetting, steady_filter
-from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate
+from taciturn.lqg.kalman import Filter, filter_checked
+from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
 from taciturn.model.policy import (
@@ -107,15 +107,15 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     """
     expect_average(kind, problem.cost)
     plant = problem.plant
-    regulator = regulate(plant.A, plant.B, problem.Q, problem.R, problem.N)
-    steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
+    regulator = regulate_checked(plant.A, plant.B, problem.Q, problem.R, problem.N, 1.0)
+    steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
     left = np.eye(plant.states) - steady.gain @ plant.C  # of an error of the prior, in the posterior
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
     refuse_uncertain(float(cost), float(doubt))
-    settling = forgetting([plant.A - plant.A @ steady.gain @ plant.C], plant.A + plant.B @ regulator.L)
+    settling = 1 / (1 - max(regulator.slowest, steady.slowest))
     return Certainty(problem, regulator, steady, estimate_state(plant, steady), float(cost), settling)
 
 

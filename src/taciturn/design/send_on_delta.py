@@ -9,7 +9,7 @@ from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import Filter, forgetting, steady_filter
+from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Policy, Received, Send
@@ -49,7 +49,7 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)
     steady = steady_filter(plant.A, plant.C, plant.W, taken)
-    settling = forgetting([plant.A - plant.A @ steady.gain @ plant.C], plant.A + plant.B @ certainty.regulator.L)
+    settling = 1 / (1 - max(certainty.regulator.slowest, steady.slowest))
     return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), settling)
 
 

@@ -50,6 +50,8 @@ class Quadratic(NamedTuple):
         """Return which states cost something, themselves or by the states that they move, (n,)."""
         found = np.asarray((self.Q != 0).any(axis=0) | (self.N != 0).any(axis=1), dtype=np.bool_)
         for _ in range(len(found)):
+            if found.all():
+                break
             more = found | (self.A[found] != 0).any(axis=0)
             if (more == found).all():
                 break
@@ -69,8 +71,8 @@ class Quadratic(NamedTuple):
     def terms(self, L: Array) -> Array:
         """Return the size of what is summed for the stage cost of each state, (n,)."""
         size = np.abs(L)
-        terms = np.abs(self.Q) + 2 * np.abs(self.N) @ size + size.T @ np.abs(self.R) @ size
-        return np.asarray(np.diag(terms), dtype=np.float64)
+        pushed = 2 * np.abs(self.N.T) + np.abs(self.R) @ size
+        return np.asarray(np.abs(self.Q.diagonal()) + (size * pushed).sum(axis=0), dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +134,9 @@ def units_of_reach(given: Quadratic) -> Axes:
 
 def units_of_weight(given: Quadratic) -> Axes:
     """Return the units in which the weight of each state, or of the states that it moves, is about 1."""
-    natural = _spread(given.A, np.maximum(np.diag(given.Q), 0.0))
+    natural = _spread(given.A, np.maximum(given.Q.diagonal(), 0.0))
     units = _power_of_two(np.sqrt(natural))
-    pushed = np.diag(given.R) + natural @ given.B**2
+    pushed = given.R.diagonal() + natural @ given.B**2
     return Axes(np.diag(units), np.diag(1 / units), _power_of_two(np.sqrt(np.maximum(pushed, 0.0))))
 
 
@@ -148,10 +150,13 @@ def nothing(given: Quadratic, L: Array) -> Array:
         given: the problem.
         L: the gain; what its stage cost is summed of has a rounding.
     """
-    weight = np.maximum(np.diag(given.Q), 0.0)
+    weight = np.maximum(given.Q.diagonal(), 0.0)
+    rounding = CRUMB * given.terms(L)
+    if (weight > 0).all():
+        return rounding
     moved = np.where(given.B != 0, np.abs(given.B), np.inf)
-    natural = _spread(given.A, np.maximum(weight, np.max(np.diag(given.R) / moved / moved, axis=1, initial=0.0)))
-    return np.maximum(np.where(weight > 0, 0.0, VANISHING * natural), CRUMB * given.terms(L))
+    natural = _spread(given.A, np.maximum(weight, np.max(given.R.diagonal() / moved / moved, axis=1, initial=0.0)))
+    return np.maximum(np.where(weight > 0, 0.0, VANISHING * natural), rounding)
 
 
 def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
@@ -165,13 +170,14 @@ def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
         H: (m, m), semidefinite but for rounding.
         least: for each state the cost that is as good as none, (n,).
     """
-    spread = np.sqrt(np.where(np.diag(K) > least, np.diag(K), 0.0))
+    diagonal = K.diagonal()
+    spread = np.sqrt(np.where(diagonal > least, diagonal, 0.0))
     spread = np.maximum(spread, np.sqrt(CRUMB) * (np.abs(F).T @ spread))
-    units = np.where(spread > 0, _power_of_two(spread), 0.0)
-    reached = np.max(np.abs(F) * units, axis=1, initial=0.0)
-    units = np.where(units > 0, units, np.where(reached > 0, _power_of_two(1 / np.where(reached > 0, reached, 1)), 1.0))
-    price = np.sqrt(np.maximum(np.diag(H), 0.0))
-    return Axes(np.diag(units), np.diag(1 / units), np.where(price > 0, _power_of_two(price), 1.0))
+    units = _power_of_two(spread)
+    if not (spread > 0).all():
+        reached = np.max(np.abs(F) * np.where(spread > 0, units, 0.0), axis=1, initial=0.0)
+        units = np.where(spread > 0, units, 1 / _power_of_two(reached))
+    return Axes(np.diag(units), np.diag(1 / units), _power_of_two(np.sqrt(np.maximum(H.diagonal(), 0.0))))
 
 
 def principal_axes(of: Axes, K: Array) -> Axes:

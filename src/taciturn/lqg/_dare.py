@@ -13,7 +13,7 @@ from taciturn._arrays import TINY, Array, is_definite, symmetrised
 from taciturn._modes import radius, summed
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._doubling import double
-from taciturn.lqg._newton import Solution, Time
+from taciturn.lqg._newton import Answer, Solution, Time
 
 CIRCLE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not called stable
@@ -32,16 +32,18 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     """
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
-    products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(np.diag(R))
+    products = (np.abs(B.T) @ np.sqrt(np.maximum(K.diagonal(), 0))) ** 2 + np.abs(R.diagonal())
     kept = diagonal > np.maximum(1e-14 * products, TINY)
-    scale = np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
+    scale = 1 / np.sqrt(diagonal) if kept.all() else np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
     # With R definite every direction is real; otherwise one this small may be the error of a computed K.
+    vectors = scale[:, None] * vectors
     inside = values > 1e-10 * len(diagonal)
-    if not inside.all() and is_definite(R):
-        inside = values > 1e-15 * len(diagonal)
-    vectors = scale[:, None] * vectors[:, inside]
-    return H, (vectors / values[inside]) @ vectors.T
+    if not inside.all():
+        if is_definite(R):
+            inside = values > 1e-15 * len(diagonal)
+        values, vectors = values[inside], vectors[:, inside]
+    return H, (vectors / values) @ vectors.T
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
@@ -49,17 +51,13 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
-def is_clear(found: Solution, F: Array) -> bool:
+def is_clear(found: Solution) -> bool:
     """Say whether a solution is sound and its closed loop clear of the unit circle.
 
     Then the inputs move all modes that do not decay, and the cost sees all modes on the circle: one that they do not
     move, or it does not see, stands in the closed loop as it is.
-
-    Args:
-        found: a solution.
-        F: the modes of its closed loop, or some that decay as slowly.
     """
-    return found.sound and radius(F) < 1 - CLEAR
+    return found.sound and found.slowest < 1 - CLEAR
 
 
 class _Steps(Time):
@@ -68,24 +66,26 @@ class _Steps(Time):
         last = given.Q + (LAST * worth / reached if reached > TINY else 0.0) * np.eye(len(given.A))
         return double(given, last, *price(given.B, last, given.R))
 
-    def stable(self, F: Array, given: Quadratic) -> bool:
-        return radius(F) < 1 - (MARGIN if is_definite(given.R) else SINGULAR_MARGIN)
+    def slowest(self, F: Array) -> float:
+        return radius(F)
+
+    def stable(self, slowest: float, given: Quadratic) -> bool:
+        return slowest < 1 - SINGULAR_MARGIN or (slowest < 1 - MARGIN and is_definite(given.R))
 
     def summed(self, F: Array, stage: Array) -> Array:
         return summed(F.T, stage)
 
-    def answer(self, given: Quadratic, K: Array, L: Array) -> tuple[Array, Array]:
+    def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
         H, inverse = price(given.B, K, given.R)
         best = -inverse @ (given.B.T @ K @ given.A + given.N.T)
-        return best + (np.eye(len(H)) - inverse @ H) @ L, H
+        return Answer(K, best + (np.eye(len(H)) - inverse @ H) @ L, H, inverse)
 
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
         root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         return symmetrised(F.T @ K @ F + stage - K), np.abs(F).T @ root
 
-    def saved(self, given: Quadratic, K: Array, L: Array) -> Array:
-        off = given.R @ L + given.N.T + given.B.T @ K @ (given.A + given.B @ L)
-        return off.T @ price(given.B, K, given.R)[1] @ off
+    def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
+        return given.R @ found.L + given.N.T + given.B.T @ found.K @ F
 
     def step(self, F: Array) -> Array:
         return F

@@ -8,7 +8,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn.lqg._axes import Quadratic
 
 TURNS = 40  # 2^40 steps
-SETTLED = 1e-9  # relative change of the last turn: the next one's is its square
+SETTLED = 1e-6  # relative change of the last turn: what is left is its square, which Newton's method squares again
 
 
 def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | None:
@@ -35,19 +35,20 @@ def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | N
     L = -inverse @ (B.T @ last @ A + N.T)
     F, G = A + B @ L, symmetrised(B @ inverse @ B.T)
     K = symmetrised(Q - last + A.T @ last @ A - L.T @ H @ L)
-    n, one = len(A), np.eye(len(A))
+    n, one, both = len(A), np.eye(len(A)), np.hstack([F, G])
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(TURNS):
             try:
-                solved = np.linalg.solve(one + G @ K, np.hstack([F, G]))
+                solved = np.linalg.solve(one + G @ K, both)
             except np.linalg.LinAlgError:
                 return None
             more = F.T @ K @ solved[:, :n]
             K = symmetrised(K + more)
-            if not np.isfinite(K).all():
+            if not np.isfinite(np.vdot(K, K)):
                 return None
             if (np.abs(more.diagonal()) <= SETTLED * np.abs(last.diagonal() + K.diagonal())).all():
                 break
-            G = symmetrised(G + F @ solved[:, n:] @ F.T)
+            G = G + F @ solved[:, n:] @ F.T
             F = F @ solved[:, :n]
+            both[:, :n], both[:, n:] = F, G
     return symmetrised(last + K)

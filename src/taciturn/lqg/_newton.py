@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, Bits, symmetrised
+from taciturn._arrays import TINY, Array, Bits, exceeds, symmetrised
 from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
@@ -35,6 +36,7 @@ class Solution:
             in it, summed along the closed loop. To first order.
         residual: of the equation, relative to its terms, where K has a diagonal of 1.
         unit: cost of each state; where it is rounding, that of its terms, (n,).
+        slowest: modulus of the slowest mode of the closed loop; its real part in continuous time.
     """
 
     K: Array
@@ -43,6 +45,7 @@ class Solution:
     error: Array
     residual: float
     unit: Array
+    slowest: float
 
     @property
     def relative(self) -> Array:
@@ -54,12 +57,17 @@ class Solution:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
-    def within(self, states: Bits) -> Solution:
-        """Return the solution of a problem with more states, of which only these cost anything."""
+    def within(self, states: Bits, others: float) -> Solution:
+        """Return the solution of a problem with more states, of which only these cost anything.
+
+        Args:
+            states: which ones, (n,).
+            others: the slowest mode of the rest.
+        """
         place, n = np.ix_(states, states), len(states)
         K, L, error, unit = np.zeros((n, n)), np.zeros((len(self.L), n)), np.zeros((n, n)), np.zeros(n)
         K[place], L[:, states], error[place], unit[states] = self.K, self.L, self.error, self.unit
-        return Solution(K, L, self.H, error, self.residual, unit)
+        return replace(self, K=K, L=L, error=error, unit=unit, slowest=max(self.slowest, others))
 
     @property
     def sound(self) -> bool:
@@ -102,6 +110,15 @@ def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
     return principal_axes(axes, K)
 
 
+class Answer(NamedTuple):
+    """The best gain L for a cost-to-go K, the price H of another input, and its inverse where it has one."""
+
+    K: Array
+    L: Array
+    H: Array
+    inverse: Array
+
+
 class Time(ABC):
     """What differs between a Riccati equation of steps and one of continuous time."""
 
@@ -110,24 +127,28 @@ class Time(ABC):
         """Return a fast solution that needs refinement, or None where it overflows."""
 
     @abstractmethod
-    def stable(self, F: Array, given: Quadratic) -> bool:
-        """Say whether a closed loop is stable, and clear of the edge."""
+    def slowest(self, F: Array) -> float:
+        """Return the modulus of the slowest mode of a closed loop, or its real part in continuous time."""
+
+    @abstractmethod
+    def stable(self, slowest: float, given: Quadratic) -> bool:
+        """Say by its slowest mode whether a closed loop is stable, and clear of the edge."""
 
     @abstractmethod
     def summed(self, F: Array, stage: Array) -> Array:
         """Return the cost-to-go of a stable closed loop with a stage cost."""
 
     @abstractmethod
-    def answer(self, given: Quadratic, K: Array, L: Array) -> tuple[Array, Array]:
-        """Return the best gain for a cost-to-go, which keeps L where all gains are as good, and the price H."""
+    def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
+        """Return the best gain for a cost-to-go, which keeps L where all gains are as good."""
 
     @abstractmethod
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
         """Return by how much K misses the cost of its loop, and for each state the size of F in units of cost."""
 
     @abstractmethod
-    def saved(self, given: Quadratic, K: Array, L: Array) -> Array:
-        """Return what the best gain would save beside L: the rest of the residual."""
+    def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
+        """Return by how much the gain misses H L = −(B'KA + N'), or in continuous time R L = −(B'K + N')."""
 
     @abstractmethod
     def step(self, F: Array) -> Array:
@@ -141,10 +162,13 @@ class Time(ABC):
         """
         seen = given.seen()
         rest = ~seen
-        if seen.all() or not seen.any() or not self.stable(given.A[np.ix_(rest, rest)], given):
+        if seen.all() or not seen.any():
+            return self._solved(given)
+        others = self.slowest(given.A[np.ix_(rest, rest)])
+        if not self.stable(others, given):
             return self._solved(given)
         found = self._solved(given.among(seen))
-        return None if found is None else found.within(seen)
+        return None if found is None else found.within(seen, others)
 
     def _solved(self, given: Quadratic) -> Solution | None:
         best: Solution | None = None
@@ -178,10 +202,10 @@ class Time(ABC):
                 rough = self.rough(asked)
                 if rough is None or not np.abs(rough).max(initial=0.0) < HUGE:
                     continue
-                L, H = self.answer(asked, rough, none)
+                _, L, H, _ = self.answer(asked, rough, none)
                 K = rough if weighed else self.summed(*here.under(L))
                 if np.abs(K).max(initial=0.0) < HUGE:
-                    yield axes, K, L, (H if weighed else self.answer(here, K, L)[1])
+                    yield axes, K, L, (H if weighed else self.answer(here, K, L).H)
                 further.append((partial(_along, axes, rough), weighed))
             kinds = further
 
@@ -195,7 +219,7 @@ class Time(ABC):
             L: the gain.
             H: the price of another input.
         """
-        here = axes.problem(given)
+        here, found = axes.problem(given), None
         for _ in range(3):
             F = here.under(L)[0]
             inner = units_of(self.step(F), K, H, np.maximum(nothing(here, L), TINY))
@@ -204,66 +228,78 @@ class Time(ABC):
             found = self._settled(here, L)
             if found is None:
                 return
-            K, L, H = found
+            K, L, H, _ = found[0]
             if K.diagonal().max(initial=0.0) <= 4 and K.diagonal().min(initial=1.0) >= 1 / 4:
                 break
-        yield self.judged(given, axes, K, L, H)
+        if found is None:
+            return
+        yield self.judged(given, axes, here, *found)
         turned = principal_axes(axes, K)
-        found = self._settled(turned.problem(given), turned.gain(axes.gain_from(L)))
+        here = turned.problem(given)
+        found = self._settled(here, turned.gain(axes.gain_from(L)))
         if found is not None:
-            yield self.judged(given, turned, *found)
+            yield self.judged(given, turned, here, *found)
 
-    def _settled(self, given: Quadratic, L: Array) -> tuple[Array, Array, Array] | None:
-        """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles."""
+    def _settled(self, given: Quadratic, L: Array) -> tuple[Answer, float] | None:
+        """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles.
+
+        Returns:
+            The answer, and the slowest mode of its loop.
+        """
         previous, change = None, np.inf
         for _ in range(TURNS):
             F, stage = given.under(L)
             K = symmetrised(self.summed(F, stage))
             if not np.isfinite(K).all():
                 return None
-            terms = np.abs(given.Q) + 2 * np.abs(given.N) @ np.abs(L) + np.abs(L.T) @ np.abs(given.R) @ np.abs(L)
-            better, H = self.answer(given, K, L)
-            off, L = better - L, better
+            terms = given.terms(L)
+            found = self.answer(given, K, L)
+            off, L = found.L - L, found.L
             # Where the terms cancel, K holds their rounding and cannot settle below it.
-            size = float(np.maximum(np.abs(K), terms).max(initial=0.0))
+            size = float(np.maximum(np.abs(K.diagonal()), terms).max(initial=0.0))
             last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
             # The next turn saves off'·H·off in each step, here below the rounding of the step's own cost. Where a
             # closed-loop mode tends to the edge the changes halve instead.
-            done = (np.einsum("ij,ij->j", off, H @ off) <= ROUNDOFF * np.diag(terms)).all()
+            done = (np.einsum("ij,ij->j", off, found.H @ off) <= ROUNDOFF * terms).all()
             stalled = change <= 1e-5 * size and change >= 0.9 * last
             if done or change <= 1e-14 * size or stalled:
-                sound = self.stable(given.A + given.B @ L, given) and np.linalg.eigvalsh(K)[0] >= -TOLERANCE
-                return (K, L, H) if sound else None
+                slowest = self.slowest(given.A + given.B @ L)
+                return (found, slowest) if self.stable(slowest, given) and exceeds(K, -TOLERANCE) else None
             previous = K
         return None
 
-    def judged(self, given: Quadratic, axes: Axes, K: Array, L: Array, H: Array) -> Solution:
+    def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
         """Return a solution with its error, measured in the coordinates in which it was found.
 
         Args:
             given: the problem as it was given.
-            axes: the coordinates of K, L and H.
-            K, L, H: of a stable closed loop.
+            axes: the coordinates of the answer.
+            here: the problem in these.
+            found: the answer.
+            slowest: mode of its stable loop.
         """
-        here, (size, weight) = axes.problem(given), axes.sizes(given)
+        (size, weight), (K, L, H, inverse) = axes.sizes(given), found
         F, stage = here.under(L)
         missed, spread = self.residual(here, F, stage, K)
-        missed = missed - self.saved(here, K, L)
+        off = self.missed(here, F, found)
+        missed = missed - off.T @ inverse @ off  # what the best gain would save
         root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         moved = (size + np.abs(here.B) @ np.abs(L)).T @ root
         pushed = np.abs(here.N) @ np.abs(L)
-        terms = np.outer(spread, moved) + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
+        terms = spread[:, None] * moved + weight / 2 + pushed + np.abs(L.T) @ np.abs(here.R) @ np.abs(L) / 2
         terms = terms + terms.T
         bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
         diagonal, least = K.diagonal(), nothing(given, L)
-        written = 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K as it stands here
+        error = axes.form_from(self.summed(F, bound))
+        error.flat[:: len(K) + 1] += 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K
         return Solution(
             K,
             L,
             axes.price_from(H),
-            axes.form_from(self.summed(F, bound)) + np.diag(written),
+            error,
             float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
             np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
+            slowest,
         )

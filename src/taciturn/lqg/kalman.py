@@ -26,6 +26,7 @@ class Filter:
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, ``innovation`` the
     covariance S of y − C x̂⁻. The estimate is driven by corrections of covariance gain S gain' = prior −
     posterior. ``error`` bounds what rounding may leave in the prior: −error ⪯ prior − exact ⪯ error, to first order.
+    ``slowest`` is the modulus of the slowest mode of its error, A − A gain C.
     """
 
     prior: Array
@@ -33,6 +34,7 @@ class Filter:
     gain: Array
     innovation: Array
     error: Array
+    slowest: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
         >>> round(float(found.prior[0, 0]), 9), round(float(found.gain[0, 0]), 9)
         (3.0, 0.75)
     """
-    return _steady(*_checked(A, C, W, V))
+    return filter_checked(*_checked(A, C, W, V))
 
 
 def predict_covariances(
@@ -192,17 +194,17 @@ def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str = "take 
 
 
 @kept
-def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
-    """Return the steady filter of data that were checked."""
+def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
+    """Return what :func:`steady_filter` returns, of matrices that were checked."""
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
-        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T, np.zeros((n, n)))
+        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T, np.zeros((n, n)), radius(A - A @ gain @ C))
     if not V.any() and not W.any():
         observer = _filter(A, C, np.eye(n), np.eye(p))
         if observer is not None:
             none = np.zeros((n, n))
-            return _frozen(none, none, observer.gain, np.zeros((p, p)), none)
+            return _frozen(none, none, observer.gain, np.zeros((p, p)), none, observer.slowest)
     found = _filter(A, C, W, V)
     if found is None:
         _refuse_unreached(A, W)
@@ -216,7 +218,7 @@ def _steady(A: Array, C: Array, W: Array, V: Array) -> Filter:
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or not _dare.is_clear(found, A + found.L.T @ C):  # what it is that has no solution
+    if found is None or not _dare.is_clear(found):  # what it is that has no solution
         _refuse_unseen(A, C)
         if is_definite(V):
             _refuse_unreached(A, W)
@@ -227,12 +229,15 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
     gain = Sigma @ C.T @ inverse
-    if not is_definite(S):
+    slowest, definite = found.slowest, is_definite(S)
+    if not definite:
         # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
         gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
-    if radius(A - A @ gain @ C) >= 1 - _dare.MARGIN:
-        return None
-    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error)
+    if not definite or Sigma is not found.K:
+        slowest = radius(A - A @ gain @ C)
+        if slowest >= 1 - _dare.MARGIN:
+            return None
+    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, slowest)
 
 
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
@@ -249,6 +254,8 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
 def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
     """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
     kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
+    if kept.all() and is_definite(Sigma):
+        return Sigma
     half = root(Sigma * np.outer(kept, kept))
     return half @ half.T
 
@@ -274,8 +281,9 @@ def _refuse_unreached(A: Array, W: Array) -> None:
         )
 
 
-def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array, error: Array) -> Filter:
-    return Filter(*(_arrays.frozen(part) for part in (prior, posterior, gain, innovation, error)))
+def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array, error: Array, slowest: float) -> Filter:
+    prior, posterior, gain, innovation, error = map(_arrays.frozen, (prior, posterior, gain, innovation, error))
+    return Filter(prior, posterior, gain, innovation, error, slowest)
 
 
 def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:

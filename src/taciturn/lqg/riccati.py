@@ -40,13 +40,15 @@ __all__ = [
 class Regulator:
     """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input.
 
-    The cost tr(KW) of a noise is right to tr(error·W), to first order.
+    The cost tr(KW) of a noise is right to tr(error·W), to first order. ``slowest`` is the modulus of the slowest mode
+    of A + BL, with a discount of √α(A + BL); in continuous time its real part.
     """
 
     K: Array
     L: Array
     H: Array
     error: Array
+    slowest: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +88,7 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
         >>> round(float(found.L[0, 0]), 6)
         -1.568729
     """
-    return _regulate(*Quadratic.checked(A, B, Q, R, N), 1.0)
+    return regulate_checked(*Quadratic.checked(A, B, Q, R, N), 1.0)
 
 
 def regulate_discounted(
@@ -125,7 +127,7 @@ def regulate_discounted(
     if discount > 1:
         raise ProblemError(f"discount is {discount:g}; expected 0 < discount ≤ 1")
     root = np.sqrt(discount)
-    return _regulate(root * A, root * B, Q, R, N, float(root))
+    return regulate_checked(root * A, root * B, Q, R, N, float(root))
 
 
 def regulate_finite(
@@ -217,7 +219,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     unseen = _unseen_modes(A, B, Q, R, N)
     _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N), None)
-    return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error))
+    return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error), found.slowest)
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
@@ -239,10 +241,13 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 
 
 @kept
-def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
-    """Solve for A and B already multiplied by ``unit`` = √α, which is taken out of the modes it names."""
+def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
+    """Return what :func:`regulate` returns, of matrices that were checked.
+
+    A and B are already multiplied by ``unit`` = √α, which is taken out of the modes that a refusal names.
+    """
     found = _dare.solve(A, B, Q, R, N)
-    if found is None or not _dare.is_clear(found, A + B @ found.L):  # what it is that has no solution
+    if found is None or not _dare.is_clear(found):  # what it is that has no solution
         _refuse_unmoved(lost_modes(A, B, False) / unit, _disc(unit))
         if is_definite(R):
             unseen = _unseen_modes(A, B, Q, R, N)
@@ -250,7 +255,8 @@ def _regulate(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> 
     found = _checked_solution(found, A / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
-    return Regulator(*(_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error)))
+    K, L, H, error = (_arrays.frozen(part) for part in (found.K, found.L, found.H, found.error))
+    return Regulator(K, L, H, error, found.slowest)
 
 
 def _checked_solution(found: Solution | None, A: Array | None) -> Solution:

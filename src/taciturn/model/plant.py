@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
-from taciturn._modes import lost_modes, mode_text
+from taciturn._modes import Slow, lost_modes, mode_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
@@ -353,11 +353,12 @@ def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
     """Refuse a plant with a persisting mode that no input moves or no measurement shows."""
+    slow = Slow(plant.A, continuous)
     for A, B, verb, what, remedy in (
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = lost_modes(A, B, continuous)
+        lost = lost_modes(A, B, continuous, slow)
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(

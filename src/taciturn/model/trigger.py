@@ -129,9 +129,11 @@ class Form:
         if checked is not None:
             values = checked.values if isinstance(checked, Scheduled) else checked
             swapped = np.swapaxes(values, -1, -2)
-            if values.shape != swapped.shape or not np.allclose(
-                values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max(initial=0.0)
-            ):
+            same = values.shape == swapped.shape and (
+                np.array_equal(values, swapped)
+                or np.allclose(values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max(initial=0.0))
+            )
+            if not same:
                 raise ProblemError(f"Psi over {signals} is not symmetric; expected a symmetric matrix")
             halves = (values + swapped) / 2
             checked = Scheduled(checked.by, halves) if isinstance(checked, Scheduled) else frozen(halves)

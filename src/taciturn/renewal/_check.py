@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse
-import scipy.sparse.linalg
 
 from taciturn._arrays import Array
 from taciturn.renewal._nodes import Nodes, TooManyNodes
 from taciturn.renewal._whiten import White
+
+if TYPE_CHECKING:
+    import scipy.sparse
 
 STEP = 0.2  # noise standard deviations between points of the grid
 STENCIL = 10  # points per axis that a value between them is taken from
@@ -129,6 +131,7 @@ class Grid:
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:
         """Return x with x = known + check(x), by GMRES; not a number where it is not found."""
+        import scipy.sparse.linalg  # 0.2 s, and few answers need it
 
         def less(x: Array) -> Array:
             self.effort.alive()
@@ -144,6 +147,8 @@ class Grid:
 
 def _stencils(means: Array, halves: Array, shape: tuple[int, ...]) -> scipy.sparse.csr_matrix:
     """Return the matrix that reads values at means off a grid: Lagrange's polynomial through the points around each."""
+    import scipy.sparse
+
     place = means / STEP
     inside = np.flatnonzero((np.abs(place) <= halves - STENCIL // 2).all(axis=1))
     first = np.floor(place[inside]).astype(int) - STENCIL // 2 + 1

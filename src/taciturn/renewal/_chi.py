@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import gammainc
 
+from taciturn import _scipy
 from taciturn._arrays import Array
 
 NEGLIGIBLE = 1e-18  # a weight so much smaller than the limit changes no digit
@@ -58,7 +58,7 @@ def _series(scaled: Array, terms: float) -> tuple[float, float]:
     for ratio in 1 - least / scaled[scaled > least]:
         powers: Array = np.power(float(ratio), k)
         weights = np.convolve(weights, halves * powers)[: len(k)]
-    laws: Array = np.asarray(gammainc(0.5 * len(scaled) + np.arange(len(k) + 1), 0.5 / least), dtype=np.float64)
+    laws = _scipy.gamma_share(np.arange(len(k) + 1.0) + 0.5 * len(scaled), 0.5 / least)
     found = float(weights @ laws[:-1])
     slack = LAW + ROUNDING * (len(scaled) + 1) * (len(k) + 10)
     missing = max(1 - float(weights.sum()), 0.0) + slack

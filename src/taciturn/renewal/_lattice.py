@@ -6,7 +6,6 @@ from functools import cache
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from taciturn import _scipy
 from taciturn._arrays import Array, frozen
@@ -34,7 +33,7 @@ class Lattice:
         returned.
         """
         levels = (self.places + draws.random((copies, 1, self.places.shape[1]))[wanted]) % 1.0
-        found = np.asarray(ndtri(np.clip(levels, 1e-300, 1 - 1e-16)), dtype=np.float64)
+        found = _scipy.normal_quantile(np.clip(levels, 1e-300, 1 - 1e-16))
         return found[..., : self.dimensions]
 
 

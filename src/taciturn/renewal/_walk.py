@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtr, ndtri
 
 from taciturn import _scipy
 from taciturn._arrays import Array
@@ -72,7 +71,7 @@ class Walk:
                 draw, share = _truncated(*_chord(centres[axis], room, pull), points)
                 chance *= share
             else:
-                draw = ndtri(points)
+                draw = _scipy.normal_quantile(points)
             moved += draw[:, None] * self.noises[:, axis]
             room -= pull * np.square(draw - centres[axis])
             alive &= room > 0
@@ -202,10 +201,11 @@ def _truncated(low: Array, high: Array, uniform: Array) -> tuple[Array, Array]:
     mirrored = low + high > 0
     below = np.where(mirrored, -high, low)
     above = np.where(mirrored, -low, high)
-    first = ndtr(below)
-    share = ndtr(above) - first
+    first = _scipy.normal_share(below)
+    share = _scipy.normal_share(above) - first
     # mirrored draws take the points from the other end, so that the map from points to draws has no jump
-    draw = np.clip(ndtri(first + share * np.where(mirrored, 1 - uniform, uniform)), below, above)
+    quantile = _scipy.normal_quantile(first + share * np.where(mirrored, 1 - uniform, uniform))
+    draw = np.clip(quantile, below, above)
     return np.where(mirrored, -draw, draw), share
 
 
