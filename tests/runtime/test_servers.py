@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
@@ -108,6 +109,21 @@ def test_refused_packets_do_not_move_the_clock(here: Endpoint) -> None:
     assert report["counters"]["replayed"] == 40
     assert 9 <= report["tick"] < 40
     assert report["clock_jumps"] == 0
+
+
+def test_a_node_that_was_away_for_long_takes_the_clock_from_packets_far_ahead(here: Endpoint) -> None:
+    """After 190 ticks it drops what comes until eight packets in a row agree on the time, and uses the next."""
+    server = serving("actuator", here, TICK)
+    with server.endpoint, ThreadPoolExecutor() as thread:
+        running, began = thread.submit(server.run, 213, soon(5.0)), time.monotonic()
+        for i, tick in enumerate([0, 1, 2, *range(193, 213)]):
+            time.sleep(max(0.0, began + i * TICK - time.monotonic()))
+            here.send(WIRE.encode(Packet("data", "actuator", tick, i, (0.1,), 100)), server.endpoint.address)
+        report = running.result()
+    assert report["tick"] == 212
+    assert report["clock_jumps"] == 1
+    assert report["counters"]["ahead"] == 8
+    assert report["counters"]["used"] >= 8
 
 
 def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> None:

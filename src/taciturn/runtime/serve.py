@@ -174,11 +174,14 @@ class NodeServer:
                 self.refused["ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
-        if not node.sort_in([packet]):
+        early = node.counters["ahead"]
+        new = node.sort_in([packet])
+        # an acknowledgement comes when a tick is over; a packet far ahead is dropped, and says that the clock is behind
+        if packet.link in node.program.hears and self._tick is not None and (new or node.counters["ahead"] > early):
+            self.phase.hear(packet.tick, now)
+        if not new:
             self._answer_again(loop, now, repeated)
             return
-        if packet.link in node.program.hears and self._tick is not None:  # an acknowledgement comes when a tick is over
-            self.phase.hear(packet.tick, now)
         if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
