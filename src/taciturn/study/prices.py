@@ -319,14 +319,29 @@ def _schedule(kind: Kind, price: float, fitted: Fitted | None, seed: int) -> Sch
 def _threshold(kind: Kind, price: float, seed: int, best: Schedule | None = None, least: float = np.inf) -> Schedule:
     """Return the best threshold on what silence costs at once, or until a clock sends, if no other is better."""
     interval = kind.clocked.interval(CLOCK * price)
+
+    def measured(looks: float, factor: float) -> tuple[Schedule, float]:
+        urgency = _saving(kind, looks, factor * price)
+        rate, excess = measure_alone(kind, urgency, 1 / interval, seed)
+        return Schedule(price, urgency, rate), excess + price * rate.value
+
     for looks in {1.0, interval}:
-        for factor in FACTORS:
-            urgency = _saving(kind, looks, factor * price)
-            rate, excess = measure_alone(kind, urgency, 1 / interval, seed)
-            if excess + price * rate.value < least:
-                best, least = Schedule(price, urgency, rate), excess + price * rate.value
+        gains = [measured(looks, factor)[1] for factor in FACTORS]
+        found, gain = measured(looks, float(np.exp(_lowest(np.log(FACTORS), np.array(gains)))))
+        if gain < least:
+            best, least = found, gain
     assert best is not None
     return best
+
+
+def _lowest(places: Array, values: Array) -> float:
+    """Return where the parabola through the least of some values and its neighbours is lowest: it moves smoothly."""
+    at = int(np.clip(np.argmin(values), 1, len(values) - 2))
+    near = places[at - 1 : at + 2]
+    off = near - places[at]
+    bend, slope, _ = np.linalg.solve(np.stack([off * off, off, np.ones(3)], axis=1), values[at - 1 : at + 2])
+    lowest = places[at] - slope / (2 * bend) if bend > 0 else places[np.argmin(values)]
+    return float(np.clip(lowest, near[0], near[-1]))
 
 
 def clock_cost(kind: Kind, price: float) -> float:
