@@ -9,11 +9,12 @@ A method that takes ten times as long as the best call so far is stopped by ``ti
 answer of auto is compared with the most precise answer of the same case; ``off`` is their difference in units of the
 sum of their errors.
 
-    python benchmarks/auto.py docs/auto.json
+    python benchmarks/auto.py [--json docs/auto.json]
 """
 
 from __future__ import annotations
 
+import argparse
 import itertools
 import json
 import os
@@ -133,6 +134,9 @@ def summary_of(rows: list[dict[str, Any]]) -> dict[str, float]:
 
 def main() -> None:
     """Measure, print a line per contest, and write the document."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", type=Path)
+    args = parser.parse_args()
     _progress.clock = time.process_time
     rows: list[dict[str, Any]] = []
     for name, problem in itertools.islice(problems(), PROBLEMS):
@@ -154,8 +158,8 @@ def main() -> None:
         "rows": rows,
     }
     print(json.dumps({name: part for name, part in document.items() if name != "rows"}, indent=1))
-    if len(sys.argv) > 1:
-        Path(sys.argv[1]).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    if args.json:
+        args.json.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":
