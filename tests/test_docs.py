@@ -42,6 +42,10 @@ MODULES = sorted(
 REDUCED = {
     "a_loop_over_udp_that_loses_packets": {"range(2)": "range(1)"},
     "baselines": {"standard_error=3e-4": "standard_error=3e-3"},
+    "certificates": {
+        "steps=4_000_000": "steps=400_000",
+        '"dynamic": {"sigma": 0.03, "rho": 0.8, "gain": 2.0}, "relative"': '"relative"',
+    },
     "channels": {"copies=[80, 20], capacity=10, ticks=4000": "copies=[16, 4], capacity=2, ticks=1000"},
     "consistency": {
         "steps=4_000_000": "steps=400_000",
@@ -51,6 +55,7 @@ REDUCED = {
         "evaluate(dynamic)": "evaluate(dynamic, standard_error=0.05)",
         "standard_error=5e-3": "standard_error=0.2",
     },
+    "cortex": {"for board in (cortex.M3, cortex.M4F)": "for board in (cortex.M3,)"},
     "first-hour": {'"theta": [0.01, 0.05, 0.2, 0.6]': '"theta": [0.05, 0.6]', "steps=20_000_000": "steps=2_000_000"},
     "how_many_loops_share_a_radio": {"RADIO, MORE = 10, 1.2": "RADIO, MORE = 4, 1.2"},
     "lossy-links": {"steps=20_000_000": "steps=2_000_000", "steps=10_000_000": "steps=1_000_000"},

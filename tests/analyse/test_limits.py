@@ -118,6 +118,7 @@ def test_noise_that_no_input_answers_costs_nothing_in_silence() -> None:
     assert found.price == 0
 
 
+@pytest.mark.evidence
 def test_the_bound_is_at_most_what_the_best_schedule_costs_per_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """A continuous plant that is looked at every half second: solved per check, said per second."""
     monkeypatch.setattr(dual, "MOST", 2)

@@ -108,6 +108,7 @@ def test_the_best_schedule_is_solved_and_is_no_loop_of_nodes(run: Run, write: Wr
     assert "expected near-optimal" in run("certify", file).sentence
 
 
+@pytest.mark.evidence
 def test_four_states_have_no_best_schedule_and_a_nearly_best_one(run: Run, write: Write) -> None:
     """Refused with the name of what serves any number, which answers."""
     answer = run("evaluate", write(plant=wide(4), cost=weights(4), policy='[policy]\nkind = "optimal"\nprice = 9.0\n'))

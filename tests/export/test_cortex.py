@@ -140,7 +140,8 @@ def changed(folder: CFolder, node: str, old: str, new: str) -> CFolder:
     return dataclasses.replace(folder, files={**folder.files, name: folder.files[name].replace(old, new)})
 
 
-@pytest.mark.parametrize("of", few([(M3, "float64", 1000), (M4F, "float32", 7)], 1, 1), ids=lambda of: of[0].processor)
+@pytest.mark.parametrize("of", [(M3, "float64", 1000), (M4F, "float32", 7)], ids=lambda of: of[0].processor)
+@pytest.mark.evidence
 def test_instructions_are_counted_one_by_one(of: tuple[Board, Precision, int]) -> None:
     """So many more instructions in the step of a node are exactly as many more, in step, tick and all; else none."""
     board, precision, number = of
@@ -172,6 +173,7 @@ def test_a_generated_step_takes_no_more_than_a_tenth_more_than_one_by_hand(devic
     assert ways["generated"]["mean"] <= 1.1 * min(ways["loops"]["mean"], ways["hand"]["mean"])
 
 
+@pytest.mark.evidence
 def test_the_sizes_of_nodes_are_those_of_their_parts() -> None:
     """A hundred numbers are 800 bytes of constants; a controller has more code than an actuator, the core most."""
     found = cortex.measure_sizes(M3, folder_of("chapter 2"))
@@ -233,7 +235,8 @@ class Loops:
         return costs
 
 
-@pytest.mark.parametrize("file", few(["two-mass", "lossy-double-integrator"], 1))
+@pytest.mark.parametrize("file", ["two-mass", "lossy-double-integrator"])
+@pytest.mark.evidence
 def test_a_plant_with_boards_in_its_loop_costs_what_it_does_with_the_host_s_nodes(file: str, tmp_path: Path) -> None:
     """Measurements go to emulated boards, datagrams between them, inputs to the plant: tick by tick the same bits."""
     assert Loops(file, 5, tmp_path).run(100).tobytes() == by_hand(file, 100, 5).tobytes()
@@ -348,6 +351,7 @@ def test_what_a_program_fails_with_is_said(tmp_path: Path) -> None:
         own("int main(void) { int i; return 0; }", tmp_path / "unused")
 
 
+@pytest.mark.evidence
 def test_a_timer_that_does_not_count_instructions_is_not_believed(tmp_path: Path) -> None:
     """The counting program checks its timer with a loop of known length first."""
     folder = folder_of("chapter 2")

@@ -88,6 +88,7 @@ def exact_is_average(seed: int, law: str, steps: int) -> None:
     assert abs(exact.cost.value - plain.cost.value) <= 4.5 * spread
 
 
+@pytest.mark.evidence
 def test_many_small_jumps_come_near_wiener_noise() -> None:
     """At a fixed intensity the rate of sending rises to that of Wiener noise with the rate of the jumps."""
     intensity = np.diag([0.0, 2.5])

@@ -75,6 +75,7 @@ def test_a_continuous_prediction_costs_what_the_formula_says() -> None:
         assert found.rates["sensor"].value == 1.0
 
 
+@pytest.mark.evidence
 def test_brute_force_integration_of_the_noisy_continuous_loop() -> None:
     """Euler–Maruyama of the plant with the sampled policy in the loop, 200 steps a tick, against the exact problem."""
     period, parts, paths, ticks, burn = 0.4, 200, 2000, 60, 15

@@ -64,6 +64,7 @@ def test_certified_bounds_bracket_the_exact_rate(chain):
 
 @given(MANY_DIMENSIONS)
 @settings(max_examples=2)
+@pytest.mark.evidence
 def test_certified_bounds_bracket_the_rate_in_many_dimensions(chain):
     """Three to six states, noise and Ψ of any rank."""
     bracket_the_paths(chain)

@@ -69,6 +69,7 @@ def test_zero_loss_makes_the_three_loops_equal(system: System) -> None:
 
 @FEW
 @given(system=systems(), horizon=st.sampled_from([None, 20]), discount=st.sampled_from([1.0, 0.9]))
+@pytest.mark.evidence
 def test_zeta_and_theta_of_zero_are_all_time_control(system: System, horizon: int | None, discount: float) -> None:
     """J = J_all exactly, every query and every input sent."""
     weights = system.cost
@@ -146,6 +147,7 @@ def test_a_delay_is_that_of_the_design() -> None:
 
 @FEW
 @given(system=systems(), mission=st.booleans())
+@pytest.mark.evidence
 def test_information_costs(system: System, mission: bool) -> None:
     """The all-time cost rises with a delay, with an acknowledgement that is missing, and with what is lost."""
     horizon = 20 if mission else None

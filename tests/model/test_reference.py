@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from counts import few
 from drawn import law
 from hypothesis import strategies as st
 
@@ -23,7 +24,7 @@ A, B = np.array([[1.0, 0.1], [0.0, 1.02]]), np.array([[0.005], [0.1]])
 STEPS = 30
 COST = Cost(np.diag([1.0, 0.3]), [[0.2]], horizon=STEPS, terminal=np.diag([40.0, 5.0]))
 NETWORKS = [Network("udp", 0.3, 0.2), Network("udp", 0.3, 0.2, 1), Network("tcp", 0.3, 0.2), Network()]
-networks = pytest.mark.parametrize("network", NETWORKS, ids=["udp", "udp late", "tcp", "ideal"])
+networks = pytest.mark.parametrize("network", few(NETWORKS, quick=2), ids=["udp", "udp late", "tcp", "ideal"])
 
 
 def refusal(action: Callable[[], object]) -> str:

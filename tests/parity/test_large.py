@@ -128,6 +128,7 @@ def masses(theta: float) -> Loop:
     return problem.close(design.lqg(problem.plant, problem.cost, theta=theta))
 
 
+@pytest.mark.evidence
 def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sixty values of theta compile once, and each loop has the mean of its own path; one tick at a time or many."""
     compiled: list[str] = []

@@ -201,6 +201,7 @@ def test_moments_up_to_the_eighth_are_those_of_the_normal_law(totals: dict[str, 
 
 
 @pytest.mark.parametrize("threshold", [4.0, 5.0])
+@pytest.mark.evidence
 def test_the_tails_hold_what_those_of_the_normal_law_hold(totals: dict[str, float], threshold: float) -> None:
     """The number of draws beyond 4 and 5 in 1e8."""
     expected = PATHS * TICKS * 2 * stats.norm.sf(threshold)

@@ -103,8 +103,9 @@ def threshold(process: JumpProcess, trigger: Trigger, e: Array, gone: float, tim
     return gone + form(process.S, entries).integ() - trigger.c * Polynomial([time, 1.0])
 
 
-@pytest.mark.parametrize("n", few([3, 4], quick=1))
-@pytest.mark.parametrize("touch", few(TOUCHES, quick=1))
+@pytest.mark.parametrize("n", [3, 4])
+@pytest.mark.parametrize("touch", TOUCHES)
+@pytest.mark.evidence
 def test_humps_that_touch_the_threshold_are_seen(n: int, touch: float) -> None:
     """Double roots: a hump below passes, one that reaches the threshold does not."""
     random = np.random.default_rng([n, 7])

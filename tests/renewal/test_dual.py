@@ -177,6 +177,7 @@ def scalars(many: int, seed: int) -> tuple[list[tuple[float, dual.Sampled]], flo
     return terms, exact
 
 
+@pytest.mark.evidence
 def test_a_sum_of_bounds_is_a_bound_and_above_the_sum_of_its_parts() -> None:
     """Each part at a share of the risk says less than the whole; estimates agree with quadrature."""
     many, confidence = 6, 0.999

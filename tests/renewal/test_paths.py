@@ -65,7 +65,7 @@ def test_the_quadrature_agrees_within_four_standard_errors(seed):
             (6, 3, 2, "stable"),
             (6, 1, 1, "unstable"),
         ],
-        quick=2,
+        quick=1,
     ),
 )
 def test_a_simulation_in_many_dimensions_agrees_within_four_standard_errors(states, noises, seen, kind):
@@ -236,6 +236,7 @@ def test_sixty_chains_in_many_dimensions_agree_with_simulation(seed):
     agrees(solve_paths(chain, standard_error=2e-3, seed=seed), *simulated(chain, seed))
 
 
+@pytest.mark.evidence
 def test_a_weight_of_rank_one_is_one_chord_whatever_rounding_makes_of_its_other_directions() -> None:
     """The pendulum's input alone decides: the rate falls smoothly with the threshold, and is what is simulated."""
     pendulum = taciturn.load("inverted-pendulum")

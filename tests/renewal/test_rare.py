@@ -15,6 +15,7 @@ from taciturn.renewal.rare import bound_rare_sends
 
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0.3, 12.0))
+@pytest.mark.evidence
 def test_the_best_schedule_keeps_both_bounds(seed: int, dear: float) -> None:
     """Rate and gain of the best schedule by quadrature, at prices from some to many times what silence costs."""
     draws = np.random.default_rng(seed)

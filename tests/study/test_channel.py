@@ -147,6 +147,7 @@ def test_loops_that_all_can_send_always_cost_no_more() -> None:
     assert found.load.value == 5
 
 
+@pytest.mark.evidence
 def test_loops_that_decay_are_left_alone_where_sends_are_dear() -> None:
     """Beside loops that wander, one that forgets quickly gets nothing, and nobody is refused."""
     calm = Problem(Plant([[0.2]], [[1.0]], [[1e-3]]), WALK.cost, Network(), "all-time", {})
@@ -199,6 +200,7 @@ def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: 
     assert price.load_expected.value == pytest.approx(slots, rel=0.05)
 
 
+@pytest.mark.evidence
 def test_the_rate_falls_with_the_price_however_fast_an_error_grows() -> None:
     """Where no fit converges, thresholds that send more often than at half the price are not the best there are."""
     (kind,) = gather({"wild": Problem(Plant([[3.0]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})}, [1])
@@ -253,6 +255,7 @@ def test_what_loops_on_a_channel_cannot_have_is_refused(changed: dict[str, objec
         share_channel({"a": replace(WALK, **changed)}, copies=3, capacity=1)  # pyright: ignore[reportArgumentType]
 
 
+@pytest.mark.evidence
 def test_the_same_seed_gives_the_same_numbers() -> None:
     """Another one gives others that agree."""
     first, again, other = (

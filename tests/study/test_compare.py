@@ -56,6 +56,7 @@ def test_standard_errors_cover_the_truth() -> None:
     assert (errors < 2e-3).all()
 
 
+@pytest.mark.evidence
 def test_common_draws_make_the_difference_of_neighbours_small() -> None:
     """Two triggers that differ little are told apart better than by their costs alone."""
     pair = [with_policy("absolute", threshold=1.0, weight=np.diag([1, 1, w, 1]), error="state") for w in (1.0, 1.1)]
@@ -127,6 +128,7 @@ def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     assert document["ranking"][1]["parameter"]["share"] == pytest.approx(0.4)
 
 
+@pytest.mark.evidence
 def test_continuous_plants_are_compared_per_second() -> None:
     """Periodic control at any rate, consistent by quadrature: no simulation, no error."""
     integrator = taciturn.load("wiener-double-integrator")

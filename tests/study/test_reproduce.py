@@ -157,6 +157,7 @@ def test_chapter_2_names_its_triggers_and_the_epsilon_of_one(
     assert not np.allclose(forms[0], forms[2], rtol=0.1)
 
 
+@pytest.mark.evidence
 def test_progress_only_grows_and_ends_at_one() -> None:
     """Of the quickest chapter."""
     seen: list[float] = []

@@ -169,6 +169,7 @@ def test_jumps_of_a_schedule_have_two_sides() -> None:
     assert found.parameter.value == pytest.approx(2, abs=1e-6)
 
 
+@pytest.mark.evidence
 def test_links_have_knobs_of_their_own() -> None:
     """The price of a query turns the sensor's rate, θ the actuator's; one of them must be named."""
     problem = taciturn.load("remote-scalar")

@@ -8,6 +8,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from counts import few
 from twin.looks import errors, true_calibration
 
 from taciturn.errors import ProblemError
@@ -16,7 +17,7 @@ from taciturn.twin.catalogue import ROBOTS
 from taciturn.twin.polygons import measure_outside, measure_polygon
 from taciturn.twin.robot import Cube, Robot, Tag
 
-both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+both = pytest.mark.parametrize("robot", few(ROBOTS.values(), quick=1), ids=ROBOTS)
 
 
 @cache

@@ -89,6 +89,7 @@ def _written(run: Any, folder: Path) -> None:
     assert len(run.plot().axes) == 3
 
 
+@pytest.mark.evidence
 def test_the_omni_follows_its_path_over_links_that_lose_what_is_foretold(tmp_path: Path) -> None:
     """Relays lose the packets that the seed says, of each robot its own; the robot stays near its path all the same."""
     prepared, file = stand_in("omni"), short_mission("omni", TICKS["omni"], tmp_path)
