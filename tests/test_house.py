@@ -16,7 +16,7 @@ SOURCE = ROOT / "src" / "taciturn"
 FLOORS = {
     "errors": 0, "_arrays": 0, "_modes": 0, "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0,
     "_files": 0, "_dask": 0, "_control": 0, "_mujoco": 0, "_cv2": 0, "_matlab": 0,
-    "_version": 0, "_progress": 0,
+    "_version": 0, "_progress": 0, "_blas": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3,

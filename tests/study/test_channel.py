@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn import rows
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -176,13 +177,7 @@ def test_silence_that_costs_nothing_is_no_error() -> None:
 
 @pytest.mark.parametrize(
     ("A", "loops", "slots"),
-    [
-        pytest.param(1.0, 400, 2, marks=pytest.mark.evidence),
-        pytest.param(0.9, 200, 2, marks=pytest.mark.evidence),
-        pytest.param(0.9, 50, 1, marks=pytest.mark.evidence),
-        (3.0, 3, 1),
-        pytest.param(1.2, 10, 4, marks=pytest.mark.evidence),
-    ],
+    rows([(1.0, 400, 2), (0.9, 200, 2), (0.9, 50, 1), (3.0, 3, 1), (1.2, 10, 4)], quick=1, start=3),
 )
 def test_a_common_price_is_as_good_as_the_rules_that_have_none(A: float, loops: int, slots: int) -> None:
     """Rare sends, few loops, errors that grow quickly or decay: no worse than the best clock, or the largest error."""

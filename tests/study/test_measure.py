@@ -42,6 +42,35 @@ def test_what_answers_at_its_end_alone_comes_last_where_it_would_be_late() -> No
     assert [one.name for one in rank(both, 5.0)[0]] == ["gradual", "all or nothing"]
 
 
+def test_a_limit_that_passes_before_any_answer_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A prediction that runs out of time is not asked again, and the simulation that it began does not go on."""
+    seconds = itertools.count(0.0, 0.5)
+    monkeypatch.setattr(_progress, "clock", lambda: next(seconds))
+    with pytest.raises(ProblemError, match=r"time_limit is 0\.1, and nothing was found within so many seconds"):
+        taciturn.evaluate(taciturn.load("two-mass"), standard_error=1e-9, time_limit=0.1)
+    loop = taciturn.load("two-mass").close(taciturn.load("two-mass").design())
+    begun = Averaging(loop, progress=_progress.limited(None, 0.1))
+    for _ in range(2):
+        with pytest.raises(_progress.OutOfTime):
+            begun.predict(1e-9)
+    with pytest.raises(_progress.OutOfTime):
+        begun.finish()
+
+
+def test_no_error_below_rounding_is_claimed_or_taken() -> None:
+    """A quadrature's error holds the rounding of its answer; what no double tells apart is refused."""
+    problem = taciturn.Problem(
+        taciturn.Plant([[0.9]], [[1.0]], [[0.1]]), taciturn.Cost([[1.0]], [[0.3]]), taciturn.Network(), "excess",
+        {"theta": 0.01, "actuation": "model"},
+    )  # fmt: skip
+    found = taciturn.evaluate(problem, method="exact", confidence=None)
+    assert 2.0**-52 * found.cost.value < found.cost.error < 1e-9
+    with pytest.raises(
+        ProblemError, match=r"standard_error is 1e-17, and double precision holds a cost of .* to 1\.\d?e-16"
+    ):
+        taciturn.evaluate(problem, standard_error=1e-17)
+
+
 def integrators(states: int) -> Problem:
     """Return a chain of integrators under Wiener noise, looked at every half second."""
     plant = taciturn.ContinuousPlant(np.eye(states, k=1), np.eye(states)[:, -1:], np.eye(states))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import typer.core
 
+from taciturn._blas import prefer_one_thread
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
@@ -114,6 +115,7 @@ def main() -> None:
     """Run the command line: exit code 0, or 2 with one sentence on standard error."""
     from taciturn.errors import TaciturnError
 
+    prefer_one_thread()
     reconfigure = getattr(sys.stdout, "reconfigure", None)
     if reconfigure is not None:  # a terminal that has no ≤ gets \u2264, not an error
         reconfigure(errors="backslashreplace")

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from taciturn._arrays import count, instance, number
-from taciturn._progress import Progress
+from taciturn._progress import OutOfTime, Progress
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
 from taciturn.simulation.doubts import expect_arrivals, find_doubts
@@ -217,7 +217,7 @@ class Averaging:
         self.parts = [Part(loop, self.estimator)]
         self.answers = _answers(self.parts, seed, standard_error, steps, progress, threads)
         self.first: Averages | None = None
-        self.failed: UnstableError | None = None
+        self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
         """Return about how many operations are left after the first windows, which are run; infinite if unstable.
@@ -231,8 +231,10 @@ class Averaging:
         if self.first is None and self.failed is None:
             try:
                 self.first = next(self.answers)
-            except UnstableError as error:
+            except (UnstableError, OutOfTime) as error:
                 self.failed = error
+        if isinstance(self.failed, OutOfTime):
+            raise self.failed
         if self.first is None:
             return float("inf")
         seen = self.first.steps / 2  # the other half is the burn-in

@@ -23,6 +23,7 @@ from taciturn.simulation.average import Averaging, least_work
 from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
 FINEST, COARSEST = 1e-8, 1e-3  # relative accuracies that a quadrature is asked for
+ROUNDED = 1e-15  # relative: no double is known better
 SPEED = 1e9  # operations that count as a second: a choice by work is the same on every machine
 CONDITIONAL = "conditional sampling"
 SHARE = 0.5  # of the time limit for a method that answers at its end or not at all
@@ -97,6 +98,12 @@ def measure(loop: Loop, effort: Request, progress: Progress | None) -> Measured:
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
         return Measured(averages, "exact", "a closed form, which takes no time", policy.notes)
+    asked, finest = effort.standard_error, ROUNDED * abs(policy.cost_all_time)
+    if asked is not None and asked < finest:
+        raise ProblemError(
+            f"standard_error is {asked:g}, and double precision holds a cost of {policy.cost_all_time:g} "
+            f"to {finest:.2g}; expected no less"
+        )
     candidates, refused = candidates_of(loop, effort, progress)
     if not candidates:
         raise ProblemError(f"method is {method!r}, and {refused}") from None
@@ -141,23 +148,23 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
         candidates: at least one.
         time_limit: seconds, or None.
     """
-    work, rough = dict[str, float](), dict[str, bool]()
+    work, known = dict[str, float](), dict[str, str]()
     for candidate in sorted(candidates, key=lambda one: one.least):
         others = min(work.values(), default=float("inf"))
         seen = others > candidate.least
         try:
             work[candidate.name] = candidate.predict(others) if seen else candidate.least
+            known[candidate.name] = f"{'' if seen else 'at least '}{_seconds(work[candidate.name])}"
         except OutOfTime:
-            work[candidate.name] = float("inf")
-        rough[candidate.name] = not seen
+            work[candidate.name], known[candidate.name] = float("inf"), "not predicted in time"
 
     def late(candidate: Candidate) -> bool:
         return time_limit is not None and not candidate.gradual and work[candidate.name] > SHARE * SPEED * time_limit
 
     ordered = sorted(candidates, key=lambda one: (late(one), work[one.name]))
     first, others = ordered[0], ordered[1:]
-    parts = [f"{first.name} {_seconds(work[first.name])} estimated"]
-    parts += [f"{one.name} {'at least ' * rough[one.name]}{_seconds(work[one.name])}" for one in others]
+    parts = [f"{first.name} {known[first.name]}{' estimated' * (work[first.name] < float('inf'))}"]
+    parts += [f"{one.name} {known[one.name]}{', too much for the time limit' * late(one)}" for one in others]
     return ordered, f"{', '.join(parts)}"
 
 
@@ -212,8 +219,10 @@ def _quadrature(loop: Loop, effort: Request) -> Candidate:
         if error is not None and renewal.excess_error > error and loop.problem.jumps is None:
             with suppress(OutOfTime):
                 renewal = quadrature.solve(_clipped(error / renewal.excess), progress)
-        cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error).scaled(1.0, identity.constant)
-        rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error)
+        rounding = ROUNDED * (renewal.excess + abs(identity.constant))
+        cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error + rounding)
+        cost = cost.scaled(1.0, identity.constant)
+        rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error + ROUNDED * renewal.rate)
         reached = cost.error <= _wanted(cost, effort.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 

@@ -13,6 +13,7 @@ from multiprocessing import get_context, parent_process
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
+from taciturn._blas import prefer_one_thread
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.program.machine import available_processors, one_thread
@@ -87,8 +88,7 @@ def processes(workers: int | None) -> Generator[Executor | None]:
     if (workers := workers or available_processors()) == 1:
         yield None
         return
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")  # read where numpy is imported, by the processes to come
+    prefer_one_thread()  # in the processes to come
     workers = min(workers, MOST_OF_WINDOWS) if sys.platform == "win32" else workers
     pool = ProcessPoolExecutor(workers, get_context("spawn"), _be_a_worker)
     try:
