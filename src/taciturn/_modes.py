@@ -22,6 +22,7 @@ EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
 LARGEST = 1e140  # of a power of a stable map: its square is still a number
 FADED = 1e-4  # square of a power of a stable map from which on its sum may have settled
 LOOSE = 1e-2  # distance to the edge, beyond which a computed mode decays
+SIMPLE = 1e3  # by how much a mode moves with the matrix at most, whose own rank is a test
 SPREAD = 100  # times the rounding of a mode to first order: what it is allowed
 FAR = 1e-5  # relative least singular value that proves a rank; its square is far above rounding
 SMALL = 40  # states up to which eigenvectors cost less than a staircase
@@ -210,25 +211,45 @@ class Slow:
             return False
         return True
 
+    def hidden(self, A: Array, B: Array) -> Modes:
+        """Return those that do not decay and that the input moves by no more than rounding.
+
+        By the rank of [A − λI, B], where λ is well conditioned. The staircase loses such a mode among many others that
+        one input hardly reaches.
+
+        Args:
+            A: the matrix, or its transpose.
+            B: (n, m) input matrix.
+        """
+        modes, sensitivity = self.found
+        state, inputs = reach(A, B)
+        rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
+        rounding = SPREAD * len(A) * ROUNDOFF * np.sqrt(np.sum(rest * rest)) * sensitivity
+        rows = (np.hstack([rest - mode * np.eye(len(A)), pushed]) for mode in modes)
+        least = np.array([np.linalg.svd(row, compute_uv=False)[-1] for row in rows])
+        return persistent(modes[(sensitivity < SIMPLE) & (least <= rounding)], A, self.continuous)
+
 
 def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -> Modes:
     """Return the modes that do not decay and that the input through B cannot move, the largest modulus first.
 
-    They are those that ``uncontrollable_modes`` finds, unless the plant is clear of losing any (:meth:`Slow.clear`).
-    What is cheaper is asked first.
+    They are those that ``uncontrollable_modes`` finds, unless the plant is clear of losing any (:meth:`Slow.clear`), or
+    else those that are hidden (:meth:`Slow.hidden`). What is cheaper is asked first.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         continuous: whether time is.
-        slow: the modes of A, or of A', that may not decay; omitted: found here.
+        slow: the modes of A, or of A', that may not decay; omitted: found here, and each looked at in any case.
     """
-    slow = Slow(A, continuous) if slow is None else slow
+    thorough, slow = slow is None, slow or Slow(A, continuous)
     none, small = np.zeros(0, dtype=np.complex128), len(A) <= SMALL
     if small and slow.clear(A, B):
         return none
     lost = persistent(uncontrollable_modes(A, B), A, continuous)
-    return none if not small and lost.size and slow.clear(A, B) else lost
+    if not lost.size:
+        return slow.hidden(A, B) if small or thorough else none
+    return none if not small and slow.clear(A, B) else lost
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:

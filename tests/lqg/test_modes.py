@@ -10,7 +10,7 @@ from drawn import law
 from hypothesis import strategies as st
 
 from taciturn._arrays import block_diagonal
-from taciturn._modes import accumulate, balancing, uncontrollable_modes
+from taciturn._modes import accumulate, balancing, lost_modes, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 
 seeds = st.integers(0, 2**32 - 1)
@@ -75,6 +75,20 @@ def test_units_of_the_states_do_not_decide_what_is_reached(seed, fixed):
     T, units = np.linalg.qr(rng.normal(size=(4, 4)))[0], 10.0 ** rng.integers(-6, 7, size=4)
     A, B = T @ A @ T.T, T @ B
     assert uncontrollable_modes(A / units[:, None] * units, B / units[:, None]).size == fixed
+
+
+@pytest.mark.parametrize("n", [5, 20, 60])
+@law(2, 10, seed=seeds)
+def test_a_mode_that_nothing_moves_is_named_among_many_that_decay(n, seed):
+    """One input hardly moves the nineteen others; a plant that moves the mode by a thousandth is not accused."""
+    draws = np.random.default_rng(seed)
+    T = np.linalg.qr(draws.normal(size=(n, n)))[0]
+    A, B = np.diag([1.3, *draws.uniform(-0.9, 0.9, n - 1)]), draws.normal(size=(n, 1))
+    for unit in (1.0, 1e-8, 1e8):
+        B[0] = 0.0
+        assert lost_modes(T @ A @ T.T, unit * T @ B, False) == pytest.approx([1.3])
+        B[0] = 1e-3
+        assert not lost_modes(T @ A @ T.T, unit * T @ B, False).size
 
 
 def test_without_any_input_every_mode_is_fixed():
