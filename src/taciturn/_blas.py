@@ -1,4 +1,4 @@
-"""The threads of BLAS: on small matrices they wait for each other longer than they compute."""
+"""The number of threads that BLAS uses. On small matrices its threads wait longer than they compute."""
 
 from __future__ import annotations
 
@@ -8,6 +8,6 @@ _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def prefer_one_thread() -> None:
-    """Ask for one thread where the user asks for no number; what has imported NumPy already keeps its threads."""
+    """Set one thread, unless the user has set a number. NumPy reads this once, when it is imported."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")

@@ -224,7 +224,7 @@ def evaluate(
 
 
 def _evaluated(
-    problem: Problem, effort: Request, precision: Precision, confidence: float | None, told: Stages
+    problem: Problem, request: Request, precision: Precision, confidence: float | None, told: Stages
 ) -> Evaluation:
     """Return the evaluation; whoever asked knows the time it took.
 
@@ -237,25 +237,25 @@ def _evaluated(
             expect_bound(problem)
         if precision != "float64":
             raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
-        return _events(problem, policy, effort, told)
+        return _events(problem, policy, request, told)
     first = told if confidence is None else told.stage(0.0, 0.5)
     if isinstance(policy, OptimalPolicy):
         loop = problem.close(policy.looked_at)
-        measured, certified = measure_optimum(loop, policy.price, effort, first), None
+        measured, certified = measure_optimum(loop, policy.price, request, first), None
     else:
         loop = replace(problem.close(policy), precision=precision)
-        measured = measure(loop, effort, first)
+        measured = measure(loop, request, first)
         certified = None if confidence is None else bound_rate(loop)
     found, notes = measured.averages, measured.notes
     policy, lower = loop.policy, None
     if confidence is not None:
         resets(loop)
         try:
-            lower = bounded(loop, found.rates[policy.scheduled[0]], confidence, effort.seed, told.stage(0.5, 1.0))
+            lower = bounded(loop, found.rates[policy.scheduled[0]], confidence, request.seed, told.stage(0.5, 1.0))
         except ProblemError as error:
             notes += (f"no lower bound: {error}",)
         except OutOfTime:
-            notes += (f"no lower bound: the time limit of {effort.time_limit:g} s passed; expected a longer one",)
+            notes += (f"no lower bound: the time limit of {request.time_limit:g} s passed; expected a longer one",)
         notes += contradicted(found.rates[policy.scheduled[0]], certified)
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
@@ -272,7 +272,7 @@ def _evaluated(
         cost_bound=None if guarantee is None else guarantee.cost,
         cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick),
         rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
-        seed=effort.seed,
+        seed=request.seed,
         seconds=0.0,
         steps=found.steps,
         reached=found.reached,
@@ -291,17 +291,17 @@ def _evaluated(
     )
 
 
-def _events(problem: Problem, policy: EventPolicy, effort: Request, progress: Progress) -> Evaluation:
+def _events(problem: Problem, policy: EventPolicy, request: Request, progress: Progress) -> Evaluation:
     """Return the evaluation of a policy without ticks."""
-    if effort.method not in ("auto", "simulation"):
-        raise ProblemError(f"method is {effort.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
+    if request.method not in ("auto", "simulation"):
+        raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
     for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
         if given is not None:
             raise ProblemError(
                 f"{name} is given, which {policy.kind} without a period does not use; expected policy.period, or none"
             )
     found = average_events(
-        policy, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
+        policy, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
     )
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
@@ -317,7 +317,7 @@ def _events(problem: Problem, policy: EventPolicy, effort: Request, progress: Pr
         cost_bound=policy.bound(),
         cost_bound_at_rate=policy.bound(interval.value),
         rates=found.rates,
-        seed=effort.seed,
+        seed=request.seed,
         seconds=0.0,
         steps=found.steps,
         reached=found.reached,

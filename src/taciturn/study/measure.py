@@ -85,38 +85,38 @@ class Measured:
     notes: tuple[str, ...] = ()
 
 
-def measure(loop: Loop, effort: Request, progress: Progress | None) -> Measured:
+def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
     """Return cost and rates: in closed form, else by the candidate that is predicted to take the least work.
 
     Raises:
         ProblemError: the method that is asked for does not apply.
         OutOfTime: the time limit passed before there was any answer.
     """
-    policy, method = loop.policy, effort.method
+    policy, method = loop.policy, request.method
     if method in ("auto", "exact") and loop.nominal and policy.closed_form is not None:
         form = policy.closed_form
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
         return Measured(averages, "exact", "a closed form, which takes no time", policy.notes)
-    asked, finest = effort.standard_error, ROUNDED * abs(policy.cost_all_time)
+    asked, finest = request.standard_error, ROUNDED * abs(policy.cost_all_time)
     if asked is not None and asked < finest:
         raise ProblemError(
             f"standard_error is {asked:g}, and double precision holds a cost of {policy.cost_all_time:g} "
             f"to {finest:.2g}; expected no less"
         )
-    candidates, refused = candidates_of(loop, effort, progress)
+    candidates, refused = candidates_of(loop, request, progress)
     if not candidates:
         raise ProblemError(f"method is {method!r}, and {refused}") from None
     if len(candidates) == 1:
-        reason = "no other method applies" if method == "auto" and effort.steps is None else "asked for"
-        return _measured(loop, _run(candidates[0], effort, progress, alone=True), candidates[0].name, reason, refused)
+        reason = "no other method applies" if method == "auto" and request.steps is None else "asked for"
+        return _measured(loop, _run(candidates[0], request, progress, alone=True), candidates[0].name, reason, refused)
     reasons, best = list[str](), None
     while candidates and (best is None or not best.averages.reached):
-        ordered, reason = rank(candidates, effort.time_limit)
+        ordered, reason = rank(candidates, request.time_limit)
         candidate, candidates = ordered[0], ordered[1:]
         reasons.append(reason)
         try:
-            found = _run(candidate, effort, progress, alone=not candidates)
+            found = _run(candidate, request, progress, alone=not candidates)
         except (NoQuadratureError, OutOfTime) as error:
             if not candidates and best is None:
                 raise
@@ -168,50 +168,50 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
     return ordered, f"{', '.join(parts)}"
 
 
-def measure_optimum(loop: Loop, price: float, effort: Request, progress: Progress | None) -> Measured:
+def measure_optimum(loop: Loop, price: float, request: Request, progress: Progress | None) -> Measured:
     """Return cost and rate of the best schedule at a price per send."""
-    if effort.method not in ("auto", "exact") or effort.steps is not None:
+    if request.method not in ("auto", "exact") or request.steps is not None:
         raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
     policy = loop.policy
-    asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), effort.standard_error)
+    asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)
     ceiling = price / policy.tick  # sending always: no best schedule has more excess
     best = solve_optimum(loop, price, _clipped(asked / ceiling), progress)
     if best.excess_error > asked:
         best = solve_optimum(loop, price, _clipped(asked / max(best.excess, 1e-300)), progress)
     cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
     rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
-    found = Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= _wanted(cost, effort.standard_error))
+    found = Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= _wanted(cost, request.standard_error))
     return Measured(found, "quadrature", "the best schedule is solved, and never simulated")
 
 
 def candidates_of(
-    loop: Loop, effort: Request, progress: Progress | None
+    loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
     """Return the methods that apply to a loop and are asked for, and why others do not."""
     found, refused = list[Candidate](), None
-    if effort.method == "exact" or (effort.method == "auto" and effort.steps is None):
+    if request.method == "exact" or (request.method == "auto" and request.steps is None):
         try:
-            found.append(_quadrature(loop, effort))
+            found.append(_quadrature(loop, request))
         except NoQuadratureError as error:
             refused = error
-    if effort.method == CONDITIONAL or (effort.method == "auto" and effort.steps is None):
+    if request.method == CONDITIONAL or (request.method == "auto" and request.steps is None):
         try:
-            found.append(_conditional(loop, effort, progress))
+            found.append(_conditional(loop, request, progress))
         except NoQuadratureError as error:
             refused = refused or error
-    if effort.method in ("auto", "simulation"):
-        found.append(_simulation(loop, effort, progress))
+    if request.method in ("auto", "simulation"):
+        found.append(_simulation(loop, request, progress))
     return found, refused
 
 
-def _quadrature(loop: Loop, effort: Request) -> Candidate:
+def _quadrature(loop: Loop, request: Request) -> Candidate:
     identity, link = loop.policy.identity, loop.policy.scheduled
-    if effort.method != "exact":
+    if request.method != "exact":
         expect_affordable(loop)
     quadrature = RenewalQuadrature(loop)
     assert identity is not None
 
-    error = effort.standard_error
+    error = request.standard_error
     accuracy = quadrature.usual if error is None else _clipped(quadrature.accuracy(error))
 
     def run(progress: Progress | None) -> Averages:
@@ -223,41 +223,38 @@ def _quadrature(loop: Loop, effort: Request) -> Candidate:
         cost = Estimate(renewal.excess, 0.0, "quadrature", renewal.excess_error + rounding)
         cost = cost.scaled(1.0, identity.constant)
         rate = Estimate(renewal.rate, 0.0, "quadrature", renewal.rate_error + ROUNDED * renewal.rate)
-        reached = cost.error <= _wanted(cost, effort.standard_error)
+        reached = cost.error <= _wanted(cost, request.standard_error)
         return Averages(cost, {link[0]: rate}, 0, 0, reached)
 
     return Candidate("quadrature", quadrature.least, lambda _: quadrature.predict(accuracy), run, False)
 
 
-def _conditional(loop: Loop, effort: Request, progress: Progress | None) -> Candidate:
-    sampling = ConditionalSampling(loop, effort.seed, progress)
+def _conditional(loop: Loop, request: Request, progress: Progress | None) -> Candidate:
+    sampling = ConditionalSampling(loop, request.seed, progress)
     identity, link = loop.policy.identity, loop.policy.scheduled
     assert identity is not None
 
-    asked = _asked(loop, effort.standard_error)
+    asked = _asked(loop, request.standard_error)
 
     def run(_: Progress | None) -> Averages:
         found = sampling.run(asked)
         cost = found.excess.scaled(1.0, identity.constant)
-        reached = cost.standard_error <= _wanted(cost, effort.standard_error)
+        reached = cost.standard_error <= _wanted(cost, request.standard_error)
         rates = {link[0]: found.rate}
         return Averages(cost, rates, found.steps, 0, reached, estimator="conditional sampling")
 
-    def predict(others: float) -> float:
-        return sampling.predict(asked, others)
-
-    return Candidate(CONDITIONAL, sampling.least, predict, run, True)
+    return Candidate(CONDITIONAL, sampling.least, lambda others: sampling.predict(asked, others), run, True)
 
 
-def _simulation(loop: Loop, effort: Request, progress: Progress | None) -> Candidate:
+def _simulation(loop: Loop, request: Request, progress: Progress | None) -> Candidate:
     @cache
     def averaging() -> Averaging:
         return Averaging(
-            loop, seed=effort.seed, standard_error=effort.standard_error, steps=effort.steps, progress=progress
+            loop, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
         )
 
     def predict(_: float) -> float:
-        return averaging().predict(_asked(loop, effort.standard_error))
+        return averaging().predict(_asked(loop, request.standard_error))
 
     def run(_: Progress | None) -> Averages:
         return _clocked(loop, averaging().finish())
@@ -265,10 +262,10 @@ def _simulation(loop: Loop, effort: Request, progress: Progress | None) -> Candi
     return Candidate("simulation", least_work(loop), predict, run, True)
 
 
-def _run(candidate: Candidate, effort: Request, progress: Progress | None, alone: bool) -> Averages:
+def _run(candidate: Candidate, request: Request, progress: Progress | None, alone: bool) -> Averages:
     """Return what a candidate finds; one that is all or nothing leaves time for the others."""
-    if effort.time_limit is not None and not candidate.gradual and not alone:
-        progress = limited(progress, SHARE * effort.time_limit)
+    if request.time_limit is not None and not candidate.gradual and not alone:
+        progress = limited(progress, SHARE * request.time_limit)
     return candidate.run(progress)
 
 
