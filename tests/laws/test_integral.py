@@ -30,8 +30,8 @@ MANY = settings(max_examples=20, deadline=None, suppress_health_check=[HealthChe
 
 @pytest.fixture(autouse=True)
 def fewer_cycles(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Search fixed points with a hundredth of the usual cycles, in the full counts with a tenth."""
-    cycles = 20_000 if request.node.get_closest_marker("evidence") is None else 200_000
+    """Search fixed points with a hundredth of the usual cycles, in the full counts with a fortieth."""
+    cycles = 20_000 if request.node.get_closest_marker("evidence") is None else 50_000
     monkeypatch.setattr(import_module("taciturn.design.integral"), "CYCLES", cycles)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import compress
 
 from taciturn.program.ops import EIGHT, LITERAL, Op, Precision, Rows, State, Total, tiles
@@ -41,7 +42,7 @@ class Program:
     precision: Precision = "float64"
     matrices: tuple[Rows, ...] = ()
 
-    @property
+    @cached_property
     def operations(self) -> int:
         """Number of operations that compute something; a product counts its multiplications and additions."""
         single = sum(op.name not in ("const", "state", "input", "word", "half", "product", "entry") for op in self.ops)

@@ -40,6 +40,7 @@ PASSES = "combine"  # how programs are compiled, in the key of what is kept
 MOST_KEPT = 512  # compiled programs on disk, some 10 kB each; those not used for longest go
 SPARE = 8  # an eighth more may be there before they go: that asks for the age of each
 MOST_PRINTED = 256  # texts in memory
+WORTH_A_THREAD = 2_000_000  # operations, half a millisecond of them: to start a thread takes a fifth of that
 _ALONE = ContextVar("alone", default=False)
 _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 5)
 
@@ -101,7 +102,8 @@ class Kernel:
         def work(part: tuple[int, int]) -> None:
             self.call(*part, ticks, arrays)
 
-        workers = max(1, min(threads or available_processors(), blocks))
+        worthwhile = program.operations * ticks * paths // WORTH_A_THREAD
+        workers = max(1, min(threads or min(available_processors(), worthwhile), blocks))
         cuts = [blocks * i // workers for i in range(workers + 1)]
         parts = list(pairwise(cuts))
         if workers == 1:
