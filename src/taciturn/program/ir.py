@@ -80,8 +80,7 @@ class Program:
             index = op.arguments[1 if known[0] is not None else 0]
 
     def _known(self, index: int) -> float | None:
-        op = self.ops[index]
-        return self.constants[op.arguments[0]] if op.name == "const" else None
+        return self.constants[self.ops[index].arguments[0]] if self.ops[index].name == "const" else None
 
     def keep(
         self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
