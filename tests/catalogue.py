@@ -97,6 +97,8 @@ BASELINES: Mapping[str, Build] = {
     "all-time": lambda s: design.all_time(s.plant, s.cost),
     "periodic hold": lambda s: design.periodic(s.plant, s.cost, every=2),
     "periodic model": lambda s: design.periodic(s.plant, s.cost, every=3, actuation="model"),
+    "cycle hold": lambda s: design.periodic(s.plant, s.cost, every=(3, 1)),
+    "cycle model": lambda s: design.periodic(s.plant, s.cost, every=[1, 3, 2], actuation="model"),
     "pattern": lambda s: design.periodic_schedule(s.plant, s.cost, length=5, sends=3),
     "variance": lambda s: design.variance(s.plant, s.cost, threshold=1.5 * np.abs(s.plant.V).max() + 0.2),
 }

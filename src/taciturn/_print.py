@@ -57,7 +57,7 @@ def tradeoff(found: Tradeoff) -> None:
     first = found.points[0].evaluation
     of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
     header = [*names, *(f"rate per {first.rate_unit}{text}" for text in of.values()), "saved %"]
-    header += [f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "periodic, same rate"]
+    header += [f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "fair clock"]
     rows: list[list[str]] = []
     for point in found.points:
         e = point.evaluation
@@ -81,8 +81,6 @@ def tradeoff(found: Tradeoff) -> None:
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
         typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
-    for note in found.notes:
-        typer.echo(note)
 
 
 def sweep(found: xarray.Dataset, path: Path) -> None:

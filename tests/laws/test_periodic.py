@@ -8,7 +8,6 @@ from scipy.linalg import expm
 
 from taciturn import ContinuousPlant, Cost, close, design, load
 from taciturn.simulation.average import average, plain_average
-from taciturn.study.periodic import periodic_cost_at, periodic_curve
 
 STABLE = ContinuousPlant([[-1.0, 1.0], [0.0, -0.5]], [[0.0], [1.0]], np.diag([0.1, 0.4]), C=[[1.0, 0.0]], V=[[0.01]])
 UNSTABLE = ContinuousPlant([[0.0, 1.0], [2.0, 0.3]], [[0.0], [1.0]], np.diag([0.0, 0.4]), C=[[1.0, 0.0]], V=[[0.01]])
@@ -102,19 +101,3 @@ def test_brute_force_integration_of_the_noisy_continuous_loop() -> None:
     bias = 0.006 * policy.closed_form.cost  # left end points of 200 parts: about half of 1/200
     assert error < 0.01 * policy.closed_form.cost
     assert abs(cost.mean() - policy.closed_form.cost) <= 4 * error + bias
-
-
-def test_between_two_rates_a_discrete_plant_shares_the_time() -> None:
-    """The periodic cost at rate r lies on the line between 1/k and 1/(k+1)."""
-    problem = load("two-mass")
-    ends = [periodic_cost_at(problem, rate, "hold") for rate in (1 / 2, 1 / 3)]
-    middle = periodic_cost_at(problem, 5 / 12, "hold")
-    assert middle == pytest.approx(sum(ends) / 2, rel=1e-12)
-    costs = [form.closed_form.cost for form in (design.periodic(problem.plant, problem.cost, every=k) for k in (2, 3))]
-    assert ends == pytest.approx(costs, rel=1e-12)
-
-
-def test_the_curve_leaves_out_rates_at_which_sampling_loses_a_mode() -> None:
-    """Every five steps is half a period of the undamped spring: no input moves it then."""
-    rates = [round(1 / point.rate) for point in periodic_curve(load("two-mass"), 1.0, 1 / 8, "hold")]
-    assert rates == [1, 2, 3, 4, 6, 7, 8]

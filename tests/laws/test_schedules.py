@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from systems import System, make_system, systems
 
 from taciturn import Cost, Plant, UnstableError, average, close, design
-from taciturn.design.periodic_schedule import necklaces
 from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.periodic import necklaces
 from taciturn.lqg.riccati import regulate
 
 SOME = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -13,14 +13,21 @@ from hypothesis import strategies as st
 from taciturn._modes import radius
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.periodic import lift, periodic_cost
+from taciturn.lqg.periodic import Held, cycles, lift
 from taciturn.lqg.riccati import regulate
 from taciturn.lqg.sampling import sample
 
 seeds = st.integers(0, 2**32 - 1)
 
 
-def moments_cost(c, seen, L, every):
+def solved(c, seen, intervals):
+    """Return the best gains of a cycle of intervals, and their cost per step."""
+    held = Held(c.A, c.B, c.Q, c.R, c.N, seen.gain @ seen.innovation @ seen.gain.T)
+    found = held.solve(intervals)
+    return found.gains, found.cost + np.sum(c.Q * seen.posterior)
+
+
+def moments_cost(c, seen, gains, intervals):
     """Return the average cost from the second moments of (x, x̂, held u); None if the loop hardly decays.
 
     Independent of the theory under test: the loop is written down step by step, with its timing, and its
@@ -34,11 +41,13 @@ def moments_cost(c, seen, L, every):
     estimate = predicted + gain @ c.C @ (x - predicted)
     hold = np.vstack([x, estimate, np.hstack([np.zeros((m, 2 * n)), np.eye(m)])])
     noise = np.vstack([np.eye(n, n + p), np.hstack([gain @ c.C, gain]), np.zeros((m, n + p))])
-    renew = np.eye(2 * n + m)
-    renew[2 * n :] = np.hstack([np.zeros((m, n)), L, np.zeros((m, m))])
     entering = noise @ scipy.linalg.block_diag(c.W, c.V) @ noise.T
-    maps = [hold] * (every - 1) + [renew @ hold]
-    noises = [entering] * (every - 1) + [renew @ entering @ renew.T]
+    maps, noises = [], []
+    for interval, L in zip(intervals, [*gains[1:], gains[0]], strict=True):  # right after an update, to the next
+        renew = np.eye(2 * n + m)
+        renew[2 * n :] = np.hstack([np.zeros((m, n)), L, np.zeros((m, m))])
+        maps += [hold] * (interval - 1) + [renew @ hold]
+        noises += [entering] * (interval - 1) + [renew @ entering @ renew.T]
     total, added = np.eye(2 * n + m), np.zeros_like(hold)
     for F, G in zip(maps, noises, strict=True):
         total, added = F @ total, F @ added @ F.T + G
@@ -48,21 +57,23 @@ def moments_cost(c, seen, L, every):
     weight = np.block([[c.Q, np.zeros((n, n)), c.N], [np.zeros((n, 2 * n + m))], [c.N.T, np.zeros((m, n)), c.R]])
     cost = 0.0
     for F, G in zip(maps, noises, strict=True):
-        cost += np.sum(weight * moment) / every
+        cost += np.sum(weight * moment) / len(maps)
         moment = F @ moment @ F.T + G
     return cost
 
 
-@pytest.mark.parametrize("every", [1, 2, 3, 5])
-@law(8, 100, seed=seeds)
-def test_the_cost_is_that_of_the_moments_of_the_closed_loop(draw, every, seed):
-    """The filter runs at every step, the input is renewed every k steps from the filtered estimate."""
+CYCLES = st.lists(st.integers(1, 4), min_size=1, max_size=3)
+
+
+@law(20, 300, seed=seeds, intervals=CYCLES)
+def test_the_cost_is_that_of_the_moments_of_the_closed_loop(draw, seed, intervals):
+    """The filter runs at every step, the input is renewed after each interval from the filtered estimate."""
     c = draw(seed)
     seen = steady_filter(c.A, c.C, c.W, c.V)
-    found = periodic_cost(c.A, c.B, c.Q, c.R, c.N, seen, every)
-    expected = moments_cost(c, seen, found.regulator.L, every)
+    gains, cost = solved(c, seen, intervals)
+    expected = moments_cost(c, seen, gains, intervals)
     assume(expected is not None)
-    assert found.cost == pytest.approx(expected, rel=1e-6)
+    assert cost == pytest.approx(expected, rel=1e-6)
 
 
 @law(8, 100, seed=seeds)
@@ -70,22 +81,21 @@ def test_renewing_at_every_step_is_all_time_control(draw, seed):
     """For k = 1 the cost is tr(QΣ) + tr(K(Σ̃−Σ))."""
     c = draw(seed)
     seen, control = steady_filter(c.A, c.C, c.W, c.V), regulate(c.A, c.B, c.Q, c.R, c.N)
-    found = periodic_cost(c.A, c.B, c.Q, c.R, c.N, seen, 1)
+    (gain,), found = solved(c, seen, (1,))
     cost = np.trace(c.Q @ seen.posterior) + np.trace(control.K @ (seen.prior - seen.posterior))
-    assert found.cost == pytest.approx(cost, rel=1e-7)
-    assert found.regulator.L == pytest.approx(control.L, rel=1e-9, abs=1e-9)
+    assert found == pytest.approx(cost, rel=1e-7)
+    assert gain == pytest.approx(control.L, rel=1e-9, abs=1e-9)
 
 
-@law(8, 100, seed=seeds, every=st.integers(2, 4))
-def test_no_other_gain_of_the_same_period_costs_less(draw, seed, every):
-    """Disturbing the optimal gain can only raise the cost of the moments."""
+@law(8, 100, seed=seeds, intervals=CYCLES)
+def test_no_other_gains_of_the_same_cycle_cost_less(draw, seed, intervals):
+    """Disturbing the optimal gains can only raise the cost of the moments."""
     c = draw(seed)
     seen = steady_filter(c.A, c.C, c.W, c.V)
-    found = periodic_cost(c.A, c.B, c.Q, c.R, c.N, seen, every)
-    other = found.regulator.L + 0.01 * c.rng.normal(size=found.regulator.L.shape)
-    disturbed = moments_cost(c, seen, other, every)
+    gains, cost = solved(c, seen, intervals)
+    disturbed = moments_cost(c, seen, gains + 0.01 * c.rng.normal(size=gains.shape), intervals)
     assume(disturbed is not None)
-    assert found.cost <= disturbed * (1 + 1e-6)
+    assert cost <= disturbed * (1 + 1e-6)
 
 
 @law(8, 100, seed=seeds)
@@ -93,9 +103,30 @@ def test_renewing_less_often_in_multiples_costs_more(draw, seed):
     """A controller of period 2k is one of period k that wastes every second update."""
     c = draw(seed)
     seen = steady_filter(c.A, c.C, c.W, c.V)
-    costs = [periodic_cost(c.A, c.B, c.Q, c.R, c.N, seen, every).cost for every in (1, 2, 4)]
+    costs = [solved(c, seen, (every,))[1] for every in (1, 2, 4)]
     assert costs[0] <= costs[1] * (1 + 1e-9)
     assert costs[1] <= costs[2] * (1 + 1e-9)
+
+
+@law(8, 100, seed=seeds, turn=st.integers(1, 2))
+def test_a_cycle_may_begin_anywhere_and_repeat(draw, seed, turn):
+    """(1, 2, 4) costs what its rotations cost, and twice the same cycle what it costs once."""
+    c = draw(seed)
+    seen, cycle = steady_filter(c.A, c.C, c.W, c.V), (1, 2, 4)
+    cost = solved(c, seen, cycle)[1]
+    assert solved(c, seen, cycle[turn:] + cycle[:turn])[1] == pytest.approx(cost, rel=1e-8)
+    assert solved(c, seen, cycle * 2)[1] == pytest.approx(cost, rel=1e-8)
+
+
+@law(8, 100, seed=seeds, sends=st.integers(1, 4))
+def test_screening_finds_the_costs_of_all_cycles_at_once(draw, seed, sends):
+    """The doubling algorithm for a stack of cycles, against one Riccati equation for each."""
+    c = draw(seed)
+    seen = steady_filter(c.A, c.C, c.W, c.V)
+    held = Held(c.A, c.B, c.Q, c.R, c.N, seen.gain @ seen.innovation @ seen.gain.T)
+    listed = [cycle for cycle in cycles(range(1, 4), sends) if len(cycle) == sends]
+    costs = [held.solve(cycle).cost for cycle in listed]
+    assert held.screen(listed) == pytest.approx(costs, rel=1e-5)
 
 
 @law(8, 100, seed=seeds, every=st.integers(1, 6))
@@ -122,8 +153,7 @@ def test_holding_a_sampled_plant_with_its_state_measured_is_sampling_it_more_slo
     A, B, N = np.array([[0.0, 1], [0.5, 0]]), np.array([[0.0], [1]]), np.array([[0.1], [0.0]])
     fine = sample(A, B, np.eye(2), [[0.1]], N, np.eye(2), 0.05)
     coarse = sample(A, B, np.eye(2), [[0.1]], N, np.eye(2), 0.5)
-    seen = steady_filter(fine.A, np.eye(2), fine.W, np.zeros((2, 2)))
-    held = periodic_cost(fine.A, fine.B, fine.Q, fine.R, fine.N, seen, 10)
+    held = Held(fine.A, fine.B, fine.Q, fine.R, fine.N, fine.W).solve((10,))
     control = regulate(coarse.A, coarse.B, coarse.Q, coarse.R, coarse.N)
     expected = (np.trace(control.K @ coarse.W) + coarse.noise_cost) / 0.5
     assert (held.cost + fine.noise_cost) / 0.05 == pytest.approx(expected, rel=1e-11)
@@ -131,9 +161,8 @@ def test_holding_a_sampled_plant_with_its_state_measured_is_sampling_it_more_slo
 
 def test_a_period_that_hides_an_unstable_mode_is_refused():
     """Held for two steps, an input cannot move an eigenvalue −1: its two effects cancel."""
-    seen = steady_filter([[-1.0]], [[1.0]], [[1.0]], [[1.0]])
     with pytest.raises(UnstableError, match=r"holding the input for 2 steps.*eigenvalue 1, which B cannot move"):
-        periodic_cost([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], seen, 2)
+        Held([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[1.0]]).solve((2,))
 
 
 def test_a_hold_over_which_the_plant_overflows_is_refused():

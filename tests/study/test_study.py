@@ -10,7 +10,7 @@ import pytest
 import taciturn
 from taciturn import Network, Plant
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.study.periodic import periodic_cost_at
+from taciturn.study.clock import clock_of
 from taciturn.study.reproduce import reproduce
 
 
@@ -60,11 +60,11 @@ def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
         assert point.evaluation.cost.value < point.evaluation.cost_bound
     json.dumps(found.document(), allow_nan=False)
     labels = [text.get_text() for text in found.plot().axes[0].get_legend().get_texts()]
-    assert {"lqg, hold", "lqg, model", "periodic, hold", "periodic, model"} <= set(labels)
+    assert {"lqg, hold", "lqg, model", "fair clock, hold", "fair clock, model"} <= set(labels)
 
 
 def test_a_continuous_tradeoff_counts_per_second() -> None:
-    """Rates and costs per second; the periodic curve starts at the base rate, where it is all-time control."""
+    """Rates and costs per second; the curve of the clock starts at the base rate, where it is all-time control."""
     found = taciturn.tradeoff(taciturn.load("two-mass-continuous"), {"theta": [0.1, 0.5]}, standard_error=5e-4)
     assert (found.unit, found.points[0].evaluation.base_rate) == ("second", 10.0)
     first = found.periodic["hold"][0]
@@ -93,18 +93,17 @@ def test_a_loop_that_is_not_the_one_of_its_design_is_compared_with_no_clock(
 
 
 def test_jumps_behind_a_filter_are_compared_with_a_clock() -> None:
-    """Whose cost is exact there: of second moments, which jumps share with Gaussian noise."""
+    """Whose cost is exact: of second moments, which jumps share with Gaussian noise."""
     W = [[0.0, 0.0], [0.0, 1.0]]
     A, B, C, V = [[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], [[1.0, 0.0]], [[0.01]]
     cost = taciturn.Cost([[1.0, 0.0], [0.0, 1.0]], [[1.0]])
     jumping = taciturn.ContinuousPlant(A, B, None, taciturn.Jumps(1.0, W), C, V)
     plants = (jumping, taciturn.ContinuousPlant(A, B, W, None, C, V))
-    costs = [
-        periodic_cost_at(taciturn.Problem(plant, cost, Network(), "lqg", {"period": 0.5}), 2.0, "hold")
-        for plant in plants
-    ]
-    assert costs[0] is not None
-    assert costs[0] == pytest.approx(costs[1])
+    problems = [taciturn.Problem(plant, cost, Network(), "lqg", {"period": 0.5, "theta": 0.1}) for plant in plants]
+    clocks = [clock_of(problem, problem.designed()) for problem in problems]
+    costs = [clock.at(rate).cost for clock in clocks if clock is not None for rate in (2.0, 0.7)]
+    assert len(costs) == 4
+    assert costs[:2] == pytest.approx(costs[2:])
 
 
 def test_a_mistake_in_the_last_cell_is_told_before_the_first_runs() -> None:

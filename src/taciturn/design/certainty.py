@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -18,6 +19,7 @@ from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_stat
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, filter_checked
+from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
 from taciturn.model.plant import Plant
@@ -73,6 +75,12 @@ class Certainty:
     def unseen(self) -> float:
         """Cost per tick of what the filter cannot know, tr(QΣ)."""
         return float(np.trace(self.problem.Q @ self.filter.posterior))
+
+    @cached_property
+    def held(self) -> Held:
+        """The problem of an input that is held from send to send."""
+        p = self.problem
+        return Held(p.plant.A, p.plant.B, p.Q, p.R, p.N, self.corrections)
 
     @property
     def square(self) -> Array:

@@ -1,10 +1,13 @@
-"""The baselines that ignore the state: sending at every tick, and optimal control at one rate."""
+"""Time-triggered control: sending at every tick, and optimal control that sends at fixed ticks."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import cast
+
 import numpy as np
 
-from taciturn._arrays import Array, choice, count
+from taciturn._arrays import choice, count
 from taciturn._modes import radius, stationary
 from taciturn.design.certainty import (
     CLOCK,
@@ -18,13 +21,17 @@ from taciturn.design.certainty import (
 )
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
-from taciturn.lqg.periodic import lift, periodic_cost
+from taciturn.lqg.periodic import Pattern, lift
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
-from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send, Step
-from taciturn.model.theory import Reset
-from taciturn.model.trigger import Form, Scheduled, Trigger
+from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send
+from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
+
+LONGEST = 1_000_000  # ticks of a cycle
+MEASURES_WHEN_IT_SENDS = (
+    "it measures only when it sends; with every = 1, 2, … and a shorter period it measures between sends too"
+)
 
 
 def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None = None) -> Policy:
@@ -56,22 +63,25 @@ def periodic(
     plant: Plant | ContinuousPlant,
     cost: Cost,
     *,
-    every: int | None = None,
+    every: int | Sequence[int] | None = None,
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design the optimal controller that sends at one rate, whatever happens.
+    """Design the optimal controller that sends at fixed ticks, whatever happens.
 
-    A discrete plant is measured and filtered at every step and its input sent every ``every`` steps; a continuous one
-    is sampled exactly at ``period`` [astrom1997computer]. With ``actuation = "model"`` the actuator predicts between
-    sends: in continuous time where the plant is continuous.
+    With ``every`` the plant is measured and filtered at every tick, and the input is sent every ``every`` ticks, or
+    after each interval of a cycle. Without it a continuous plant is sampled exactly at ``period``
+    [astrom1997computer], and each sample sent: this controller measures only when it sends. With
+    ``actuation = "model"`` the actuator predicts between sends: from tick to tick, or without ``every`` in continuous
+    time.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        every: steps between sends, at least 1; with a discrete plant.
-        period: seconds between sends; with a continuous plant.
-        actuation: ``"hold"`` or ``"model"``; the latter wants the full state where the plant is continuous.
+        every: ticks from one send to the next, at least 1, or a cycle of them, such as ``(4, 5)``.
+        period: seconds between ticks; only with a continuous plant.
+        actuation: ``"hold"`` or ``"model"``; the latter needs the full state where the plant is continuous and
+            ``every`` is not given.
 
     Returns:
         The policy, with its exact cost.
@@ -80,53 +90,73 @@ def periodic(
         ProblemError: every or period missing or out of place, or output feedback with a continuous prediction.
         UnstableError: no stabilising gain at this rate.
 
-    Source: astrom1997computer
+    Source: astrom1997computer, bengaid2006
 
     Example:
         >>> plant = ContinuousPlant([[0.0]], [[1.0]], [[1.0]])
         >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).closed_form.rates
         {'actuator': 1.0}
+        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.1, every=(4, 6)).closed_form.rates
+        {'actuator': 0.2}
     """
     choice("actuation", actuation, ("hold", "model"))
-    if isinstance(plant, ContinuousPlant):
-        if every is not None:
-            raise ProblemError("every is given with a continuous-time plant; expected period, in seconds")
+    if every is None and isinstance(plant, ContinuousPlant):
         if actuation == "model":
             return _predicted(plant, cost, period)
-        return _every_tick("periodic", design_certainty("periodic", discretise(plant, cost, period)))
+        certainty = design_certainty("periodic", discretise(plant, cost, period))
+        return _every_tick("periodic", certainty, () if plant.full_state else (MEASURES_WHEN_IT_SENDS,))
     certainty = design_certainty("periodic", discretise(plant, cost, period))
+    intervals = _cycle(every)
+    if actuation == "hold":
+        return held_by_the_clock("periodic", certainty, certainty.held.solve(intervals))
+    average = predicted_cost(certainty, intervals)
+    return _by_the_clock("periodic", certainty, certainty.regulator.L, "model", intervals, average)
+
+
+def predicted_cost(certainty: Certainty, intervals: Sequence[int]) -> float:
+    """Return what control costs per tick whose actuator predicts from send to send.
+
+    J_all + Σ_{j<k} tr(L'HL V_j) of every interval k, over the ticks of the cycle: the error V_j before a send is what
+    the innovations of j ticks have left.
+    """
+    plant = certainty.problem.plant
+    free = np.zeros((plant.inputs, plant.inputs))
+    given = plant.A, plant.B, certainty.square, free, np.zeros_like(plant.B), certainty.corrections
+    return certainty.cost_all_time + sum(lift(*given, ticks).noise_cost for ticks in intervals) / sum(intervals)
+
+
+def held_by_the_clock(kind: str, certainty: Certainty, pattern: Pattern) -> Policy:
+    """Return the policy that renews a held input as a pattern says, with its exact cost."""
+    _, gains = pattern.unrolled()
+    L = gains[0] if len(pattern.gains) == 1 else Scheduled(CLOCK, gains)
+    return _by_the_clock(kind, certainty, L, "hold", pattern.intervals, certainty.unseen + pattern.cost)
+
+
+def _cycle(every: object) -> tuple[int, ...]:
+    """Return the intervals from send to send.
+
+    Raises:
+        ProblemError: none, no whole numbers, or too many ticks.
+    """
     if every is None:
-        raise ProblemError("every is missing; expected the steps between sends, at least 1")
-    every = count("every", every)
-    if actuation == "model":
-        L, average = certainty.regulator.L, _predicted_cost(certainty, every)
-    else:
-        p = certainty.problem
-        held = periodic_cost(plant.A, plant.B, p.Q, p.R, p.N, certainty.filter, every)
-        L, average = held.regulator.L, held.cost
-    turn = Scheduled(CLOCK, [-1.0] + [1.0] * (every - 1))
+        raise ProblemError("every is missing; expected the ticks between sends, at least 1, or a list of them")
+    listed = list(cast("Sequence[object]", every)) if isinstance(every, list | tuple) else [every]
+    intervals = tuple(count("every", ticks) for ticks in listed)
+    if not intervals:
+        raise ProblemError("every is an empty list; expected the ticks between sends, at least 1, or a list of them")
+    if sum(intervals) > LONGEST:
+        raise ProblemError(f"every adds up to {sum(intervals)} ticks; expected at most {LONGEST}")
+    return intervals
+
+
+def _by_the_clock(
+    kind: str, certainty: Certainty, L: Matrix, actuation: Actuation, intervals: Sequence[int], average: float
+) -> Policy:
+    """Return the policy that sends after each of these intervals, with its cost per tick."""
+    length, sends = sum(intervals), np.cumsum((0, *intervals[:-1]))
+    turn = Scheduled(CLOCK, np.where(np.isin(np.arange(length), sends), -1.0, 1.0))
     trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
     steps, initial = control_steps(certainty.problem.plant, certainty.estimation, L, actuation, trigger)
-    return by_the_clock("periodic", certainty, steps, initial, average, 1 / every, every, certainty.reset(actuation))
-
-
-def _every_tick(kind: str, certainty: Certainty) -> Policy:
-    plant, L = certainty.problem.plant, certainty.regulator.L
-    steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
-    return by_the_clock(kind, certainty, steps, initial, certainty.cost_all_time, 1.0, 1)
-
-
-def by_the_clock(
-    kind: str,
-    certainty: Certainty,
-    steps: tuple[Step, ...],
-    initial: dict[str, Array],
-    average: float,
-    rate: float,
-    length: int,
-    reset: Reset | None = None,
-) -> Policy:
-    """Return a policy whose clock of so many ticks decides all, with its cost and its sends per tick."""
     return certainty_policy(
         kind,
         certainty,
@@ -134,20 +164,24 @@ def by_the_clock(
         initial,
         identity=None,
         locations=(count_ticks(length, 0),),
-        closed_form=ClosedForm(certainty.problem.per_unit(average), {"actuator": rate}),
-        reset=reset,
+        closed_form=ClosedForm(certainty.problem.per_unit(average), {"actuator": len(intervals) / length}),
+        reset=certainty.reset(actuation),
         slower=length,
     )
 
 
-def _predicted_cost(certainty: Certainty, every: int) -> float:
-    """J_all + (1/k) Σ_{j<k} tr(L'HL V_j): the error before a send is what the innovations of j steps have left."""
-    plant = certainty.problem.plant
-    free = np.zeros((plant.inputs, plant.inputs))
-    excess = lift(
-        plant.A, plant.B, certainty.square, free, np.zeros_like(plant.B), certainty.corrections, every
-    ).noise_cost
-    return certainty.cost_all_time + excess / every
+def _every_tick(kind: str, certainty: Certainty, notes: tuple[str, ...] = ()) -> Policy:
+    plant, L = certainty.problem.plant, certainty.regulator.L
+    steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
+    return certainty_policy(
+        kind,
+        certainty,
+        steps,
+        initial,
+        identity=None,
+        closed_form=ClosedForm(certainty.problem.per_unit(certainty.cost_all_time), {"actuator": 1.0}),
+        notes=notes,
+    )
 
 
 def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Policy:

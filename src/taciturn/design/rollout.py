@@ -19,7 +19,6 @@ from taciturn.design.certainty import (
     measure_excess,
 )
 from taciturn.design.estimation import ESTIMATE
-from taciturn.design.periodic_schedule import Stretches
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -74,7 +73,7 @@ def rollout(
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("rollout", problem), np.eye(problem.plant.inputs)
-    base = Stretches(certainty).solve((every,))
+    base = certainty.held.solve((every,))
     futures = [_Future(certainty, base.values[0], sends, horizon) for sends in _schedules(horizon, every)]
     rooms = _Rooms(futures, horizon)
     turn = Scheduled(CLOCK, [-1.0] + [1.0] * (horizon - 1))
@@ -108,7 +107,7 @@ def rollout(
             count_ticks(horizon, 0),
             Location(PLACE, rooms.following, "controller", FUTURE),
         ),
-        guarantee=Guarantee(problem.per_unit(base.cost), statement, "antunes2014rollout"),
+        guarantee=Guarantee(problem.per_unit(certainty.unseen + base.cost), statement, "antunes2014rollout"),
         fixed_rates={"actuator": 1 / every},
         slower=horizon,
     )

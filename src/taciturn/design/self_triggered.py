@@ -8,9 +8,9 @@ from taciturn._arrays import count, number, symmetrised
 from taciturn.design.bounds import LARGEST, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
-from taciturn.design.periodic_schedule import Stretches, step_back
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
+from taciturn.lqg.periodic import step_back
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Policy, Step
@@ -61,11 +61,11 @@ def self_triggered(
     problem = discretise(plant, cost, period)
     certainty = design_certainty("self-triggered", problem)
     K, all_time, m = certainty.regulator.K, certainty.cost_all_time, problem.plant.inputs
-    stretches, keep = Stretches(certainty), np.eye(m)
+    stretches, keep = certainty.held, np.eye(m)
     choose: list[Step] = [Evaluate("controller", SLEEP, (Form(constant=1.0),))]
-    first = step_back(stretches.hold(1), beta * K)[1]
+    first = step_back(stretches.lifted(1), beta * K)[1]
     for ticks in range(2, max_interval + 1):
-        held = stretches.hold(ticks)
+        held = stretches.lifted(ticks)
         P, L = step_back(held, beta * K)
         noise = ticks * certainty.unseen + held.noise_cost + beta * float(np.sum(K * held.W))
         worse = Form((ESTIMATE,), symmetrised(P - beta * K), noise - beta * ticks * all_time)

@@ -64,7 +64,7 @@ class _Steps(Time):
     def rough(self, given: Quadratic) -> Array | None:
         worth, reached = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B)), float(np.sum(given.B**2))
         last = given.Q + (LAST * worth / reached if reached > TINY else 0.0) * np.eye(len(given.A))
-        return double(given, last, *price(given.B, last, given.R))
+        return double(given.A, given.B, given.Q, given.N, last, *price(given.B, last, given.R))
 
     def slowest(self, F: Array) -> float:
         return radius(F)

@@ -5,16 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
-from taciturn.lqg._axes import Quadratic
 
 TURNS = 40  # 2^40 steps
 SETTLED = 1e-6  # relative change of the last turn: what is left is its square, which Newton's method squares again
 
 
-def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | None:
-    """Return the stabilising solution of a discrete Riccati equation, or None where it overflows.
+def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array) -> Array:
+    """Return the stabilising solutions of discrete Riccati equations, of one or of a stack; not finite where none is.
 
-    It is the limit of the cost of ever more steps with a price X ≻ 0 on the state after them, K = X + Δ. Δ solves an
+    Each is the limit of the cost of ever more steps with a price X ≻ 0 on the state after them, K = X + Δ. Δ solves an
     equation without cross weight, whose inputs have the price H = R + B'XB, definite also where R is not. From
 
         F = A + BL,  G = BH^{-1}B',  Δ = Ric(X) − X,  L = −H^{-1}(B'XA + N'),
@@ -24,31 +23,35 @@ def double(given: Quadratic, last: Array, H: Array, inverse: Array) -> Array | N
         F ← F W^{-1} F,  G ← G + F W^{-1} G F',  Δ ← Δ + F'Δ W^{-1} F.
 
     Args:
-        given: the problem.
-        last: X, (n, n).
-        H: R + B'XB, (m, m).
+        A, B, Q, N: the problem, (…, n, n), (…, n, m), (…, n, n), (…, n, m).
+        last: X, (…, n, n).
+        H: R + B'XB, (…, m, m).
         inverse: of H; a pseudo-inverse leaves the directions alone that cost nothing.
 
     Source: anderson1978
     """
-    A, B, Q, _, N = given
-    L = -inverse @ (B.T @ last @ A + N.T)
-    F, G = A + B @ L, symmetrised(B @ inverse @ B.T)
-    K = symmetrised(Q - last + A.T @ last @ A - L.T @ H @ L)
-    n, one, both = len(A), np.eye(len(A)), np.hstack([F, G])
+    turned = A.swapaxes(-1, -2)
+    L = -inverse @ (B.swapaxes(-1, -2) @ last @ A + N.swapaxes(-1, -2))
+    F, G = A + B @ L, symmetrised(B @ inverse @ B.swapaxes(-1, -2))
+    K = symmetrised(Q - last + turned @ last @ A - L.swapaxes(-1, -2) @ H @ L)
+    n, one, both, worth = A.shape[-1], np.eye(A.shape[-1]), np.concatenate([F, G], axis=-1), _diagonal(last)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(TURNS):
             try:
                 solved = np.linalg.solve(one + G @ K, both)
             except np.linalg.LinAlgError:
-                return None
-            more = F.T @ K @ solved[:, :n]
+                return np.full_like(K, np.nan)
+            turned = F.swapaxes(-1, -2)
+            more = turned @ K @ solved[..., :n]
             K = symmetrised(K + more)
-            if not np.isfinite(np.vdot(K, K)):
-                return None
-            if (np.abs(more.diagonal()) <= SETTLED * np.abs(last.diagonal() + K.diagonal())).all():
+            settled = (np.abs(_diagonal(more)) <= SETTLED * np.abs(worth + _diagonal(K))).all(axis=-1)
+            if (settled | ~np.isfinite(K.sum(axis=(-1, -2)))).all():
                 break
-            G = G + F @ solved[:, n:] @ F.T
-            F = F @ solved[:, :n]
-            both[:, :n], both[:, n:] = F, G
+            G = G + F @ solved[..., n:] @ turned
+            F = F @ solved[..., :n]
+            both[..., :n], both[..., n:] = F, G
     return symmetrised(last + K)
+
+
+def _diagonal(matrix: Array) -> Array:
+    return np.diagonal(matrix, axis1=-2, axis2=-1)

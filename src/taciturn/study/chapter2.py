@@ -10,8 +10,8 @@ from taciturn._progress import Progress
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
 from taciturn.study.cells import Cell, Effort, evaluate_cells
+from taciturn.study.clock import Clock, clock_of, sampling_clock
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.periodic import periodic_cost_at, periodic_curve
 from taciturn.study.reproduction import Reproduction, Row, Table
 
 if TYPE_CHECKING:
@@ -114,16 +114,25 @@ def _bound(found: Evaluation) -> Estimate:
 def _figure_point(problem: Problem, found: Evaluation) -> dict[str, Estimate]:
     rate = found.rates["actuator"]
     computed = {"mean interval": rate.inverse(), "event-triggered": found.cost}
-    periodic = periodic_cost_at(problem, rate.value, "hold")
-    if periodic is not None:
-        computed["periodic at the same interval"] = Estimate(periodic, 0.0, "exact")
+    for name, clock in (
+        ("samples and sends at this rate", sampling_clock(problem).at(rate.value)),
+        ("fair clock", found.clock),
+    ):
+        if clock is not None:
+            computed[name] = Estimate(clock.cost, 0.0, "exact")
     return computed | {"bound": _bound(found)}
+
+
+def _curve(clock: Clock, fastest: float, slowest: float, label: str, color: int) -> Series:
+    points = clock.curve(fastest, slowest)
+    return Series([1 / p.rate for p in points], [p.cost for p in points], label, "dashed", color=color)
 
 
 def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
     x = [row.computed["mean interval"].value for row in rows]
     slowest = 1 / max(x)
-    curve = periodic_curve(problem, 1 / x[0], slowest, "hold")
+    weaker, fair = sampling_clock(problem), clock_of(problem, problem.designed())
+    assert fair is not None
     events = [row.computed["event-triggered"] for row in rows]
     bounds = [
         (a, row.computed["bound"].value) for a, row in zip(x, rows, strict=True) if row.computed["bound"].value < 0.6
@@ -132,7 +141,8 @@ def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
         Series(
             x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0
         ),
-        Series([1 / p.rate for p in curve], [p.cost for p in curve], "optimal periodic", "dashed", color=7),
+        _curve(weaker, 1 / x[0], slowest, "samples and sends at this rate", 7),
+        _curve(fair, 1 / x[0], slowest, "fair clock", 5),
         Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", "dotted", color=3),
     ]
     return draw(

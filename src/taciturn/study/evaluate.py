@@ -20,10 +20,10 @@ from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
+from taciturn.study.clock import ClockMix, clock_of
 from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
-from taciturn.study.periodic import actuation_of, periodic_cost_at
 from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
@@ -65,14 +65,15 @@ class Evaluation:
         steps: simulated steps; 0 where nothing was simulated.
         reached: whether the asked standard error was met.
         schedule: of sensor queries, computed offline, or None.
-        cost_periodic_same_rate: of optimal periodic control at the rate found, exact; None where it is not asked for
-            (policies that send on the error of a prediction have it), or where none is stable.
-        mean_interval: seconds from one send to the next; where the above is asked for and anything is sent.
+        clock: the fair clock at the rate found, time-triggered control with the measurements and the actuation of the
+            policy; None where there is none, or none that is stable.
+        mean_interval: seconds from one send to the next, of policies that send on the error of a prediction.
         lower_bound: of any scheduling of this controller at the rate found, where it was asked for.
         rate_bounds: certified bounds of the rate, where a lower bound was asked for and the error that a send resets
             decides alone; or None.
-        consistency: whether the policy costs no more than the above: ``"guaranteed"`` by its theorem, ``"verified"`` by
-            these numbers and their errors (4 standard errors), or ``"not verified"``; None where it is not asked for.
+        consistency: whether the policy costs no more than the fair clock: ``"guaranteed"`` by its theorem,
+            ``"verified"`` by these numbers and their errors (4 standard errors), or ``"not verified"``; None where it
+            is not asked for.
         notes: what the reader must know.
         linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
         estimator: of a simulation, what was averaged (as ``Averages``).
@@ -96,7 +97,7 @@ class Evaluation:
     steps: int
     reached: bool
     schedule: Schedule | None
-    cost_periodic_same_rate: float | None
+    clock: ClockMix | None
     mean_interval: Estimate | None
     lower_bound: LowerBound | None
     rate_bounds: tuple[float, float] | None
@@ -112,6 +113,11 @@ class Evaluation:
     def rate_unit(self) -> TimeUnit:
         """What a rate counts per."""
         return rate_unit(self.unit)
+
+    @property
+    def cost_periodic_same_rate(self) -> float | None:
+        """Exact cost of the fair clock at the rate found; None where there is none."""
+        return None if self.clock is None else self.clock.cost
 
     def __str__(self) -> str:
         """Return what ``taciturn evaluate`` prints."""
@@ -142,8 +148,9 @@ class Evaluation:
             result["rate_bounds"] = list(self.rate_bounds)
         if self.consistency is not None:
             result["consistency"] = self.consistency
+        result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
+        result["clock"] = None if self.clock is None else self.clock.document()
         if self.mean_interval is not None:
-            result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
             result["mean_interval"] = _estimate(self.mean_interval)
         if self.linearisation is not None:
             result["linearisation"] = {
@@ -260,8 +267,9 @@ def _evaluated(
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     pace = base_rate(loop)
+    clock = clock_of(problem, policy)
+    fair = None if clock is None else clock.at(per_tick / policy.tick)
     compared = loop.nominal and per_tick > 0 and _predicts(policy)
-    periodic = periodic_cost_at(problem, per_tick / policy.tick, actuation_of(problem)) if compared else None
     return Evaluation(
         policy=policy.kind,
         unit=cost_unit(problem),
@@ -277,11 +285,11 @@ def _evaluated(
         steps=found.steps,
         reached=found.reached,
         schedule=policy.schedule,
-        cost_periodic_same_rate=periodic,
+        clock=fair,
         mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
         lower_bound=lower,
         rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
-        consistency=_consistency(found.cost, periodic, guarantee is not None) if compared else None,
+        consistency=_consistency(found.cost, fair, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
         estimator=found.estimator,
@@ -306,7 +314,8 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None
-    same = periodic_cost_at(problem, rate.value, actuation_of(problem))
+    clock = clock_of(problem, policy)
+    fair = None if clock is None else clock.at(rate.value)
     return Evaluation(
         policy=policy.kind,
         unit="second",
@@ -322,11 +331,11 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         steps=found.steps,
         reached=found.reached,
         schedule=None,
-        cost_periodic_same_rate=same,
+        clock=fair,
         mean_interval=interval,
         lower_bound=None,
         rate_bounds=None,
-        consistency=_consistency(found.cost, same, policy.statement is not None),
+        consistency=_consistency(found.cost, fair, policy.statement is not None),
         notes=policy.notes,
     )
 
@@ -340,12 +349,12 @@ def _predicts(policy: Policy) -> bool:
     return policy.prediction is not None and policy.closed_form is None
 
 
-def _consistency(cost: Estimate, periodic: float | None, proved: bool) -> Consistency:
-    """Return whether a cost is at most that of periodic control at its rate; an unstable one's is infinite."""
+def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consistency:
+    """Return whether a cost is at most that of a clock at its rate; an unstable one's is infinite."""
     if proved:
         return "guaranteed"
     margin = SURE * cost.standard_error + cost.error
-    return "verified" if periodic is None or cost.value + margin <= periodic else "not verified"
+    return "verified" if clock is None or cost.value + margin <= clock.cost else "not verified"
 
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:

@@ -9,6 +9,7 @@ from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
+    from taciturn.study.clock import ClockMix
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.tuned import Tuned
 
@@ -45,8 +46,8 @@ def evaluation_lines(found: Evaluation) -> Lines:
         lines.append(("certified rate", text))
     if found.mean_interval is not None:
         lines.append(("mean interval", f"{found.mean_interval} s"))
-    if found.cost_periodic_same_rate is not None:
-        lines.append(("periodic", f"{found.cost_periodic_same_rate:.6g} at this rate"))
+    if found.clock is not None:
+        lines.append(("fair clock", _clock(found.clock, found)))
     if found.consistency is not None:
         lines.append(("consistent", found.consistency))
     if found.schedule is not None:
@@ -82,6 +83,18 @@ def _verdict(found: Evaluation) -> list[str]:
         text += f", at most {rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
     least = math.floor(least * 10**decimals) / 10**decimals
     return [f"{text}; no scheduling of this controller at this rate can cost less than {least:.{decimals}f} % above"]
+
+
+def _clock(clock: ClockMix, found: Evaluation) -> str:
+    """Say what time-triggered control costs at this rate, and when it sends."""
+    base = found.cost_all_time
+    parts = [f"{100 * (clock.cost / base - 1):+.2f} %"] if base else []
+    parts.append({"hold": "input held", "model": "input predicted", "queries": "sensor queried"}[clock.words])
+    cycles = [point.cycle for point in clock.points]
+    named = ["every " + ", ".join(map(str, cycle)) for cycle in cycles if cycle is not None]
+    if named:
+        parts.append(f"sends {' or '.join(named)} ticks")
+    return f"{clock.cost:.6g} at this rate   ({'; '.join(parts)})"
 
 
 def _promised(found: Evaluation) -> str:

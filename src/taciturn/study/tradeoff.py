@@ -12,12 +12,11 @@ import numpy as np
 
 from taciturn._figure import Panel, Series, draw
 from taciturn._progress import Progress
-from taciturn.design.certainty import Actuation
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
+from taciturn.study.clock import ClockKind, ClockPoint, clock_of
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.periodic import PeriodicPoint, actuation_of, periodic_cost_at, periodic_curve, why_no_periodic
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import Unit
@@ -30,20 +29,20 @@ LINE = 200  # points of the line above what no scheduling reaches
 
 @dataclass(frozen=True)
 class Point:
-    """One evaluation, and optimal periodic control at its rate with the same actuation.
+    """One evaluation.
 
     Args:
         values: what was varied.
-        evaluation: of the policy.
-        actuation: of the policy, and of the periodic controller it is compared with.
-        cost_periodic_same_rate: exact; a discrete plant time-shares the two nearest rates. None where none is stable,
-            or none is comparable: with scheduled queries, for missions, in a loop that is not the one of its design.
+        evaluation: of the policy, with the fair clock at its rate.
     """
 
     values: Mapping[str, Any]
     evaluation: Evaluation
-    actuation: Actuation
-    cost_periodic_same_rate: float | None
+
+    @property
+    def cost_periodic_same_rate(self) -> float | None:
+        """Exact cost of the fair clock; None where there is none."""
+        return self.evaluation.cost_periodic_same_rate
 
 
 @dataclass(frozen=True)
@@ -52,29 +51,23 @@ class Tradeoff:
 
     Args:
         points: in the order of the grid.
-        periodic: the curve of optimal periodic control, by actuation; none where plant or cost differ between points.
+        periodic: the curve of the fair clock, by its kind: time-triggered control with the measurements and the
+            actuation of the policy; none where plant, cost or period differ between points.
         unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
         guarantee: the theorem behind the bounds, or None.
-        notes: what is missing, and why.
     """
 
     points: tuple[Point, ...]
-    periodic: Mapping[Actuation, tuple[PeriodicPoint, ...]]
+    periodic: Mapping[ClockKind, tuple[ClockPoint, ...]]
     unit: Unit
     guarantee: str | None
-    notes: tuple[str, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tradeoff --json``."""
         return {
-            "points": [
-                {"values": dict(point.values), "cost_periodic_same_rate": point.cost_periodic_same_rate}
-                | point.evaluation.document()
-                for point in self.points
-            ],
+            "points": [{"values": dict(point.values)} | point.evaluation.document() for point in self.points],
             "periodic": {
-                actuation: [{"rate": p.rate, "cost": p.cost} for p in curve]
-                for actuation, curve in self.periodic.items()
+                kind: [{"rate": p.rate, "cost": p.cost} for p in curve] for kind, curve in self.periodic.items()
             },
             "unit": self.unit,
             "guarantee": self.guarantee,
@@ -104,11 +97,11 @@ class Tradeoff:
             inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None and b <= top]
             if len(inside) > 1:
                 series.append(Series([a for a, _ in inside], [b for _, b in inside], "", "dotted", color=index))
-        for actuation, curve in self.periodic.items():
-            style = "dashed" if len(self.periodic) == 1 or actuation == "hold" else "line"
-            shown, color = [p for p in curve if p.cost <= top], 7 if actuation == "hold" else 5
+        for kind, curve in self.periodic.items():
+            style = "dashed" if len(self.periodic) == 1 or kind == "hold" else "line"
+            shown, color = [p for p in curve if p.cost <= top], 7 if kind == "hold" else 5
             x, y = [p.rate for p in shown], [p.cost for p in shown]
-            series.append(Series(x, y, f"periodic, {actuation}", style, color=color))
+            series.append(Series(x, y, f"fair clock, {kind}", style, color=color))
         series += self._impossible()
         title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
         rate_unit = self.points[0].evaluation.rate_unit
@@ -168,34 +161,26 @@ def tradeoff(
     effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
     kept = None if store is None else Store(store, label_of(problem))
     found = evaluate_cells(problem, cells, effort, executor, kept, progress)
-    points: list[Point] = []
-    for cell, changed, evaluation in zip(grid, problems, found, strict=True):
-        actuation = actuation_of(changed)
-        rate = next(iter(evaluation.rates.values())).value
-        same = None if evaluation.schedule else periodic_cost_at(changed, rate, actuation)
-        points.append(Point(cell, evaluation, actuation, same))
-    reasons = [why_no_periodic(one, point.actuation) for one, point in zip(problems, points, strict=True)]
-    notes = tuple(dict.fromkeys(reason for reason in reasons if reason is not None))
+    points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
     unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
-    return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement, notes)
+    return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
 
 
 def _curves(
     problems: Sequence[Problem], points: Sequence[Point], over: Mapping[str, object]
-) -> dict[Actuation, tuple[PeriodicPoint, ...]]:
-    """Return the periodic curves that all points share: none where a key outside [policy] was varied."""
-    if any("." in name and not name.startswith("policy.") for name in over):
+) -> dict[ClockKind, tuple[ClockPoint, ...]]:
+    """Return the curves of the clocks that all points share: none where what a clock depends on was varied."""
+    if any(name.removeprefix("policy.") == "period" or "." in name.removeprefix("policy.") for name in over):
         return {}
-    if any(point.evaluation.schedule for point in points):
-        return {}
-    used: set[Actuation] = {point.actuation for point in points}
     fastest = max(point.evaluation.base_rate or 2 * _rate(point) for point in points)
     slowest = min((_rate(point) for point in points if _rate(point) > 0), default=fastest)
-    curves: dict[Actuation, tuple[PeriodicPoint, ...]] = {}
-    for actuation in sorted(used):
-        curve = periodic_curve(problems[0], fastest, slowest, actuation)
-        if curve:
-            curves[actuation] = curve
+    curves: dict[ClockKind, tuple[ClockPoint, ...]] = {}
+    for problem, point in zip(problems, points, strict=True):
+        used = point.evaluation.clock
+        if used is not None and used.words not in curves:
+            clock = clock_of(problem, problem.designed())
+            assert clock is not None
+            curves[used.words] = clock.curve(fastest, slowest)
     return curves
 
 
