@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import taciturn
-from taciturn import Plant, Problem, TaciturnError
+from taciturn import ContinuousPlant, Plant, Problem, TaciturnError
 
 SHARES = (0.1, 0.3, 0.5)  # of the base rate
 PRECISION = 1e-3  # standard error of a cost, in all-time costs
@@ -49,7 +49,7 @@ POLICIES: dict[str, dict[str, object]] = {
 def problem_with(base: Problem, policy: dict[str, object]) -> Problem:
     """Return the problem with another policy."""
     old = {name: None for name in base.parameters if name != "period" and name not in policy}
-    if policy["kind"] == "periodic" and "period" not in base.parameters:
+    if policy["kind"] == "periodic" and not (isinstance(base.plant, ContinuousPlant) and base.plant.full_state):
         old["every"] = 3
     return base.changed({**old, **policy})
 

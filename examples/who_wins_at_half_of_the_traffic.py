@@ -9,7 +9,7 @@ pendulum = taciturn.load("inverted-pendulum")
 rate = 0.5 / pendulum.design().tick  # sends per second
 other = {"theta": None}
 policies = {
-    "clock": pendulum.changed({**other, "kind": "periodic", "period": 0.04}),
+    "clock": pendulum.changed({**other, "kind": "periodic", "every": 2}),
     "clock, rearranged": pendulum.changed({**other, "kind": "rollout", "horizon": 4, "every": 2}),
     "ch. 2 of the thesis": pendulum,
     "ch. 2, predicting": pendulum.changed({"actuation": "model"}),

@@ -103,7 +103,7 @@ def periods(found: TunedPeriod) -> None:
     rows = [
         [
             f"{one.problem.parameters['period']:g}",
-            f"{one.parameter.value:.6g}",
+            one.parameter.beside(None),
             str(one.evaluation.cost),
             one.evaluation.consistency or "",
         ]

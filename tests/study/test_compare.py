@@ -35,12 +35,10 @@ def test_the_cheapest_is_first_and_differences_are_those_of_the_costs() -> None:
         assert one.above.standard_error <= apart + 1e-15
         assert one.reached
     assert costs["drawn"].standard_error == 0
-    exact = (
-        taciturn.evaluate(with_policy("periodic", every=3)).cost.value,
-        taciturn.evaluate(with_policy("periodic", every=4)).cost.value,
-    )
-    share = (0.3 - 0.25) / (1 / 3 - 0.25)  # of the time at every third step
-    assert costs["clock"].value == pytest.approx(share * exact[0] + (1 - share) * exact[1])
+    cycles = [(4, 3), (4, 3, 3, 3)]  # which beat sharing the time between every third step and every fourth
+    slow, fast = (taciturn.evaluate(with_policy("periodic", every=cycle)).cost.value for cycle in cycles)
+    share = (0.3 - 2 / 7) / (4 / 13 - 2 / 7)
+    assert costs["clock"].value == pytest.approx(share * fast + (1 - share) * slow)
     assert found.cost_all_time == pytest.approx(0.733478, abs=1e-6)
 
 
@@ -125,7 +123,21 @@ def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     assert [label.get_text() for label in axis.get_yticklabels()] == ["clock", "hold"]
     document: dict[str, Any] = json.loads(json.dumps(found.document(), allow_nan=False))
     assert [place["name"] for place in document["ranking"]] == ["hold", "clock"]
-    assert document["ranking"][1]["parameter"]["share"] == pytest.approx(0.4)
+    assert document["ranking"][1]["parameter"]["value"] == [4, 3]
+    assert document["ranking"][1]["parameter"]["beyond"] == [4, 3, 3, 3]
+    assert document["ranking"][1]["parameter"]["share"] == pytest.approx((4 / 13 - 0.3) / (4 / 13 - 2 / 7))
+
+
+def test_a_clock_beside_others_measures_as_often_as_they_do() -> None:
+    """Of a continuous plant whose outputs are measured, a period alone would measure only when it sends."""
+    problem = taciturn.load("two-mass-continuous")
+    clock = replace(problem, kind="periodic", parameters={"period": 0.3})
+    found = compare({"events": problem, "clock": clock}, 3.0, standard_error=5e-3)
+    fair = next(one for one in found.ranking if one.name == "clock")
+    assert fair.tuned.problem.parameters["period"] == problem.parameters["period"]
+    weaker = taciturn.evaluate(clock.changed({"period": 1 / 3}))
+    assert fair.cost.value < 0.999 * weaker.cost.value
+    assert any("measures only when it sends" in note for note in weaker.notes)
 
 
 @pytest.mark.evidence

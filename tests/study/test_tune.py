@@ -129,8 +129,8 @@ def test_exact_rates_are_met_exactly(kind: str) -> None:
 
 
 def test_whole_numbers_keep_the_budget_and_name_the_other_side() -> None:
-    """Every third step sends at most 0.4 of the time; every second one more. A cost of 0.8 wants every second one."""
-    problem = with_policy("periodic", every=7)
+    """Every third step sends at most 0.4 of the time; every second one more."""
+    problem = with_policy("periodic", every=7, actuation="model")
     by_rate = tune(problem, rate=0.4)
     assert by_rate.parameter.value == 3
     assert by_rate.beyond is not None
@@ -140,9 +140,11 @@ def test_whole_numbers_keep_the_budget_and_name_the_other_side() -> None:
     assert exactly.beyond is None
     last = tune(with_policy("rollout", horizon=1, every=3), rate=0.5, standard_error=1e-2)
     assert last.parameter.value == 2  # at the end of its range
-    by_cost = tune(problem, cost=0.8)
-    assert by_cost.parameter.value == 2
-    assert by_cost.evaluation.cost.value <= 0.8
+    by_cost = tune(problem, cost=0.76)
+    assert by_cost.parameter.value == 3
+    assert by_cost.evaluation.cost.value <= 0.76
+    assert by_cost.beyond is not None
+    assert by_cost.beyond.evaluation.cost.value > 0.76
     pattern = tune(with_policy("periodic-schedule", length=8, sends=6), rate=0.3)
     assert pattern.parameter.value == 2
     rolled = tune(with_policy("rollout", horizon=1, every=2), rate=0.3, standard_error=1e-2)
@@ -153,10 +155,24 @@ def test_whole_numbers_keep_the_budget_and_name_the_other_side() -> None:
 
 def test_intervals_that_lose_a_mode_are_passed_over() -> None:
     """Half a second and a second resonate with the spring: between 4 and 6 there is nothing."""
-    found = tune(with_policy("periodic", every=2), rate=0.21)
+    found = tune(with_policy("periodic", every=2), rate=0.17)
     assert found.parameter.value == 6
     assert found.beyond is not None
-    assert found.beyond.parameter.value == 4
+    assert found.beyond.parameter.value == (6, 6, 6, 5)
+
+
+def test_a_held_input_is_tuned_to_a_cycle_of_intervals() -> None:
+    """Four and three steps in turn send 2/7 of the time and cost less than the chord between every third and fourth."""
+    problem = with_policy("periodic", every=2)
+    by_rate = tune(problem, rate=0.3)
+    assert by_rate.parameter.value == (4, 3)
+    assert by_rate.evaluation.cost.value < tune(problem, rate=0.25).evaluation.cost.value
+    by_cost = tune(problem, cost=0.9)
+    assert by_cost.parameter.value == (4, 3)
+    assert by_cost.beyond is not None
+    assert by_cost.evaluation.cost.value <= 0.9 < by_cost.beyond.evaluation.cost.value
+    with pytest.raises(ProblemError, match="is below that of sending at every tick"):
+        tune(problem, cost=0.7)
 
 
 def test_jumps_of_a_schedule_have_two_sides() -> None:
@@ -248,6 +264,6 @@ def test_every_kind_has_a_knob_that_it_knows() -> None:
 def test_the_document_is_that_of_evaluate_with_the_parameter() -> None:
     """Names of the contract."""
     found = tune(with_policy("periodic", every=2), rate=0.4).document()
-    assert found["parameter"] == {"name": "every", "value": 3, "standard_error": 0.0}
-    assert found["beyond"]["value"] == 2
+    assert found["parameter"] == {"name": "every", "value": (3, 3, 2, 2), "standard_error": 0.0}
+    assert found["beyond"]["value"] == (3, 2, 2)
     assert {"policy", "cost", "rates", "cost_all_time", "reached"} <= set(found)

@@ -54,7 +54,7 @@ def tradeoff(
     ] = None,
     workers: Workers = 1,
 ) -> None:
-    """Cost against rate over a parameter, beside optimal periodic control and the guarantee."""
+    """Cost against rate over a parameter, beside fair clocks and the guarantee."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._grid import parse_grid

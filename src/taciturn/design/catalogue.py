@@ -60,12 +60,13 @@ class Knob:
     """The parameter that trades the cost of a policy for its rate.
 
     Args:
-        name: key of ``[policy]``.
+        name: key of ``[policy]``; of several that are given, the first is turned.
         link: whose rate it turns; omitted: the only one that the policy decides.
         least: what it must exceed; a whole number may equal it.
         whole: whether it is a whole number.
         falls: whether the rate falls where it grows.
         continuous: whether it is there for continuous plants (True), for discrete ones (False), or for both (None).
+        cycles: whether a list of whole numbers does too, of which the exact costs tell the best.
     """
 
     name: str
@@ -74,11 +75,12 @@ class Knob:
     whole: bool = False
     falls: bool = True
     continuous: bool | None = None
+    cycles: bool = False
 
 
 KNOBS: Mapping[str, tuple[Knob, ...]] = {
     "all-time": (Knob("period", continuous=True),),
-    "periodic": (Knob("period", continuous=True), Knob("every", least=1, whole=True, continuous=False)),
+    "periodic": (Knob("every", least=1, whole=True, cycles=True), Knob("period", continuous=True)),
     "lqg": (Knob("theta"),),
     "remote-lqg": (Knob("theta", "actuator"), Knob("zeta", "sensor")),
     "lossy-lqg": (Knob("price"),),

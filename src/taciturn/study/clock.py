@@ -11,6 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -34,6 +35,7 @@ BELOW, ABOVE = 1, 2  # ticks by which its intervals may be off the mean one
 REACH = 8  # ticks by which intervals are tried that are longer than what is asked
 MOST_INTERVALS, MOST_MEANS = 64, 12  # lengths that are tried of cycles of one interval, and of several
 MOST_CYCLES = 2000
+LONGEST = 2000  # ticks of an interval that is looked for
 WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
 CURVE_POINTS = 40
 SAME, ALIKE = 1e-9, 1e-6  # relative
@@ -174,6 +176,18 @@ class Ticked(Clock):
             ),
             None,
         )
+
+    def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
+        """Return the two corners next to a cost, the dearer one first; None where none costs as much, or as little."""
+        last = REACH
+        while last <= LONGEST:
+            corners = self._corners(1, last, last // 2)
+            for dear, cheap in pairwise(corners):
+                if cheap.cost <= cost * (1 + SAME) and cost <= dear.cost * (1 + SAME):
+                    share = (cost - cheap.cost) / (dear.cost - cheap.cost)
+                    return self.around(share * dear.rate + (1 - share) * cheap.rate)
+            last *= 2
+        return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
         """Return the corners of the lower hull between two rates, and the first one beyond, the fastest first."""

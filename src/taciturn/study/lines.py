@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from taciturn.model.estimate import Estimate
-
 if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.study.clock import ClockMix
@@ -59,13 +57,11 @@ def evaluation_lines(found: Evaluation) -> Lines:
 def tuned_lines(found: Tuned) -> Lines:
     """Return what is said of the parameter that meets a budget, and of the answer at it."""
     parameter = found.parameter
-    value = Estimate(parameter.value, parameter.standard_error or 0.0, "simulation")
-    lines: Lines = [(parameter.name, str(value)), *evaluation_lines(found.evaluation)]
+    lines: Lines = [(parameter.name, str(parameter)), *evaluation_lines(found.evaluation)]
     if found.beyond is not None:
         other = found.beyond
         rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
-        close = f"{other.parameter.value:.6g}" == f"{parameter.value:.6g}"
-        text = f"{other.parameter.value:.{17 if close else 6}g}: {rates}, cost {other.evaluation.cost}"
+        text = f"{other.parameter.beside(parameter)}: {rates}, cost {other.evaluation.cost}"
         lines.append(("beyond", f"the budget lies in a jump, on whose other side is {parameter.name} = {text}"))
     return lines
 

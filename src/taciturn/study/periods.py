@@ -110,7 +110,9 @@ def tune_period(
         if len(tried) > 1 and not _gains(tried[-2], found):
             break
         name, value = found.parameter.name, found.parameter.value
-        parameters[name] = value / FASTER if name == "delta" else value  # δ is a cost per look: the same error is sent
+        if isinstance(value, float) and name == "delta":
+            value /= FASTER  # δ is a cost per look: the same error is sent
+        parameters[name] = value
         period /= FASTER
     best = min(tried, key=lambda one: one.evaluation.cost.value)
     return TunedPeriod(best, tuple(tried))

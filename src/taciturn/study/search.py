@@ -122,7 +122,7 @@ class Search:
             ProblemError: no value reaches the budget.
         """
         here = self._start()
-        self._expect_possible(here.evaluation)
+        self.expect_possible(here.evaluation)
         if self.meets_exactly(here):
             return here, here
         outwards = -1.0 if (here.above > 0) == self.rising else 1.0
@@ -223,7 +223,7 @@ class Search:
         assert isinstance(why, TaciturnError)
         raise why
 
-    def _expect_possible(self, found: Evaluation) -> None:
+    def expect_possible(self, found: Evaluation) -> None:
         """Refuse what sending at every tick shows to be out of reach, whatever the value.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Cost against rate: a policy over its parameters, beside optimal periodic control and the guarantee."""
+"""Cost against rate: a policy over its parameters, beside fair clocks and the guarantee."""
 
 from __future__ import annotations
 

@@ -12,7 +12,9 @@ from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.budget import budget_of
-from taciturn.study.search import Goal, Look, Search
+from taciturn.study.clock import Cycle, Ticked, clock_of
+from taciturn.study.evaluate import evaluate
+from taciturn.study.search import EXACT, Goal, Look, Search
 from taciturn.study.tuned import Parameter, Tuned
 
 
@@ -66,6 +68,8 @@ def tune(
     knob = _knob(problem, link)
     goal = Goal(name, budget_of(problem, knob, name, budget), link or knob.link)
     search = Search(problem, knob, goal, seed, progress)
+    if knob.cycles and (cycles := _next_to(problem, knob, goal, search)) is not None:
+        return cycles
     low, high = search.bracket()
     if not knob.whole:
         low, high = search.close_in(low, high)
@@ -75,6 +79,32 @@ def tune(
     if search.meets_exactly(low):
         return found
     return replace(found, beyond=_tuned(problem, knob, search.measure(high, standard_error), 0.0, None))
+
+
+def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned | None:
+    """Return the cycle next to the budget that keeps it, and the one beyond; None where no exact cost tells them."""
+    always = problem.changed({knob.name: 1})
+    policy = always.designed()
+    clock = clock_of(always, policy)
+    if not isinstance(clock, Ticked):
+        return None
+    search.expect_possible(evaluate(always))
+    found = clock.around(goal.budget) if goal.name == "rate" else clock.around_cost(goal.budget)
+    if found is None:
+        return None
+    below, above = (_at_cycle(problem, knob, point.cycle) for point in found)
+    keeps, beyond = (below, above) if goal.name == "rate" else (above, below)
+    if goal.of(beyond.evaluation).value <= goal.budget * (1 + EXACT):
+        return beyond
+    meets = goal.of(keeps.evaluation).value >= goal.budget * (1 - EXACT)
+    return keeps if meets else replace(keeps, beyond=beyond)
+
+
+def _at_cycle(problem: Problem, knob: Knob, cycle: Cycle | None) -> Tuned:
+    assert cycle is not None
+    value = cycle[0] if len(cycle) == 1 else cycle
+    changed = problem.changed({knob.name: value})
+    return Tuned(Parameter(knob.name, value, 0.0), changed, evaluate(changed), None, None)
 
 
 def _tuned(problem: Problem, knob: Knob, look: Look, error: float | None, slope: float | None) -> Tuned:
@@ -92,6 +122,8 @@ def _knob(problem: Problem, link: LinkName | None) -> Knob:
         and (knob.link is None or (knob.name in given and link in (None, knob.link)))
     ]
     knobs = [knob for knob in knobs if knob.name in given] or knobs[:1]
+    if len(knobs) > 1 and all(knob.link is None for knob in knobs):
+        knobs = knobs[:1]
     if len(knobs) > 1:
         raise ProblemError(f"{problem.kind} decides on two links; expected link, one of {[k.link for k in knobs]}")
     if not knobs:

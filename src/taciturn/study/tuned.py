@@ -5,18 +5,39 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
+from taciturn.study.clock import Cycle
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import text_of, tuned_lines
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter and how well it is known; ``standard_error`` is None where the budget does not depend on it here."""
+    """A parameter and how well it is known.
+
+    Args:
+        name: key of ``[policy]``.
+        value: a number; of time-triggered control perhaps a cycle of intervals.
+        standard_error: None where the budget does not depend on it here.
+    """
 
     name: str
-    value: float
+    value: float | Cycle
     standard_error: float | None
+
+    def __str__(self) -> str:
+        """Return its value, with its standard error where it has one."""
+        if isinstance(self.value, tuple):
+            return "[" + ", ".join(map(str, self.value)) + "]"
+        return str(Estimate(self.value, self.standard_error or 0.0, "simulation"))
+
+    def beside(self, other: Parameter | None) -> str:
+        """Return its value with as many digits as tell it from another's, if there is one."""
+        if isinstance(self.value, tuple):
+            return str(self)
+        alike = other is not None and not isinstance(other.value, tuple) and f"{other.value:.6g}" == f"{self.value:.6g}"
+        return f"{self.value:.{17 if alike else 6}g}"
 
 
 @dataclass(frozen=True, eq=False)
