@@ -37,7 +37,7 @@ def test_evaluate_prints_cost_rate_and_guarantee_and_nothing_else() -> None:
     done = execute("evaluate", "two-mass", "--steps", "100000")
     assert (done.returncode, done.stderr) == (0, "")
     names = [line[:14].strip() for line in done.stdout.splitlines()]
-    assert names == ["policy", "cost", "method", "rate, actuator", "all-time cost", "guaranteed"]
+    assert names == ["policy", "cost", "method", "rate, actuator", "all-time cost", "guaranteed", "fair clock"]
     assert "(simulation, completed squares)" in done.stdout
 
 

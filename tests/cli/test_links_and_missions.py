@@ -153,14 +153,14 @@ def test_none_takes_a_key_away() -> None:
     assert problem.network.loss("actuator") == pytest.approx(1 / 6)
 
 
-def test_a_tradeoff_without_a_clock_says_why(run: Run) -> None:
-    """A prediction between samples wants the full state; a plant that is discrete, or holds, has its clock."""
-    reason = "of a continuous plant a prediction wants the full state, and C or V is given; actuation=hold has one"
+def test_a_tradeoff_has_a_clock_of_the_same_actuation(run: Run) -> None:
+    """Also where the actuator predicts and outputs are measured, of a continuous plant and of a discrete one."""
     rough = ("--standard-error", "1e-2", "--confidence", "0")
-    for name, actuation, told in (
-        ("two-mass-continuous", "model", True),
-        ("two-mass-continuous", "hold", False),
-        ("two-mass", "model", False),
-    ):
-        out = run("tradeoff", name, "--over", "theta=1", "--over", f"actuation={actuation}", *rough).out
-        assert (out.splitlines()[1].endswith(" none"), reason in out) == (told, told)
+    for name, actuation in (("two-mass-continuous", "model"), ("two-mass-continuous", "hold"), ("two-mass", "model")):
+        document = json.loads(
+            run("tradeoff", name, "--over", "theta=1", "--over", f"actuation={actuation}", *rough, "--json").out
+        )
+        (point,) = document["points"]
+        assert point["clock"]["kind"] == actuation
+        assert point["clock"]["cost"] == point["cost_periodic_same_rate"] > point["cost"]["value"]
+        assert list(document["periodic"]) == [actuation]

@@ -190,6 +190,7 @@ def test_what_the_library_passes_itself_is_no_parameter(run: Run, write: Write) 
         ({"policy": LQG + "theta = 1\nactuation = 'held'"}, "policy.actuation is 'held'; expected 'hold' or 'model'"),
         ({"policy": PERIODIC + "every = 2.0"}, "policy.every is 2.0; expected a whole number"),
         ({"policy": PERIODIC + "every = true"}, "policy.every is True; expected a whole number"),
+        ({"policy": PERIODIC + "every = [4, 0.5]"}, "policy.every is [4, 0.5]; expected a whole number"),
         (
             {"policy": "[policy]\nkind = 1"},
             f"policy.kind is 1; expected one of {', '.join(CATALOGUE)}",
@@ -273,13 +274,17 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ({"policy": LQG + "theta = 1\nperiod = 0.1"}, "period is 0.1 with a discrete-time plant; expected none"),
         (continuous(), "period is missing; expected the seconds between ticks, as the plant is continuous in time"),
         (continuous(policy=LQG + "theta = 1\nperiod = 0"), "period is 0; expected 0 < period"),
-        (continuous(policy=PERIODIC + "every = 9"), "every is given with a continuous-time plant; expected period, in"),
+        (
+            continuous(policy=PERIODIC + "every = 9"),
+            "period is missing; expected the seconds between ticks, as the plant",
+        ),
         (
             continuous(JUMPS.replace("rate = 5", "rate = 5000"), LQG + "theta = 1\nperiod = 0.1", ""),
             "a tick of 0.1 s sees 500 jumps on average, too many to draw one by one; expected shorter ticks, or Wiener",
         ),
-        ({"policy": PERIODIC}, "every is missing; expected the steps between sends, at least 1"),
+        ({"policy": PERIODIC}, "every is missing; expected the ticks between sends, at least 1, or a list"),
         ({"policy": PERIODIC + "every = 0"}, "every is 0; expected a whole number, at least 1"),
+        ({"policy": PERIODIC + "every = []"}, "every is an empty list; expected the ticks between sends, at least 1"),
         (
             {"cost": COST + "horizon = 5"},
             "cost.horizon is 5, which lqg does not use; expected an average cost: remove it",

@@ -82,15 +82,13 @@ def _verdict(found: Evaluation) -> list[str]:
 
 
 def _clock(clock: ClockMix, found: Evaluation) -> str:
-    """Say what time-triggered control costs at this rate, and when it sends."""
+    """Say what time-triggered control costs at this rate, whether it holds or predicts, and when it sends."""
     base = found.cost_all_time
-    parts = [f"{100 * (clock.cost / base - 1):+.2f} %"] if base else []
-    parts.append({"hold": "input held", "model": "input predicted", "queries": "sensor queried"}[clock.words])
+    more = f" ({100 * (clock.cost / base - 1):+.2f} %)" if base else ""
     cycles = [point.cycle for point in clock.points]
-    named = ["every " + ", ".join(map(str, cycle)) for cycle in cycles if cycle is not None]
-    if named:
-        parts.append(f"sends {' or '.join(named)} ticks")
-    return f"{clock.cost:.6g} at this rate   ({'; '.join(parts)})"
+    named = [str(list(cycle)) for cycle in cycles if cycle is not None]
+    sends = f", every {' or '.join(named)} ticks" if named else ""
+    return f"{clock.cost:.6g} at this rate{more}: {clock.words}{sends}"
 
 
 def _promised(found: Evaluation) -> str:

@@ -18,10 +18,13 @@ from taciturn.model.schedule import Schedule
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
+from taciturn.study.clock import ClockMix, ClockPoint
 from taciturn.study.evaluate import Evaluation, Linearisation
 
 KIND = "kind of data"  # key of what a mapping stands for
-RECORDED = {known.__name__: known for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule)}
+RECORDED = {
+    known.__name__: known for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint)
+}
 
 
 def encode(value: object) -> str:
