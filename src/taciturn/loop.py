@@ -30,7 +30,10 @@ from taciturn.program.trace import trace
 COST, EXCESS, SENT = "cost", "excess", "sent"
 DRAWN = "drawn"  # the normals that an innovation is made of
 WEIGHT = "weight"  # of a tick in a discounted sum
-RANGE = (1e-30, 1e30)  # of the cost of a tick in single precision, whose numbers end at 1e-38 and 3e38
+RANGES: Mapping[Precision, tuple[float, float]] = {  # of the cost of a tick: variances of costs are still numbers
+    "float32": (1e-30, 1e30),
+    "float64": (1e-120, 1e120),
+}
 NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
 
 
@@ -60,10 +63,12 @@ class Loop:
         if self.precision not in ("float64", "float32"):
             raise ProblemError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
         size = abs(self.policy.cost_all_time) * self.policy.tick
-        if self.precision == "float32" and size and not RANGE[0] < size < RANGE[1]:
+        low, high = RANGES[self.precision]
+        if size and not low < size < high:
+            remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
-                f"precision is 'float32', and a tick costs some {size:.1g}, whose parts are beyond its range; "
-                "expected precision 'float64', or a problem that is scaled"
+                f"precision is {self.precision!r}, and a tick costs some {size:.1g}, whose parts are beyond its range; "
+                f"expected {remedy}a problem that is scaled, such as other units of Q and R, or of W"
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(

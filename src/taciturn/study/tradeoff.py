@@ -113,7 +113,7 @@ class Tradeoff:
         bounds = [one.lower_bound for one in found if one.lower_bound is not None]
         paces, bases = {one.base_rate for one in found}, {one.cost_all_time for one in found}
         pace, base = found[0].base_rate, found[0].cost_all_time
-        if len(bounds) < len(found) or len(paces | bases) > 2 or pace is None or base is None:
+        if not bounds or len(paces) > 1 or len(bases) > 1 or pace is None or base is None:
             return []  # of one controller that looks at one pace
         rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
         lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
