@@ -253,7 +253,8 @@ def _evaluated(
         loop = replace(problem.close(policy), precision=precision)
         measured = measure(loop, request, first)
         certified = None if confidence is None else bound_rate(loop)
-    found, notes = measured.averages, measured.notes
+    asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
+    found, notes = measured.averages, measured.notes + without_effect(asked, measured.method)
     policy, lower = loop.policy, None
     if confidence is not None:
         resets(loop)
@@ -303,11 +304,6 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
     """Return the evaluation of a policy without ticks."""
     if request.method not in ("auto", "simulation"):
         raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
-    for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
-        if given is not None:
-            raise ProblemError(
-                f"{name} is given, which {policy.kind} without a period does not use; expected policy.period, or none"
-            )
     found = average_events(
         policy, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
     )
@@ -338,6 +334,14 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         consistency=_consistency(found.cost, fair, policy.statement is not None),
         notes=policy.notes,
     )
+
+
+def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
+    """Return a note on options of a simulation that were given, where another method gave the answer."""
+    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
+    if not given or method == "simulation":
+        return ()
+    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
 
 
 def _linearisation(policy: Policy) -> Linearisation:
