@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from used import FULL, KINDS, LINKS, PROPERTIES, mark, table, uses_of
+from used import BURST, FULL, KINDS, LINKS, PROPERTIES, mark, table, uses_of
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, close, design
@@ -79,9 +79,7 @@ def test_the_table_has_every_kind_and_every_property() -> None:
     assert all(row.keys() == {*PROPERTIES, *LINKS} for row in printed().values())
 
 
-@pytest.mark.parametrize(
-    "given", [{"sensor_loss": 0.9}, {"sensor_burst": Burst(0.1, 0.3, 0.0, 0.8)}, {"sensor_range": 1.0}]
-)
+@pytest.mark.parametrize("given", [{"sensor_loss": 0.9}, {"sensor_burst": BURST}, {"sensor_range": 1.0}])
 def test_a_link_that_carries_no_packet_has_no_properties(given: Mapping[str, Any]) -> None:
     """Sensor and controller share a place: nothing goes over a link between them."""
     policy = design.excess(FULL, COST, theta=0.3)
