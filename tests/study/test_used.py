@@ -103,6 +103,17 @@ def test_a_packet_that_nobody_receives_cannot_be_lost() -> None:
     with pytest.raises(ProblemError, match="no node of mine receives a packet on the sensor link; expected"):
         close(SCALAR, deaf, lossy, weights)
     assert close(SCALAR, hearing, lossy, weights).departures
+    with pytest.raises(ProblemError, match="no packet of mine tells its receiver what it does not hold"):
+        close(SCALAR, hearing, Network(payload="float32"), weights)
+
+
+def test_a_range_has_an_entry_for_each_number_of_its_packet() -> None:
+    """Or one for all; it is looked at when the loop is closed, and not when it runs."""
+    policy = design.excess(FULL, COST, theta=0.3)
+    with pytest.raises(ProblemError, match="the range of a packet has 2 entries; expected one, or 1: as the packet"):
+        close(FULL, policy, Network(payload="int16", actuator_range=(1.0, 2.0)), COST)
+    with pytest.raises(ProblemError, match=r"network.actuator_range is missing, and network.payload is 'int16'"):
+        close(FULL, policy, Network(payload="int16"), COST)
 
 
 def test_acknowledgements_that_no_node_uses_are_reported() -> None:

@@ -8,6 +8,7 @@ from typing import TypeAlias
 from taciturn._arrays import instance
 from taciturn.errors import InformationError, ProblemError
 from taciturn.model.network import Network
+from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import (
     ENDS,
     ONE,
@@ -36,7 +37,8 @@ def check_network(policy: Policy, network: Network) -> None:
 
     Raises:
         InformationError: a node uses what it cannot know.
-        ProblemError: the delay is not the one of the design, or something is given for a link that carries nothing.
+        ProblemError: the delay is not the one of the design, something is given for a link that carries nothing, or a
+            range is missing or has another number of entries than the packet.
     """
     instance("network", network, Network)
     check_information(policy, network)
@@ -45,7 +47,13 @@ def check_network(policy: Policy, network: Network) -> None:
             f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
             "expected the delay of the design"
         )
+    packet_shapes(policy, network)
     carrying = links_of(policy)
+    if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
+        raise ProblemError(
+            f"network.payload is {network.payload!r}, and no packet of {policy.kind} tells its receiver what it does "
+            "not hold; expected payload = 'float64', the default: there is nothing to round"
+        )
     for link in ENDS:
         given = [name for name in network.given(link) if link not in carrying]
         if given:

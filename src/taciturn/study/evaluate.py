@@ -185,7 +185,8 @@ def evaluate(
         problem: from ``load`` or ``Problem``.
         seed: of the draws, at least 0.
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
+        steps: run this many steps of all paths together instead; what has no closed form is then simulated. A note
+            says where this, or a precision, had no effect.
         method: ``"exact"`` takes a closed form or a quadrature and never simulates, ``"conditional sampling"`` and
             ``"simulation"`` take nothing else.
         precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
