@@ -12,7 +12,7 @@ from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.model.cost import Cost
-from taciturn.model.information import check_information
+from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
@@ -307,7 +307,8 @@ def close(
 
     Raises:
         InformationError: a node uses what it cannot know.
-        ProblemError: sizes of plant, policy and cost differ.
+        ProblemError: sizes of plant, policy and cost differ, the network has properties that the policy cannot have, or
+            the plant of the design has what only a plant that is simulated can have.
 
     Source: khashooei2017
     """
@@ -323,6 +324,7 @@ def close(
         if got != expected:
             raise ProblemError(f"the plant has {got} {name}; expected {expected}, as in the policy's model")
     check_network(policy, network)
+    _check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
             f"cost.horizon is {cost.horizon}, and the reference has {policy.cost.horizon} steps; expected the same"
@@ -330,19 +332,23 @@ def close(
     return Loop(problem, policy, network, _departures(problem, policy, network))
 
 
-def check_network(policy: Policy, network: Network) -> None:
-    """Refuse a network over which a policy cannot run.
+def _check_plants(problem: Discrete, policy: Policy) -> None:
+    """Refuse what concerns a plant that is simulated and is given for the design alone, which ignores it.
 
     Raises:
-        InformationError: a node uses what it cannot know.
-        ProblemError: the delay is not the one of the design.
+        ProblemError: limits of the input, a function, or of an average a spread of the initial state.
     """
-    instance("network", network, Network)
-    check_information(policy, network)
-    if network.delay != policy.network.delay:
+    plant, model = problem.plant, policy.model
+    begun = policy.cost is not None and policy.cost.mission
+    ignored = {
+        "input_limit": model.input_limit is not None and not plant.agrees("input_limit", model),
+        "function": model.function is not None and plant.function is None,
+        "initial.covariance": model.covariance.any() and not begun and not plant.agrees("covariance", model),
+    }
+    for name in (name for name, unused in ignored.items() if unused):
         raise ProblemError(
-            f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
-            "expected the delay of the design"
+            f"plant.{name} is given, and the plant that is simulated instead (plant.actual) has another or none; "
+            f"expected the same plant.actual.{name}, or no plant.{name}: the design does not use it"
         )
 
 
@@ -360,6 +366,7 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
         "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
         "losses come in bursts, and the design knows their mean only": bursts,
         "the network is not the one of the design": not bursts and exact != designed.without_bursts(),
+        "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
         f"packets hold rounded numbers ({network.payload})": network.payload != "float64",
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }

@@ -382,3 +382,16 @@ def test_periods_at_the_ends_of_the_range_are_answered_or_refused(run: Run, writ
     assert answer.err.count("\n") == (answer.code == 2)
     if answer.out:
         json.loads(answer.out, parse_constant=pytest.fail)
+
+
+def test_options_without_effect_are_noted_where_they_are_given(run: Run, write: Write) -> None:
+    """Of an exact answer; scripts that always give a seed go on."""
+    path = write(policy=PERIODIC)
+    done = run("evaluate", path, "--seed", "0", "--steps", "20000", "--precision", "float32", "--json")
+    assert (done.code, done.err) == (0, "")
+    assert json.loads(done.out)["notes"] == [
+        "steps = 20000 and precision = float32 had no effect: no loop was simulated",
+        "seed = 0 had no effect: no loop was simulated",
+    ]
+    assert "no effect" not in run("evaluate", path).out
+    assert "no effect" not in run("evaluate", "two-mass", "--steps", "20000", "--seed", "1").out

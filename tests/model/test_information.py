@@ -43,7 +43,7 @@ def refusal(policy: Policy, network: Network | None = None) -> str:
     return str(found.value)
 
 
-@pytest.mark.parametrize("network", [Network(), Network("udp", 0.1, 0.2), Network("tcp", 0.1, 0.2)], ids=str)
+@pytest.mark.parametrize("network", [Network(), Network("udp", 0.1), Network("tcp", 0.1)], ids=str)
 def test_a_policy_that_keeps_to_its_packets_is_legal(network: Network) -> None:
     """Controller at the sensor's site, an input that changes only when a packet arrives."""
     check_information(make(*LEGAL), network)

@@ -138,7 +138,7 @@ def with_functions(system: System, seed: int, protocol: str = "udp") -> Loop:
         Assign("controller", "held", ({"held": unit}, {"command": unit}), "send"),
         Apply("controller", {"forecast": n, "spread": n * n}, predict, ("estimate", "covariance", "held")),
     )
-    place, network = frozenset({"sensor", "controller"}), Network(protocol, 0.0, loss)  # type: ignore[arg-type]
+    place, network = frozenset({"sensor", "controller"}), Network(protocol, loss)  # type: ignore[arg-type]
     first = {"spread": np.eye(n).ravel()}
     policy = Policy("functions", steps, plant, 1.0, sites=(place,), initial=first, network=network)  # type: ignore[arg-type]
     return close(plant, policy, network, system.cost)

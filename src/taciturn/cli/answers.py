@@ -30,7 +30,7 @@ from taciturn.cli.frame import (
 def evaluate(
     file: File,
     as_json: Json = False,
-    seed: Seed = 0,
+    seed: Annotated[int | None, typer.Option(help="Seed of the draws. Default: 0.")] = None,
     standard_error: StandardError = None,
     steps: Steps = None,
     method: Annotated[str, typer.Option(help="auto, exact, 'conditional sampling' or simulation.")] = "auto",
@@ -42,15 +42,19 @@ def evaluate(
 
     With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
     """
+    from dataclasses import replace
+
     import taciturn
+    from taciturn.study.evaluate import without_effect
     from taciturn.study.lower import choose_confidence
+    from taciturn.study.measure import CONDITIONAL
 
     check_effort(standard_error, steps)
     problem = taciturn.load(file)
     with progress_bar("computing") as progress:
         found = taciturn.evaluate(
             problem,
-            seed=seed,
+            seed=seed or 0,
             standard_error=standard_error,
             steps=steps,
             method=cast("Any", method),
@@ -59,6 +63,8 @@ def evaluate(
             time_limit=time,
             progress=progress,
         )
+    if found.lower_bound is None and found.method != CONDITIONAL:
+        found = replace(found, notes=found.notes + without_effect({"seed": seed}, found.method))
     if as_json:
         print_json(found.document())
     else:

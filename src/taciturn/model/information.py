@@ -1,12 +1,14 @@
-"""Who may know what: a policy whose nodes read what they do not hold is refused."""
+"""Which networks a policy runs over: none whose nodes read what they do not hold, and no link that carries nothing."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import TypeAlias
 
-from taciturn.errors import InformationError
+from taciturn._arrays import instance
+from taciturn.errors import InformationError, ProblemError
 from taciturn.model.network import Network
+from taciturn.model.packets import packet_shapes, told_by
 from taciturn.model.policy import (
     ENDS,
     ONE,
@@ -17,6 +19,7 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
+    LinkName,
     NodeName,
     Policy,
     Received,
@@ -27,6 +30,55 @@ from taciturn.model.steps import assigned, read
 from taciturn.model.trigger import Form, Scheduled
 
 Site: TypeAlias = frozenset[NodeName]
+
+
+def check_network(policy: Policy, network: Network) -> None:
+    """Refuse a network over which a policy cannot run, or of which it would ignore a part.
+
+    Raises:
+        InformationError: a node uses what it cannot know.
+        ProblemError: the delay is not the one of the design, something is given for a link that carries nothing, or a
+            range is missing or has another number of entries than the packet.
+    """
+    instance("network", network, Network)
+    check_information(policy, network)
+    if network.delay != policy.network.delay:
+        raise ProblemError(
+            f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
+            "expected the delay of the design"
+        )
+    packet_shapes(policy, network)
+    carrying = links_of(policy)
+    if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
+        raise ProblemError(
+            f"network.payload is {network.payload!r}, and no packet of {policy.kind} tells its receiver what it does "
+            "not hold; expected payload = 'float64', the default: there is nothing to round"
+        )
+    for link in ENDS:
+        given = [name for name in network.given(link) if link not in carrying]
+        if given:
+            others = " and ".join(f"the {other} link" for other in carrying)
+            raise ProblemError(
+                f"network.{given[0]} is given, and no node of {policy.kind} receives a packet on the {link} link; "
+                f"expected properties of {others or 'no link'} only: remove network.{given[0]}"
+            )
+
+
+def links_of(policy: Policy) -> tuple[LinkName, ...]:
+    """Return the links whose packets change what a node does: a step sends them, and their arrival is a condition."""
+    sent: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+    heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
+    return tuple([link for link in sent if link in heard])
+
+
+def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
+    """Tell whether packets are acknowledged, and nothing that a node does depends on it."""
+    return network.protocol == "tcp" and not any(isinstance(on, Acknowledged) for on in _conditions(policy))
+
+
+def _conditions(policy: Policy) -> list[Condition | None]:
+    steps = [step.on for step in policy.steps if isinstance(step, Assign | Evaluate)]
+    return steps + [location.on for location in policy.locations]
 
 
 def check_information(policy: Policy, network: Network) -> None:

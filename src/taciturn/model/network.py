@@ -130,6 +130,11 @@ class Network:
             )
         return Encoding("int16", cast("tuple[float, ...]", scale))
 
+    def given(self, link: str) -> list[str]:
+        """Return the names of the properties of a link that are not those of an ideal one."""
+        names = [f"{link}_{what}" for what in ("loss", "burst", "range")]
+        return [name for name in names if getattr(self, name) != getattr(IDEAL, name)]
+
     def burst(self, link: str) -> Burst | None:
         """Return the bursts of a link, or None where its loss probability is constant."""
         return {"actuator": self.actuator_burst, "sensor": self.sensor_burst}[link]
@@ -152,3 +157,6 @@ class Network:
     def without_rounding(self) -> Network:
         """Return the network whose packets hold numbers as they are."""
         return replace(self, payload="float64", actuator_range=None, sensor_range=None)
+
+
+IDEAL = Network()

@@ -11,7 +11,8 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
-from taciturn.model.policy import Apply, Policy, Send
+from taciturn.model.policy import ENDS, ONE, Apply, Policy, Send
+from taciturn.model.steps import assigned
 from taciturn.model.wire import PERSON, Encoding, PacketKind
 
 POINTS = 3  # at which functions are told apart
@@ -39,6 +40,13 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
         ("input", "plant"): (exact, policy.model.inputs),
     }
     return {**shapes, ("mark", "plant"): (exact, 0)}
+
+
+def told_by(policy: Policy, link: str) -> tuple[str, ...]:
+    """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
+    homes = {name: step.at for step in policy.steps for name in assigned(step)} | {"y": "sensor", ONE: ENDS[link]}
+    names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
+    return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
 
 
 def fingerprint(policy: Policy, network: Network) -> int:

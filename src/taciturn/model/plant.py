@@ -93,7 +93,11 @@ class Plant:
     def same_as(self, other: Plant) -> bool:
         """Tell whether the other plant has the same linear dynamics, noise and input limit."""
         keys = ("A", "B", "C", "W", "V", "input_limit")
-        return all(np.array_equal(getattr(self, key), getattr(other, key)) for key in keys)
+        return all(self.agrees(key, other) for key in keys)
+
+    def agrees(self, key: str, other: Plant) -> bool:
+        """Tell whether the other plant has the same array of this name, or neither has one."""
+        return np.array_equal(getattr(self, key), getattr(other, key))
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,17 +7,17 @@ is known everywhere: its weights are constants.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from taciturn._arrays import Array, array, number
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.location import Location as Location
+from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
 from taciturn.model.plant import Plant, Prediction
 from taciturn.model.reference import Tracking
@@ -48,55 +48,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from taciturn.model.diagram import Diagram
-
-
-@dataclass(frozen=True, eq=False)
-class Location:
-    """A finite location: next = table[location], or table[location, outcome of ``on``].
-
-    Args:
-        name: by which tables refer to it.
-        table: indices of the next location, (locations,) or (locations, outcomes).
-        at: the node that owns it; omitted: a clock that every node shares.
-        on: the condition that picks the column.
-        initial: index at the first tick.
-    """
-
-    name: str
-    table: npt.NDArray[np.int64]
-    at: NodeName | None = None
-    on: Condition | None = None
-    initial: int = 0
-
-    def __post_init__(self) -> None:
-        """Check and freeze."""
-        shape, meaning = ((None,), "(locations,)") if self.on is None else ((None, None), "(locations, outcomes)")
-        table = array(f"the table of location {self.name}", self.table, shape, meaning)
-        size = table.shape[0]
-        if not table.size or table.min() < 0 or table.max() >= size or (table != np.floor(table)).any():
-            extremes = f"entries from {table.min():g} to {table.max():g}" if table.size else "no entries"
-            raise ProblemError(f"location {self.name} has {extremes}; expected whole indices from 0, below {size}")
-        if not 0 <= self.initial < size:
-            raise ProblemError(f"location {self.name} starts at {self.initial}; expected an index from 0, below {size}")
-        if self.on is not None and self.at is None:
-            raise ProblemError(
-                f"location {self.name} depends on {self.on} but has no node; expected the node that owns it"
-            )
-        indices = table.astype(np.int64)
-        indices.setflags(write=False)
-        object.__setattr__(self, "table", indices)
-
-    @property
-    def period(self) -> int:
-        """Ticks after which a clock repeats; 1 for a location that depends on an outcome."""
-        if self.on is not None:
-            return 1
-        visited: dict[int, int] = {}
-        here = self.initial
-        while here not in visited:
-            visited[here] = len(visited)
-            here = int(self.table[here])
-        return len(visited) - visited[here]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +158,8 @@ class Policy:
 
     @property
     def cycle(self) -> int:
-        """Ticks after which all clocks repeat."""
-        return math.lcm(*(location.period for location in self.locations))
+        """Ticks after which all clocks repeat, shared or a node's own: what moves regardless of data."""
+        return joint_cycle(self.locations, self.decisions)
 
     def outcomes(self, condition: Condition) -> int:
         """Return the number of outcomes of a condition."""

@@ -18,12 +18,13 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.dynamics import Dynamics
+from taciturn.model.information import check_network
 from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function
-from taciturn.problem.parameters import check_parameters, read_policy
+from taciturn.problem.parameters import check_parameters, expect_kind, read_policy
 from taciturn.problem.tables import (
     IDEAL,
     BurstTable,
@@ -59,7 +60,7 @@ class Problem:
         source: the tables of the file, for changing single keys.
 
     Raises:
-        ProblemError: the network is none.
+        ProblemError: the network is none, or there is no such kind of policy.
     """
 
     plant: Plant | ContinuousPlant
@@ -72,8 +73,9 @@ class Problem:
     source: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        """Check that the network is not left out."""
+        """Check the network and the kind; what the kind uses is checked where it is designed."""
         instance("network", self.network, Network)
+        expect_kind(self.kind)
 
     def design(self) -> Policy:
         """Design the policy, as nodes that exchange packets.
@@ -98,11 +100,18 @@ class Problem:
         """Design the policy, which may be one that no nodes run.
 
         Raises:
-            ProblemError: a parameter is unknown, missing or out of range, or the policy knows no such network.
+            ProblemError: a parameter is unknown, missing or out of range, or the problem has what the policy would
+                ignore: a network, a link, a reference, an initial state, another plant.
         """
         parameters = check_parameters(self.kind, self.parameters)
-        design = CATALOGUE[self.kind]
-        return design(self.plant, self.cost, **_used(self.kind, self.network, self.reference), **parameters)
+        design, used = CATALOGUE[self.kind], _used(self.kind, self.network, self.reference)
+        policy = design(self.plant, self.cost, **used, **parameters)
+        if isinstance(policy, Policy):
+            check_network(policy, self.network)
+        else:
+            rounded = self.network != self.network.without_rounding()
+            policy.refuse({"[plant.actual]": self.actual is not None, "network.payload": rounded})
+        return policy
 
     def close(self, policy: Policy) -> Loop:
         """Close the loop with the plant that is simulated."""

@@ -35,15 +35,20 @@ def read_policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any
     return kind, parameters
 
 
+def expect_kind(kind: str) -> None:
+    """Refuse a kind that the catalogue does not have, with a ``ProblemError``."""
+    if kind not in CATALOGUE:
+        near = suggest(str(kind), list(CATALOGUE))
+        raise ProblemError(f"policy.kind is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
+
+
 def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Return the parameters of a policy kind, checked against its design function.
 
     Raises:
         ProblemError: a parameter is unknown, missing, or of the wrong type.
     """
-    if kind not in CATALOGUE:
-        near = suggest(str(kind), list(CATALOGUE))
-        raise ProblemError(f"policy.kind is {kind!r}; expected one of {', '.join(CATALOGUE)}{near}")
+    expect_kind(kind)
     known = _accepted(kind)
     for key in parameters:
         if key not in known:

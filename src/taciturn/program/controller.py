@@ -6,9 +6,10 @@ from collections.abc import Mapping
 
 from taciturn._arrays import Array
 from taciturn.model.network import Network
+from taciturn.model.packets import told_by
 from taciturn.model.policy import ENDS, Policy, Send
 from taciturn.program.ir import Builder, Coefficient, Program
-from taciturn.program.lower import Tick, encode_payloads, told_by
+from taciturn.program.lower import Tick, encode_payloads
 from taciturn.program.ops import Precision
 
 

@@ -13,7 +13,6 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.model.network import Network
 from taciturn.model.policy import (
-    ENDS,
     ONE,
     Apply,
     Assign,
@@ -28,7 +27,6 @@ from taciturn.model.policy import (
     Step,
     Terms,
 )
-from taciturn.model.steps import assigned
 from taciturn.model.trigger import Bell, Form, Matrix, Scheduled
 from taciturn.model.wire import LARGEST, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
@@ -308,13 +306,6 @@ def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Enc
             parts = network.encoding(step.link).parts(sizes)
             payloads[step.link] = dict(zip(step.payload, parts, strict=True))
     return payloads
-
-
-def told_by(policy: Policy, link: str) -> tuple[str, ...]:
-    """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
-    homes = {name: step.at for step in policy.steps for name in assigned(step)} | {"y": "sensor", ONE: ENDS[link]}
-    names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
-    return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
 
 
 def _arrival(link: str) -> str:

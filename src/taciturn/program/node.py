@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
+from taciturn.model.packets import told_by
 from taciturn.model.policy import (
     ENDS,
     Acknowledged,
@@ -28,7 +29,7 @@ from taciturn.model.policy import (
 from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads, told_by
+from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads
 from taciturn.program.ops import Precision, State
 
 

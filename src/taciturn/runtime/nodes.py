@@ -13,7 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, instance
-from taciturn.loop import check_network
+from taciturn.model.information import check_network
 from taciturn.model.network import Network
 from taciturn.model.policy import ENDS, Policy
 from taciturn.program.controller import is_bad, lower_policy

@@ -185,7 +185,8 @@ def evaluate(
         problem: from ``load`` or ``Problem``.
         seed: of the draws, at least 0.
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead; nothing that can be simulated is then solved.
+        steps: run this many steps of all paths together instead; what has no closed form is then simulated. A note
+            says where this, or a precision, had no effect.
         method: ``"exact"`` takes a closed form or a quadrature and never simulates, ``"conditional sampling"`` and
             ``"simulation"`` take nothing else.
         precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
@@ -253,7 +254,8 @@ def _evaluated(
         loop = replace(problem.close(policy), precision=precision)
         measured = measure(loop, request, first)
         certified = None if confidence is None else bound_rate(loop)
-    found, notes = measured.averages, measured.notes
+    asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
+    found, notes = measured.averages, measured.notes + without_effect(asked, measured.method)
     policy, lower = loop.policy, None
     if confidence is not None:
         resets(loop)
@@ -303,11 +305,6 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
     """Return the evaluation of a policy without ticks."""
     if request.method not in ("auto", "simulation"):
         raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
-    for name, given in (("[plant.actual]", problem.actual), ("plant.input_limit", policy.plant.input_limit)):
-        if given is not None:
-            raise ProblemError(
-                f"{name} is given, which {policy.kind} without a period does not use; expected policy.period, or none"
-            )
     found = average_events(
         policy, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
     )
@@ -338,6 +335,14 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         consistency=_consistency(found.cost, fair, policy.statement is not None),
         notes=policy.notes,
     )
+
+
+def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
+    """Return a note on options of a simulation that were given, where another method gave the answer."""
+    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
+    if not given or method == "simulation":
+        return ()
+    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
 
 
 def _linearisation(policy: Policy) -> Linearisation:

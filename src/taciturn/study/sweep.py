@@ -114,7 +114,7 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
     """Return the values of each name as lists.
 
     Raises:
-        ProblemError: no names, no values, or no list.
+        ProblemError: no names, no values, a value twice, or no list.
     """
     instance("over", over, Mapping)
     listed: dict[str, list[object]] = {}
@@ -124,6 +124,7 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
         if not isinstance(plain, list):
             raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list of values, as [0.1, 1.0]")
         listed[name] = cast("list[object]", plain)
+        _labels(name, listed[name])
         path = _path(name)
         for other in itertools.islice(listed, len(listed) - 1):
             if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
@@ -165,7 +166,11 @@ def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
 
 
 def _labels(name: str, values: Sequence[object]) -> list[Any]:
-    """Return the coordinates of a dimension: numbers or words as they are, anything else as JSON."""
+    """Return the coordinates of a dimension: numbers or words as they are, anything else as JSON.
+
+    Raises:
+        ProblemError: two are the same.
+    """
     numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
     plain = numbers or all(isinstance(one, str) for one in values)
     labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]

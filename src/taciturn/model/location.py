@@ -1,0 +1,115 @@
+"""Finite locations, which tables move from tick to tick, and the cycle of those that no data move."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import array
+from taciturn.errors import ProblemError
+from taciturn.model.steps import Condition, NodeName
+from taciturn.model.trigger import Form, Scheduled, Trigger
+
+LONGEST = 1_000_000  # ticks in which several locations together are walked; a cycle beyond that is not known
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """A finite location: next = table[location], or table[location, outcome of ``on``].
+
+    Args:
+        name: by which tables refer to it.
+        table: indices of the next location, (locations,) or (locations, outcomes).
+        at: the node that owns it; omitted: a clock that every node shares.
+        on: the condition that picks the column.
+        initial: index at the first tick.
+    """
+
+    name: str
+    table: npt.NDArray[np.int64]
+    at: NodeName | None = None
+    on: Condition | None = None
+    initial: int = 0
+
+    def __post_init__(self) -> None:
+        """Check and freeze."""
+        shape, meaning = ((None,), "(locations,)") if self.on is None else ((None, None), "(locations, outcomes)")
+        table = array(f"the table of location {self.name}", self.table, shape, meaning)
+        size = table.shape[0]
+        if not table.size or table.min() < 0 or table.max() >= size or (table != np.floor(table)).any():
+            extremes = f"entries from {table.min():g} to {table.max():g}" if table.size else "no entries"
+            raise ProblemError(f"location {self.name} has {extremes}; expected whole indices from 0, below {size}")
+        if not 0 <= self.initial < size:
+            raise ProblemError(f"location {self.name} starts at {self.initial}; expected an index from 0, below {size}")
+        if self.on is not None and self.at is None:
+            raise ProblemError(
+                f"location {self.name} depends on {self.on} but has no node; expected the node that owns it"
+            )
+        indices = table.astype(np.int64)
+        indices.setflags(write=False)
+        object.__setattr__(self, "table", indices)
+
+    @property
+    def period(self) -> int:
+        """Ticks after which it repeats whatever is decided and whatever arrives; 1 where these move it."""
+        return joint_cycle([self], {})
+
+
+def joint_cycle(locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> int:
+    """Return the ticks after which all locations repeat that move regardless of what is measured, drawn and received.
+
+    Such a location has no condition, columns that agree wherever it comes, or a decision whose options are constants,
+    or tables by locations of this kind. Others count for nothing.
+
+    Args:
+        locations: of a policy.
+        triggers: that of each decision.
+    """
+    named = {location.name: location for location in locations}
+    return math.lcm(*(_period(location, named, triggers) for location in named.values()))
+
+
+def _period(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> int:
+    """Return the ticks after which a location repeats; 1 where data move it."""
+    deciding = _deciders(location, named, triggers)
+    places = {one.name: one.initial for one in deciding}
+    visited: dict[tuple[int, ...], int] = {}
+    while (here := tuple(places.values())) not in visited:
+        visited[here] = len(visited)
+        following = {one.name: _next(one, places, triggers) for one in deciding}
+        if None in following.values() or (len(deciding) > 1 and len(visited) > LONGEST):
+            return 1
+        places = {name: place for name, place in following.items() if place is not None}
+    return len(visited) - visited[here]
+
+
+def _deciders(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> list[Location]:
+    """Return the location, and those by whose tables the decisions are made that move it."""
+    found = [location]
+    for one in found:
+        trigger = triggers.get(one.on) if isinstance(one.on, str) else None
+        constants = [] if trigger is None else [form.constant for form in trigger.options.values()]
+        by = {constant.by for constant in constants if isinstance(constant, Scheduled)}
+        found += [named[name] for name in sorted(by) if name in named and named[name] not in found]
+    return found
+
+
+def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, Trigger]) -> int | None:
+    """Return where a location is in the next tick; None where data decide it."""
+    row = np.atleast_1d(location.table[places[location.name]])
+    if (row == row[0]).all():
+        return int(row[0])
+    trigger = triggers.get(location.on) if isinstance(location.on, str) else None
+    if trigger is None or any(form.reads for form in trigger.options.values()):
+        return None
+    values = [_constant(form, places) for form in trigger.options.values()]
+    return int(row[values.index(min(values))])
+
+
+def _constant(form: Form, places: Mapping[str, int]) -> float:
+    constant = form.constant
+    return float(constant.values[places[constant.by]]) if isinstance(constant, Scheduled) else constant
