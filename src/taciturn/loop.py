@@ -30,10 +30,7 @@ from taciturn.program.trace import trace
 COST, EXCESS, SENT = "cost", "excess", "sent"
 DRAWN = "drawn"  # the normals that an innovation is made of
 WEIGHT = "weight"  # of a tick in a discounted sum
-RANGES: Mapping[Precision, tuple[float, float]] = {  # of the cost of a tick: variances of costs are still numbers
-    "float32": (1e-30, 1e30),
-    "float64": (1e-120, 1e120),
-}
+LEAST = {"float32": 1e-30, "float64": 1e-120}  # cost of a tick, and the inverse of the most: squares are still numbers
 NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
 
 
@@ -63,8 +60,7 @@ class Loop:
         if self.precision not in ("float64", "float32"):
             raise ProblemError(f"precision is {self.precision!r}; expected 'float64' or 'float32'")
         size = abs(self.policy.cost_all_time) * self.policy.tick
-        low, high = RANGES[self.precision]
-        if size and not low < size < high:
+        if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
             remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
                 f"precision is {self.precision!r}, and a tick costs some {size:.1g}, whose parts are beyond its range; "
