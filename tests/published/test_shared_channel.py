@@ -29,7 +29,7 @@ def excess(found: Sharing) -> tuple[float, float]:
     return (found.cost.value - found.cost_all_time) / LOOPS, found.cost.standard_error / LOOPS
 
 
-@pytest.mark.parametrize("ticks", [1000, pytest.param(100_000, marks=pytest.mark.evidence)])
+@pytest.mark.parametrize("ticks", [1000, pytest.param(20_000, marks=pytest.mark.evidence)])
 def test_events_with_arbitration_beat_tdma(ticks: int) -> None:
     """The largest error goes first: about a third of what TDMA costs, whose cost is (n − 1)/2."""
     events = shared("largest", ticks)

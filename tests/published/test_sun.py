@@ -11,26 +11,27 @@ import scipy.optimize
 import scipy.special
 from limits import assert_tends_to, waiting
 
-from taciturn.lqg.sampling import sample
-from taciturn.renewal.optimal import solve_optimal
+from taciturn import ContinuousPlant, Cost, Network, Problem, evaluate
 
 
 def best(a: float, price: float, period: float) -> tuple[float, float]:
-    """Return the least of mean square and price times rate, and the mean wait, of dx = ax dt + dv.
+    """Return the mean square and the mean wait of dx = ax dt + dv at the least of mean square and price times rate.
 
-    It is looked at every period; what it does in between counts.
+    It is looked at every period; what it does in between counts. An input that costs hardly anything keeps the state
+    at what is known to be left of it, so that the cost of control is the mean square of the error.
     """
-    found = sample([[a]], [[0.0]], [[1.0]], [[0.0]], [[0.0]], [[1.0]], period)
-    solved = solve_optimal(found.A, found.W, found.Q, price)
-    return (solved.cost + found.noise_cost) / period, period / solved.rate
+    plant, cost = ContinuousPlant([[a]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-13]])
+    problem = Problem(plant, cost, Network(), "optimal", {"price": price, "period": period})
+    found = evaluate(problem, standard_error=1e-9)
+    return found.cost.value, 1 / found.rates["sensor"].value
 
 
 def test_the_best_samples_of_a_wiener_process_cost_a_sixth_of_their_interval() -> None:
     """Mse = 1/(6f) at the rate f; at the price λ of a sample the squared level, which is the mean wait, is √(6λ)."""
     mean_squares, waits = [], []
     for looks in (10.0, 20.0, 40.0):
-        cost, wait = best(0.0, 1 / 6, looks**-2)
-        mean_squares.append((cost - 1 / 6 / wait) * 6 / wait)
+        mean_square, wait = best(0.0, 1 / 6, looks**-2)
+        mean_squares.append(mean_square * 6 / wait)
         waits.append(wait)
     assert_tends_to(1, mean_squares)
     assert_tends_to(1, waits)
@@ -44,9 +45,9 @@ def test_the_best_threshold_of_an_ornstein_uhlenbeck_process_is_the_published_on
     """
     ratios, never = [], 1 / (-2 * a)
     for looks in (10.0, 20.0, 40.0):
-        cost, wait = best(a, price, looks**-2)
+        mean_square, wait = best(a, price, looks**-2)
         v = float(scipy.optimize.brentq(lambda level, wait=wait: waiting(a, level) - wait, 0.1, 3.0))
         x = v * np.sqrt(-a)
         G = np.sqrt(np.pi) / 2 * np.exp(x * x) * scipy.special.erf(x) / x
-        ratios.append(G * (never - cost) / never)
+        ratios.append(G * (never - mean_square - price / wait) / never)
     assert_tends_to(1, ratios)
