@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
-import scipy.integrate
 import scipy.optimize
+from limits import assert_tends_to, waiting
 
 from taciturn import ContinuousPlant, Cost, Plant, average, close, design
 from taciturn.lqg.sampling import sample
@@ -15,16 +13,6 @@ from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
 
 ONE = np.eye(1)
-
-
-def assert_tends_to(published: float, found: list[float]) -> None:
-    """Compare a limit by thresholds of twice as many looks' noise each, whose error falls with the square.
-
-    It may be as far off as the last doubling moved it.
-    """
-    first, second = ((4 * fine - coarse) / 3 for coarse, fine in pairwise(found))
-    assert second == pytest.approx(published, abs=abs(second - first))
-    assert abs(second - first) < 1e-3 * published
 
 
 def test_impulse_control_by_events_has_a_third_of_the_variance_of_periodic_control() -> None:
@@ -71,15 +59,6 @@ def test_a_held_input_must_be_sampled_nearly_five_times_as_fast_as_impulses_by_e
     ratios = [held.cost * wait / events for events, wait in (watched(0.0, looks) for looks in (10.0, 20.0, 40.0))]
     assert_tends_to(3 + np.sqrt(3), ratios)
     assert round(ratios[-1], 1) == 4.7
-
-
-def waiting(a: float, level: float) -> float:
-    """Return the mean time in which dx = ax dt + dv comes from 0 to ±level: T'' + 2axT' = −2, T(±level) = 0."""
-
-    def slope(x: float) -> float:
-        return float(scipy.integrate.quad(lambda r: np.exp(a * (r * r - x * x)), 0, x)[0])
-
-    return 2 * float(scipy.integrate.quad(slope, 0, level)[0])
 
 
 @pytest.mark.parametrize("a", [-1.0, 1.0], ids=["stable", "unstable"])

@@ -14,6 +14,23 @@ from taciturn import Cost, Network, Plant, UnstableError, design
 from taciturn.lqg.lossy import Channel, critical_losses
 
 
+def test_the_pendubot_survives_losses_below_the_product_of_its_unstable_modes() -> None:
+    """The example's pendubot, of eigenvalues 1.0615, 1.0335, 0.9679 and 0.9411, and one input: 1/Π|λ|² = 0.8309."""
+    A = np.array([
+        [1.001, 0.005, 0.0, 0.0],
+        [0.35, 1.001, -0.135, 0.0],
+        [-0.001, 0.0, 1.001, 0.005],
+        [-0.375, -0.001, 0.590, 1.001],
+    ])  # fmt: skip
+    B = np.array([[0.001], [0.540], [-0.002], [-1.066]])
+    modes = np.sort(np.linalg.eigvals(A).real)[::-1]
+    assert modes == pytest.approx([1.0615, 1.0335, 0.9679, 0.9411], abs=5e-5)
+    found = critical_losses(A, B, Channel(0.0, 0.0, acknowledged=True, delayed=False))
+    assert found[0] == pytest.approx(np.prod(modes[:2]) ** -2, rel=1e-8)
+    assert found[0] == pytest.approx(0.8309, abs=5e-5)
+    assert found[1] == pytest.approx(modes[0] ** -2, rel=1e-8)
+
+
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
 @pytest.mark.parametrize("largest", few([1.25, 3.0], quick=1))
 def test_without_acknowledgements_the_critical_losses_trade_as_published(largest: float, share: float) -> None:
