@@ -41,6 +41,7 @@ CURVE_POINTS = 40
 SAME, ALIKE = 1e-9, 1e-6  # relative
 Cycle: TypeAlias = tuple[int, ...]
 ClockKind: TypeAlias = Literal["hold", "model", "queries"]
+Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
 
 
 @dataclass(frozen=True)
@@ -166,22 +167,20 @@ class Ticked(Clock):
         """Return the two corners of the lower hull next to a rate."""
         ticks = max(1.0, 1 / (rate * self._tick))
         nearest = int(ticks * (1 + SAME))
-        corners = self._corners(max(1, nearest // 2), 2 * nearest + REACH, nearest)
-        following = [*corners[1:], *corners[-1:]]
-        return next(
-            (
-                (low, high)
-                for low, high in zip(corners, following, strict=True)
-                if low.rate <= rate * (1 + SAME) and (high.rate >= rate or high is low)
-            ),
-            None,
-        )
+
+        def next_to(corners: Sequence[ClockPoint]) -> Sequence[ClockPoint]:
+            slower = [corner for corner in corners if corner.rate <= rate * (1 + SAME)]
+            faster = [corner for corner in corners if corner.rate > rate * (1 + SAME)] or slower[-1:]
+            return (slower[-1], faster[0]) if slower else ()
+
+        found = self._exact((max(1, nearest // 2), 2 * nearest + REACH, nearest), next_to)
+        return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
         """Return the two corners next to a cost, the dearer one first; None where none costs as much, or as little."""
         last = REACH
         while last <= LONGEST:
-            corners = self._corners(1, last, last // 2)
+            corners = self._exact((1, last, last // 2), lambda corners: corners)
             for dear, cheap in pairwise(corners):
                 if cheap.cost <= cost * (1 + SAME) and cost <= dear.cost * (1 + SAME):
                     share = (cost - cheap.cost) / (dear.cost - cheap.cost)
@@ -192,31 +191,33 @@ class Ticked(Clock):
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
         """Return the corners of the lower hull between two rates, and the first one beyond, the fastest first."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
-        corners = self._corners(first, last + REACH, last)
+        corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)
         return tuple(reversed(corners[max(0, beyond - 1) :]))
 
-    def _corners(self, first: int, last: int, nearest: int) -> list[ClockPoint]:
-        """Return the corners of the hull of intervals of these lengths, tried most densely around one of them."""
-        asked = first, last, nearest
-        if asked not in self._hulls:
-            self._hulls[asked] = self._hull(self._candidates(*asked))
-        return self._hulls[asked]
+    def _exact(self, lengths: tuple[int, int, int], choose: Choice) -> Sequence[ClockPoint]:
+        """Return corners of the hull of intervals of these lengths, the exact costs of those that are chosen.
+
+        Args:
+            lengths: the shortest, the longest, and the one around which cycles are tried most densely.
+            choose: takes some of the corners.
+        """
+        while True:
+            if lengths not in self._hulls:
+                self._hulls[lengths] = self._hull(self._candidates(*lengths))
+            chosen = choose(self._hulls[lengths])
+            unknown = [point.cycle for point in chosen if point.cycle is not None and point.cycle not in self._exactly]
+            if not unknown:
+                return chosen
+            self._exactly.update((cycle, self._solved(cycle)) for cycle in unknown)
+            del self._hulls[lengths]
 
     def _hull(self, listed: Sequence[Cycle]) -> list[ClockPoint]:
         for sends in range(1, self._sends + 1):
             new = [cycle for cycle in listed if len(cycle) == sends and cycle not in self._roughly]
             self._roughly.update(zip(new, self._screen(new).tolist() if new else (), strict=True))
-        while True:
-            rough = [self._point(cycle, self._exactly.get(cycle, self._roughly[cycle])) for cycle in listed]
-            corners = lower_hull(point for point in rough if np.isfinite(point.cost))
-            unknown = [
-                corner.cycle for corner in corners if corner.cycle is not None and corner.cycle not in self._exactly
-            ]
-            if not unknown:
-                return corners
-            for cycle in unknown:
-                self._exactly[cycle] = self._solved(cycle)
+        known = [self._point(cycle, self._exactly.get(cycle, self._roughly[cycle])) for cycle in listed]
+        return lower_hull(point for point in known if np.isfinite(point.cost))
 
     def _candidates(self, first: int, last: int, nearest: int) -> list[Cycle]:
         """Return the cycles that are tried, those of the fewest sends first."""
