@@ -23,6 +23,7 @@ from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
+from taciturn.lqg._worth import EDGE
 
 __all__ = [
     "FiniteRegulator",
@@ -217,7 +218,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
     _refuse_unmoved(lost_modes(A, B, True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
+    _refuse_unseen(unseen[np.abs(unseen.real) <= EDGE * pace(A)], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N), None)
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error), found.slowest)
 
@@ -251,7 +252,7 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
         _refuse_unmoved(lost_modes(A, B, False) / unit, _disc(unit))
         if is_definite(R):
             unseen = _unseen_modes(A, B, Q, R, N)
-            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
+            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= EDGE] / unit, "the edge of " + _disc(unit))
     found = _checked_solution(found, A / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
