@@ -145,7 +145,7 @@ def nothing(given: Quadratic, K: Array, L: Array) -> Array:
         L: the gain; what its stage cost is summed of has a rounding, and so has the state to which it leads.
     """
     weight = np.maximum(given.Q.diagonal(), 0.0)
-    rounding = np.maximum(CRUMB * given.terms(L), (len(K) * ROUNDOFF) ** 2 * given.moved(K, L))
+    rounding = np.maximum(CRUMB * given.terms(L), (4 * len(K) * ROUNDOFF) ** 2 * given.moved(K, L))
     if (weight > 0).all():
         return rounding
     moved = np.where(given.B != 0, np.abs(given.B), np.inf)

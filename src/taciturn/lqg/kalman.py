@@ -219,7 +219,7 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or not _dare.is_clear(found):  # what it is that has no solution
+    if found is None or found.still.size or not _dare.is_clear(found):  # what it is that has no solution
         _refuse_unseen(A, C)
         if is_definite(V):
             _refuse_unreached(A, W)

@@ -42,7 +42,8 @@ class Regulator:
     """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input.
 
     The cost tr(KW) of a noise is right to tr(error·W), to first order. ``slowest`` is the modulus of the slowest mode
-    of A + BL, with a discount of √α(A + BL); in continuous time its real part.
+    of A + BL, with a discount of √α(A + BL); in continuous time its real part. Modes on the unit circle that no input
+    moves and the cost does not see do not count.
     """
 
     K: Array
@@ -65,7 +66,8 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
     """Return the gain that minimises the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu.
 
     K = Q + A'KA − L'HL,  L = −H^{-1}(B'KA + N'),  H = R + B'KB, with A + BL stable. Any other input costs
-    (u − Lx)'H(u − Lx) more.
+    (u − Lx)'H(u − Lx) more. States on the unit circle that no input moves and the cost does not see, themselves or by
+    what they move, stay as they are: K and L are 0 along them.
 
     Args:
         A: (n, n) dynamics.
@@ -281,6 +283,13 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
 
 
 def _refuse_unmoved(modes: Modes, region: str) -> None:
+    if modes.size and np.abs(np.abs(modes[0]) - 1) <= EDGE and region == _disc(1.0):
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; it lies on the unit circle "
+            "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected (A, B) "
+            "stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or take it "
+            "out of the problem"
+        )
     if modes.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; expected (A, B) "
