@@ -286,8 +286,8 @@ def _refuse_unmoved(modes: Modes, region: str) -> None:
     if modes.size and np.abs(np.abs(modes[0]) - 1) <= EDGE and region == _disc(1.0):
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; it lies on the unit circle "
-            "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected (A, B) "
-            "stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or take it "
+            "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected "
+            "(A, B) stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or take it "
             "out of the problem"
         )
     if modes.size:
