@@ -287,8 +287,8 @@ def _refuse_unmoved(modes: Modes, region: str) -> None:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; it lies on the unit circle "
             "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected "
-            "(A, B) stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or take it "
-            "out of the problem"
+            "(A, B) stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or "
+            "take it out of the problem"
         )
     if modes.size:
         raise UnstableError(
