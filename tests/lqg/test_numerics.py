@@ -306,3 +306,79 @@ def test_the_least_eigenvalue_keeps_its_digits_beside_large_entries():
     assert least_eigenvalue(np.diag([1.0, -1.0])) == -1.0
     assert least_eigenvalue(np.diag([1.0, 0.0])) == 0.0
     assert least_eigenvalue(np.ones((2, 2))) <= 0.0
+
+
+def delayed(draw, seed: int, inputs: int, outputs: int) -> tuple[np.ndarray, ...]:
+    """Return A, B, C of a random plant with delays of input and output written as states, and how many are the plant's.
+
+    Its states come first, then the registers of its inputs, the latest at the end, then those of its outputs.
+    """
+    c = draw(seed)
+    n, m, p = len(c.A), c.B.shape[1], len(c.C)
+    size = n + m * inputs + p * outputs
+    A, B, C, last = np.zeros((size, size)), np.zeros((size, m)), np.zeros((p, size)), n + m * inputs
+    A[:n, :n] = c.A
+    for k in range(inputs):
+        row = slice(n + m * (k - 1), n + m * k) if k else slice(0, n)
+        A[row, n + m * k : n + m * (k + 1)] = np.eye(m) if k else c.B
+    B[slice(last - m, last) if inputs else slice(0, n)] = np.eye(m) if inputs else c.B
+    for k in range(outputs):
+        column = slice(last + p * (k - 1), last + p * k) if k else slice(0, n)
+        A[last + p * k : last + p * (k + 1), column] = np.eye(p) if k else c.C
+    C[:, slice(size - p, size) if outputs else slice(0, n)] = np.eye(p) if outputs else c.C
+    return A, B, C, n
+
+
+@law(3, 300, seed=seeds, inputs=st.integers(0, 4), outputs=st.integers(0, 4), noise=st.booleans())
+def test_plants_with_registers_are_designed_to_what_is_claimed(draw, seed, inputs, outputs, noise):
+    """No noise on registers, or nowhere: the prior covariance is as near to that of sixty digits as the filter says."""
+    A, _, C, n = delayed(draw, seed, inputs, outputs)
+    assume(np.abs(np.abs(np.linalg.eigvals(A[:n, :n])) - 1).min() > 0.05)
+    assume(len(A) <= 14)  # sixty digits take minutes of more states
+    c = draw(seed)
+    W = np.zeros((len(A), len(A)))
+    W[:n, :n] = c.W * noise
+    found = steady_filter(A, C, W, c.V)
+    exact, _ = regulated(A.T, C.T, W, c.V, np.zeros(C.T.shape), -(A @ found.gain).T)
+    unit = np.sqrt(np.maximum(np.diag(exact), 1e-12 * np.trace(exact) + 1e-30))
+    claimed, error = (part / unit / unit[:, None] for part in (found.error, found.prior - exact))
+    assert np.linalg.eigvalsh(claimed - error)[0] > -1e-15
+    assert np.linalg.eigvalsh(claimed + error)[0] > -1e-15
+    assert found.slowest < 1
+
+
+@law(3, 300, seed=seeds, inputs=st.integers(1, 30))
+def test_a_delayed_input_costs_what_the_predictor_says(draw, seed, inputs):
+    """K of registers is the sum over the delay, then K of the plant at the state predicted from them."""
+    A, B, _, n = delayed(draw, seed, inputs, 0)
+    c, m = draw(seed), B.shape[1]
+    assume(len(A) <= 40)
+    Q = np.zeros((len(A), len(A)))
+    Q[:n, :n] = c.Q
+    found, plain = regulate(A, B, Q, c.R, np.zeros(B.shape)), regulate(c.A, c.B, c.Q, c.R, np.zeros((n, m)))
+    exact, ahead = np.zeros_like(Q), np.eye(len(A))
+    for _ in range(inputs):
+        exact += ahead.T @ Q @ ahead
+        ahead = A @ ahead
+    predicted = ahead[:n]
+    exact += predicted.T @ plain.K @ predicted
+    assert pytest.approx(plain.L @ predicted, rel=1e-8, abs=1e-8 * np.abs(found.L).max()) == found.L
+    assert off(found.K, exact) < 1e-8
+
+
+def test_a_disturbance_that_the_cost_does_not_see_is_left_alone():
+    """A constant that nothing drives: K and L are 0 along it; where the cost sees it, the cost is infinite."""
+    A, B, N = np.array([[1.1, 0.0], [0.0, 1.0]]), np.array([[1.0], [0.0]]), np.zeros((2, 1))
+    found, alone = (
+        regulate(A, B, np.diag([1.0, 0.0]), [[1.0]], N),
+        regulate([[1.1]], [[1.0]], [[1.0]], [[1.0]], [[0.0]]),
+    )
+    assert pytest.approx(np.diag([alone.K[0, 0], 0.0])) == found.K
+    assert pytest.approx(np.array([[alone.L[0, 0], 0.0]])) == found.L
+    assert found.slowest == pytest.approx(alone.slowest)
+    for seen in (np.eye(2), np.diag([1.0, 0.0])):
+        A[0, 1] = 1.0
+        with pytest.raises(UnstableError, match="so the cost along it is infinite"):
+            regulate(A, B, seen, [[1.0]], N)
+    with pytest.raises(UnstableError, match="which C does not see"):
+        steady_filter(A.T, B.T, np.diag([1.0, 0.0]), [[1.0]])

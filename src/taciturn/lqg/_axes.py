@@ -12,7 +12,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike, Bits, symmetrised
-from taciturn._modes import reach
+from taciturn._modes import ROUNDOFF, reach
 
 CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
 VANISHING = 1e-40  # of what a cost could be
@@ -46,18 +46,6 @@ class Quadratic(NamedTuple):
             _arrays.array("N", N, (n, m), "states × inputs"),
         )
 
-    def seen(self) -> Bits:
-        """Return which states cost something, themselves or by the states that they move, (n,)."""
-        found = np.asarray((self.Q != 0).any(axis=0) | (self.N != 0).any(axis=1), dtype=np.bool_)
-        for _ in range(len(found)):
-            if found.all():
-                break
-            more = found | (self.A[found] != 0).any(axis=0)
-            if (more == found).all():
-                break
-            found = more
-        return found
-
     def among(self, states: Bits) -> Quadratic:
         """Return the problem of some of the states alone."""
         A, B, Q, R, N = self
@@ -73,6 +61,11 @@ class Quadratic(NamedTuple):
         size = np.abs(L)
         pushed = 2 * np.abs(self.N.T) + np.abs(self.R) @ size
         return np.asarray(np.abs(self.Q.diagonal()) + (size * pushed).sum(axis=0), dtype=np.float64)
+
+    def moved(self, K: Array, L: Array) -> Array:
+        """Return the cost of the states to which each one leads if nothing of A + BL cancels, (n,)."""
+        size = np.abs(self.A) + np.abs(self.B) @ np.abs(L)
+        return np.asarray((np.sqrt(np.maximum(K.diagonal(), 0.0)) @ size) ** 2, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +133,7 @@ def units_of_weight(given: Quadratic) -> Axes:
     return Axes(np.diag(units), np.diag(1 / units), _power_of_two(np.sqrt(np.maximum(pushed, 0.0))))
 
 
-def nothing(given: Quadratic, L: Array) -> Array:
+def nothing(given: Quadratic, K: Array, L: Array) -> Array:
     """Return for each state the cost below which it has none: rounding, or one that tends to zero by iteration, (n,).
 
     A state with a weight of its own has that at least. Another one is measured by the price of the inputs that move
@@ -148,10 +141,11 @@ def nothing(given: Quadratic, L: Array) -> Array:
 
     Args:
         given: the problem.
-        L: the gain; what its stage cost is summed of has a rounding.
+        K: the cost-to-go.
+        L: the gain; what its stage cost is summed of has a rounding, and so has the state to which it leads.
     """
     weight = np.maximum(given.Q.diagonal(), 0.0)
-    rounding = CRUMB * given.terms(L)
+    rounding = np.maximum(CRUMB * given.terms(L), (4 * len(K) * ROUNDOFF) ** 2 * given.moved(K, L))
     if (weight > 0).all():
         return rounding
     moved = np.where(given.B != 0, np.abs(given.B), np.inf)

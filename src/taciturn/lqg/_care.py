@@ -6,6 +6,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
+from taciturn._modes import Modes
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._newton import Answer, Solution, Time
 
@@ -16,14 +17,16 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
 
 
 class _Flow(Time):
+    edge, fastest = 0.0, -np.inf
+
     def rough(self, given: Quadratic) -> Array | None:
         return _scipy.continuous_riccati(*given)
 
-    def slowest(self, F: Array) -> float:
-        return float(np.linalg.eigvals(F).real.max(initial=-np.inf))
+    def pace(self, modes: Modes) -> Array:
+        return np.asarray(modes.real, dtype=np.float64)
 
-    def stable(self, slowest: float, given: Quadratic) -> bool:
-        return slowest < 0
+    def margin(self, given: Quadratic) -> float:
+        return 0.0
 
     def summed(self, F: Array, stage: Array) -> Array:
         return _scipy.continuous_lyapunov(F.T, stage)

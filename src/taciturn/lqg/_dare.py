@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import TINY, Array, is_definite, symmetrised
-from taciturn._modes import radius, summed
+from taciturn._modes import Modes, summed
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._doubling import double
 from taciturn.lqg._newton import Answer, Solution, Time
 
-CIRCLE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not called stable
 # Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
 # such a double eigenvalue about 1e-8 inside, so the answer must stand clear of that.
@@ -61,16 +60,18 @@ def is_clear(found: Solution) -> bool:
 
 
 class _Steps(Time):
+    edge, fastest = 1.0, 0.0
+
     def rough(self, given: Quadratic) -> Array | None:
         worth, reached = np.trace(given.R) + np.sum(given.B * (given.Q @ given.B)), float(np.sum(given.B**2))
         last = given.Q + (LAST * worth / reached if reached > TINY else 0.0) * np.eye(len(given.A))
         return double(given.A, given.B, given.Q, given.N, last, *price(given.B, last, given.R))
 
-    def slowest(self, F: Array) -> float:
-        return radius(F)
+    def pace(self, modes: Modes) -> Array:
+        return np.asarray(np.abs(modes), dtype=np.float64)
 
-    def stable(self, slowest: float, given: Quadratic) -> bool:
-        return slowest < 1 - SINGULAR_MARGIN or (slowest < 1 - MARGIN and is_definite(given.R))
+    def margin(self, given: Quadratic) -> float:
+        return MARGIN if is_definite(given.R) else SINGULAR_MARGIN
 
     def summed(self, F: Array, stage: Array) -> Array:
         return summed(F.T, stage)

@@ -6,14 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from taciturn._arrays import TINY, Array, Bits, exceeds, symmetrised
-from taciturn._modes import ROUNDOFF, TOLERANCE, bound_residual, radius
+from taciturn._arrays import TINY, Array, exceeds, symmetrised
+from taciturn._modes import ROUNDOFF, TOLERANCE, Modes, bound_residual, eigenvalues, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
+from taciturn.lqg._worth import Worth, worth_of
 
 ENOUGH = 1e-11  # relative error of ten states, above which other coordinates are tried; rounding grows as states²
 POOR = 1e-4  # relative error from which on a start that gained nothing is the last
@@ -36,7 +37,9 @@ class Solution:
             in it, summed along the closed loop. To first order.
         residual: of the equation, relative to its terms, where K has a diagonal of 1.
         unit: cost of each state; where it is rounding, that of its terms, (n,).
-        slowest: modulus of the slowest mode of the closed loop; its real part in continuous time.
+        slowest: modulus of the slowest mode of the closed loop but for those that stand still; its real part in
+            continuous time.
+        still: modes of the closed loop on the edge of stability, which no input moves and the cost does not see.
     """
 
     K: Array
@@ -46,6 +49,7 @@ class Solution:
     residual: float
     unit: Array
     slowest: float
+    still: Modes
 
     @property
     def relative(self) -> Array:
@@ -57,17 +61,19 @@ class Solution:
         """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
-    def within(self, states: Bits, others: float) -> Solution:
-        """Return the solution of a problem with more states, of which only these cost anything.
+    def within(self, worth: Worth, others: float) -> Solution:
+        """Return the solution of a problem with more states, the cost-to-go of which is 0.
 
         Args:
-            states: which ones, (n,).
-            others: the slowest mode of the rest.
+            worth: the states of this solution, and the modes of the others.
+            others: the slowest mode of the others that decay.
         """
-        place, n = np.ix_(states, states), len(states)
+        states, n = worth.states, len(worth.states)
+        place = np.ix_(states, states)
         K, L, error, unit = np.zeros((n, n)), np.zeros((len(self.L), n)), np.zeros((n, n)), np.zeros(n)
         K[place], L[:, states], error[place], unit[states] = self.K, self.L, self.error, self.unit
-        return replace(self, K=K, L=L, error=error, unit=unit, slowest=max(self.slowest, others))
+        slowest = max(self.slowest, others)
+        return replace(self, K=K, L=L, error=error, unit=unit, slowest=slowest, still=worth.still)
 
     @property
     def sound(self) -> bool:
@@ -120,19 +126,27 @@ class Answer(NamedTuple):
 
 
 class Time(ABC):
-    """What differs between a Riccati equation of steps and one of continuous time."""
+    """What differs between a Riccati equation of steps and one of continuous time.
+
+    Args:
+        edge: pace of a mode on the edge of stability.
+        fastest: pace of a mode that is gone at once.
+    """
+
+    edge: ClassVar[float]
+    fastest: ClassVar[float]
 
     @abstractmethod
     def rough(self, given: Quadratic) -> Array | None:
         """Return a fast solution that needs refinement, or None where it overflows."""
 
     @abstractmethod
-    def slowest(self, F: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, or its real part in continuous time."""
+    def pace(self, modes: Modes) -> Array:
+        """Return the moduli of modes, or their real parts in continuous time."""
 
     @abstractmethod
-    def stable(self, slowest: float, given: Quadratic) -> bool:
-        """Say by its slowest mode whether a closed loop is stable, and clear of the edge."""
+    def margin(self, given: Quadratic) -> float:
+        """Return how far inside the edge of stability a mode must be to decay."""
 
     @abstractmethod
     def summed(self, F: Array, stage: Array) -> Array:
@@ -155,20 +169,17 @@ class Time(ABC):
         """Return a closed loop as that of a step, up to a factor."""
 
     def solve(self, given: Quadratic) -> Solution | None:
-        """Return the best of the solutions found; None where no start stabilises or nothing settles.
+        """Return the best of the solutions found; None where no start stabilises or nothing settles."""
+        worth = worth_of(given, lambda modes: self.pace(modes) - self.edge, self.margin(given))
+        if worth.states.all():
+            return self._solved(given)
+        found = self._solved(given.among(worth.states))
+        slowest = float(self.pace(worth.decaying).max(initial=self.fastest))
+        return None if found is None else found.within(worth, slowest)
 
-        States that cost nothing, themselves or by what they move, and that decay by themselves, have a cost-to-go of
-        exactly 0. They are left out, for they have no size of their own by which an error could be measured.
-        """
-        seen = given.seen()
-        rest = ~seen
-        if seen.all() or not seen.any():
-            return self._solved(given)
-        others = self.slowest(given.A[np.ix_(rest, rest)])
-        if not self.stable(others, given):
-            return self._solved(given)
-        found = self._solved(given.among(seen))
-        return None if found is None else found.within(seen, others)
+    def slowest(self, F: Array) -> float:
+        """Return the pace of the slowest mode of a closed loop."""
+        return float(self.pace(eigenvalues(F)).max(initial=self.fastest))
 
     def _solved(self, given: Quadratic) -> Solution | None:
         best: Solution | None = None
@@ -222,7 +233,7 @@ class Time(ABC):
         here, found = axes.problem(given), None
         for _ in range(3):
             F = here.under(L)[0]
-            inner = units_of(self.step(F), K, H, np.maximum(nothing(here, L), TINY))
+            inner = units_of(self.step(F), K, H, np.maximum(nothing(here, K, L), TINY))
             axes, L = axes.then(inner), inner.gain(L)
             here = axes.problem(given)
             found = self._settled(here, L)
@@ -264,7 +275,7 @@ class Time(ABC):
             stalled = change <= 1e-5 * size and change >= 0.9 * last
             if done or change <= 1e-14 * size or stalled:
                 slowest = self.slowest(given.A + given.B @ L)
-                return (found, slowest) if self.stable(slowest, given) and exceeds(K, -TOLERANCE) else None
+                return (found, slowest) if slowest < self.edge - self.margin(given) and exceeds(K, -TOLERANCE) else None
             previous = K
         return None
 
@@ -291,7 +302,7 @@ class Time(ABC):
         bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
-        diagonal, least = K.diagonal(), nothing(given, L)
+        diagonal, least = K.diagonal(), nothing(given, K, L)
         error = axes.form_from(self.summed(F, bound))
         error.flat[:: len(K) + 1] += 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K
         return Solution(
@@ -300,6 +311,7 @@ class Time(ABC):
             axes.price_from(H),
             error,
             float(np.abs(missed).max(initial=0.0)) / largest if largest > 0 else 0.0,
-            np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L))),
+            np.where(diagonal > least, diagonal, np.maximum(least, given.terms(L) + given.moved(K, L))),
             slowest,
+            np.zeros(0, dtype=np.complex128),
         )

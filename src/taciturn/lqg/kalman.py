@@ -15,6 +15,7 @@ from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import refuse_doubtful
+from taciturn.lqg._worth import EDGE
 
 CRUMB = 1e-14  # relative to the prior: a posterior variance below this is rounding
 
@@ -218,7 +219,7 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or not _dare.is_clear(found):  # what it is that has no solution
+    if found is None or found.still.size or not _dare.is_clear(found):  # what it is that has no solution
         _refuse_unseen(A, C)
         if is_definite(V):
             _refuse_unreached(A, W)
@@ -253,7 +254,7 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
 
 def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
     """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
-    kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), L)
+    kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), Sigma, L)
     if kept.all() and is_definite(Sigma):
         return Sigma
     half = root(Sigma * np.outer(kept, kept))
@@ -272,7 +273,7 @@ def _refuse_unseen(A: Array, C: Array) -> None:
 
 def _refuse_unreached(A: Array, W: Array) -> None:
     still = uncontrollable_modes(A, root(W))
-    still = still[np.abs(np.abs(still) - 1) <= _dare.CIRCLE]
+    still = still[np.abs(np.abs(still) - 1) <= EDGE]
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on the unit circle, which the noise W does "

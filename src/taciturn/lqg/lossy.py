@@ -17,6 +17,7 @@ from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing, units_of
 from taciturn.lqg._mean_square import MeanSquare
+from taciturn.lqg._worth import EDGE
 from taciturn.lqg.riccati import regulate
 
 TURNS = 100
@@ -150,7 +151,7 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
     """
     plain = regulate(A, B, Q, R, np.zeros_like(B))  # refuses modes that no input moves or no weight sees
     given = Quadratic(A, B, Q, R, np.zeros_like(B))
-    axes = units_of(A + B @ plain.L, plain.K, plain.H, nothing(given, plain.L))
+    axes = units_of(A + B @ plain.L, plain.K, plain.H, nothing(given, plain.K, plain.L))
     here = axes.problem(given)
     L = axes.gain(plain.L)
     if not _loop(here.A, here.B, L, channel).bounded:
@@ -226,7 +227,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
     """Say by how much the losses pass what mean-square stability allows."""
-    many = int((np.abs(eigenvalues(A)) >= 1 - _dare.CIRCLE).sum()) > MOST_MODES
+    many = int((np.abs(eigenvalues(A)) >= 1 - EDGE).sum()) > MOST_MODES
     actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
     if channel.actuator_loss > 0 and actuator > 0:
@@ -266,7 +267,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     lost = lost_modes(A, B, False)
     if lost.size:
         raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
-    A_u, V = _scipy.unstable_part(A, 1 - _dare.CIRCLE)
+    A_u, V = _scipy.unstable_part(A, 1 - EDGE)
     B_u, count = V @ B, len(V)
     if count == 0:
         return 0.0, np.zeros((m, n))

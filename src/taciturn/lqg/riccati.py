@@ -23,6 +23,7 @@ from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
+from taciturn.lqg._worth import EDGE
 
 __all__ = [
     "FiniteRegulator",
@@ -41,7 +42,8 @@ class Regulator:
     """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input.
 
     The cost tr(KW) of a noise is right to tr(error·W), to first order. ``slowest`` is the modulus of the slowest mode
-    of A + BL, with a discount of √α(A + BL); in continuous time its real part.
+    of A + BL, with a discount of √α(A + BL); in continuous time its real part. Modes on the unit circle that no input
+    moves and the cost does not see do not count.
     """
 
     K: Array
@@ -64,7 +66,8 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
     """Return the gain that minimises the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu.
 
     K = Q + A'KA − L'HL,  L = −H^{-1}(B'KA + N'),  H = R + B'KB, with A + BL stable. Any other input costs
-    (u − Lx)'H(u − Lx) more.
+    (u − Lx)'H(u − Lx) more. States on the unit circle that no input moves and the cost does not see, themselves or by
+    what they move, stay as they are: K and L are 0 along them.
 
     Args:
         A: (n, n) dynamics.
@@ -217,7 +220,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     R = _arrays.definite("R", R, len(R), "inputs × inputs")
     _refuse_unmoved(lost_modes(A, B, True), "the open left half-plane")
     unseen = _unseen_modes(A, B, Q, R, N)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= _dare.CIRCLE * pace(A)], "the imaginary axis")
+    _refuse_unseen(unseen[np.abs(unseen.real) <= EDGE * pace(A)], "the imaginary axis")
     found = _checked_solution(_care.solve(A, B, Q, R, N), None)
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error), found.slowest)
 
@@ -251,7 +254,7 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
         _refuse_unmoved(lost_modes(A, B, False) / unit, _disc(unit))
         if is_definite(R):
             unseen = _unseen_modes(A, B, Q, R, N)
-            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= _dare.CIRCLE] / unit, "the edge of " + _disc(unit))
+            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= EDGE] / unit, "the edge of " + _disc(unit))
     found = _checked_solution(found, A / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
@@ -280,6 +283,13 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
 
 
 def _refuse_unmoved(modes: Modes, region: str) -> None:
+    if modes.size and np.abs(np.abs(modes[0]) - 1) <= EDGE and region == _disc(1.0):
+        raise UnstableError(
+            f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; it lies on the unit circle "
+            "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected "
+            "(A, B) stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or "
+            "take it out of the problem"
+        )
     if modes.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; expected (A, B) "
