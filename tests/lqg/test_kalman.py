@@ -217,3 +217,11 @@ def test_a_negative_covariance_is_refused():
     """Noise covariances are checked."""
     with pytest.raises(ProblemError, match="W has the eigenvalue -1"):
         steady_filter([[1.0]], [[1.0]], [[-1.0]], [[1.0]])
+
+
+@pytest.mark.parametrize("size", [1e155, -1e308])
+def test_outputs_whose_variance_no_number_holds_are_refused(size):
+    """A sentence, instead of the filter of a plant that nobody measures."""
+    with pytest.raises(ProblemError, match="expected outputs in larger units"):
+        steady_filter([[0.5]], [[size]], [[1.0]], [[1.0]])
+    assert steady_filter([[0.5]], [[1e150]], [[1.0]], [[1.0]]).posterior.max() < 1e-290

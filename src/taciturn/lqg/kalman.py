@@ -10,7 +10,7 @@ import numpy as np
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
 from taciturn._modes import lost_modes, mode_text, radius, root, uncontrollable_modes
-from taciturn.errors import UnstableError
+from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
@@ -206,12 +206,18 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
         if observer is not None:
             none = np.zeros((n, n))
             return _frozen(none, none, observer.gain, np.zeros((p, p)), none, observer.slowest)
-    found = _filter(A, C, W, V)
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _filter(A, C, W, V)
     if found is None:
         _refuse_unreached(A, W)
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs is free of noise and "
             "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small positive part"
+        )
+    if not np.isfinite(found.innovation).all():
+        raise ProblemError(
+            f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output is beyond every number the "
+            "computer holds; expected outputs in larger units"
         )
     return found
 
