@@ -58,7 +58,7 @@ def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
     assert isinstance(plant, taciturn.Plant)
     shown = document(run, "two-mass")
     assert np.allclose(shown["gains"]["L"], regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).L, rtol=1e-12)
-    assert np.allclose(shown["gains"]["K"], steady_filter(plant.A, plant.C, plant.W, plant.V).gain, rtol=1e-12)
+    assert np.allclose(shown["gains"]["filter"], steady_filter(plant.A, plant.C, plant.W, plant.V).gain, rtol=1e-12)
     assert shown["cost_all_time"] == policy.cost_all_time
     assert shown["guarantee"]["cost"] == pytest.approx(1.1 * policy.cost_all_time)
     assert shown["guarantee"]["holds"] is True
@@ -151,7 +151,7 @@ def test_missions_links_and_tables_are_told(run: Run) -> None:
     assert rover["link, sensor"].startswith("y (1): if query, by the clock: 11 of the first 59 ticks")
     lossy = rows(run("show", "lossy-double-integrator").out)
     assert lossy["network"] == "udp (no acknowledgement); actuator loses 30 %, sensor loses 60 %"
-    assert lossy["at a rate R"] == "at most 63.776 + 10 (1 − R per tick)"
+    assert lossy["at a rate"] == "at most 63.776 + 10 (1 − sends per tick)"
 
 
 def test_a_picture_is_written(run: Run, tmp_path: Path) -> None:

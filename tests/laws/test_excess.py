@@ -114,7 +114,7 @@ def test_the_excess_trigger_may_cost_more_than_the_joint_one_at_the_same_rate() 
 
 
 # actuation, θ, rate, J joint, J excess with half a unit of its last digit, δ with half a unit, bounds (1+θ)J_all,
-# J_all + δ, J_all + δ(1 − R) with half units
+# J_all + δ, J_all + δ(1 − rate) with half units
 MASSES = [
     ("hold", 0.1, 0.588, 0.7442, (0.7403, 5e-5), (0.0517, 5e-5), (0.8068, 5e-5), (0.785, 5e-4), (0.755, 5e-4)),
     ("hold", 1.0, 0.309, 0.8210, (0.8018, 5e-5), (0.331, 5e-4), (1.467, 5e-4), (1.065, 5e-4), (0.962, 5e-4)),

@@ -53,12 +53,12 @@ def bound_below(
     """Return what no scheduling of a loop's controller can cost less than, at a rate of sends per tick.
 
     Whatever decides, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. At any
-    price λ of a send E[(1−σ)e'Γe + λσ] ≥ g, so that J ≥ J_all + g − λR: a line below every schedule. λ is that of a
+    price λ of a send E[(1−σ)e'Γe + λσ] ≥ g, so that J ≥ J_all + g − λ·rate: a line below every schedule. λ is that of a
     nearly optimal schedule with the rate asked for, g by duality (``renewal/dual``).
 
     Args:
         loop: of the design, whose actuator runs a model; Gaussian noise.
-        rate: R in (0, 1], sends per tick.
+        rate: sends per tick, in (0, 1].
         confidence: in (0, 1).
         seed: of the draws.
         progress: called with the fraction done.

@@ -43,7 +43,7 @@ def absolute(
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + μY²(1 − R); without it where the weight does not see what costs.
+        The policy, with J ≤ J_all + μY²(1 − rate); without it where the weight does not see what costs.
 
     Raises:
         ProblemError: Y < 0, W of the wrong size or indefinite, period missing or out of place.

@@ -34,11 +34,11 @@ def less_noise(problem: Discrete, share: str) -> str:
 
 
 def bound_by_silence(certainty: Certainty, per_silence: float, source: str) -> Guarantee:
-    """Return J ≤ J_all + c(1 − R), where a tick in silence costs at most c beyond J_all."""
+    """Return J ≤ J_all + δ(1 − rate), where a tick in silence costs at most δ beyond J_all."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
         problem.per_unit(all_time + per_silence),
-        "J ≤ J_all + c(1−R), c the most that silence can cost; mean-square stable",
+        "J ≤ J_all + δ(1 − rate), δ the most that silence can cost; mean-square stable",
         source,
         problem.per_unit(all_time),
         per_silence / problem.tick,
@@ -48,11 +48,11 @@ def bound_by_silence(certainty: Certainty, per_silence: float, source: str) -> G
 def bound_by_state(
     certainty: Certainty, sigma: float, threshold: float, source: str
 ) -> tuple[Guarantee | None, tuple[str, ...]]:
-    """Return the bound for an error kept at E|e|² ≤ σ²E|x̂|² + Y²(1−R), or why there is none.
+    """Return the bound for an error kept at E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or why there is none.
 
-    With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1−R)), and the stage cost is at least q|x̂|² + tr(QΣ) with
-    q = λ_min(Q − NR^{-1}N'). So with s = σ²μ/q < 1: J ≤ (J_all − s tr(QΣ) + μY²(1−R))/(1 − s), where of a sampled
-    plant the inter-sample noise cost c is in tr(QΣ) as it is in J and J_all.
+    With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least q|x̂|² + tr(QΣ)
+    with q = λ_min(Q − NR^{-1}N'). So with s = σ²μ/q < 1: J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s), where of a
+    sampled plant the inter-sample noise cost c is in tr(QΣ) as it is in J and J_all.
 
     Args:
         certainty: filter and regulator.
@@ -80,8 +80,8 @@ def bound_by_state(
         unseen, noise = "(tr(QΣ) + c)", ", c the inter-sample noise cost of a tick"
     guarantee = Guarantee(
         problem.per_unit(base + per_silence),
-        f"J ≤ (J_all − s {unseen} + μY²(1−R))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), q = λ_min(Q − NR^{{-1}}N'){noise}; "
-        "mean-square stable",
+        f"J ≤ (J_all − s {unseen} + μY²(1 − rate))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), "
+        f"q = λ_min(Q − NR^{{-1}}N'){noise}; mean-square stable",
         source,
         problem.per_unit(base),
         per_silence / problem.tick,

@@ -25,7 +25,7 @@ def excess(
     """Design LQG control that sends if and only if silence would cost more than δ beyond sending always.
 
     With e = û − Lx̂, û the input applied in silence, J = J_all + E[(1−σ)e'He], H = R + B'KB: an input is sent iff
-    e'He > δ. What is not sent costs at most δ, so J ≤ J_all + δ(1−R), R the sends per tick; and e'He ≤ δ after each
+    e'He > δ. What is not sent costs at most δ, so J ≤ J_all + δ(1 − rate), in sends per tick; and e'He ≤ δ after each
     decision, so the loop is that of sending always under a bounded disturbance, stable in the mean square.
 
     Args:
@@ -38,7 +38,7 @@ def excess(
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + δ(1 − R), at most J_all + θ(J_all − c).
+        The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
 
     Raises:
         ProblemError: none or both of δ and θ, one that is negative, period missing or out of place.

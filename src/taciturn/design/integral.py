@@ -107,7 +107,7 @@ def integral(
     notes: list[str] = []
 
     def found(process: JumpProcess | SampledProcess) -> tuple[Estimate, IntegralTrigger]:
-        search = _Search(process, trigger, slope, largest)
+        search = _Search(process, trigger, slope, largest, period)
         value = search.fixed_point() if alpha is None else search.given(number("alpha", alpha, 0.0))
         if alpha is None:
             notes.append(f"alpha = {value} s is the fixed point L(alpha) = alpha")
@@ -193,8 +193,8 @@ def _looking(
     places = _places(trigger, period)
     if places > MOST_PLACES:
         raise ProblemError(
-            f"period is {period:g}, and {places} looks after a send h_min, h_max or the saturation "
-            f"still counts; expected at most {MOST_PLACES}: a longer period, or infinite limits"
+            f"h_min, h_max or the saturation is {places} looks of {period:g} s; expected at most {MOST_PLACES}: a "
+            "smaller or an infinite limit, or a longer period"
         )
     prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
@@ -252,12 +252,14 @@ class _Search:
         trigger: everything but c.
         slope: C.
         largest: slope up to which f < g.
+        period: seconds between looks, where they are given.
     """
 
     process: JumpProcess | SampledProcess
     trigger: IntegralTrigger
     slope: float
     largest: float
+    period: float | None
 
     def given(self, alpha: float) -> Estimate:
         """Return a given α, if it is consistent.
@@ -326,9 +328,7 @@ class _Search:
         while self.after(low, FIRST_CYCLES).interval.value < low:
             low, high = low / 2, low
             if low < least:
-                shorter = ""
-                if isinstance(self.process, SampledProcess):
-                    shorter = f", or a period below {self.process.period:g}"
+                shorter = "" if self.period is None else f", or a period below {self.period:g}"
                 raise ProblemError(
                     f"slope is {self.slope:g}, and no alpha is below the mean interval L(alpha) that follows from it; "
                     f"expected a slope nearer to {self.largest:.6g}, up to which f stays below what periodic control "

@@ -72,7 +72,8 @@ def lossy_lqg(
         reference: to be tracked, with a horizon; the cost is then that of the deviation.
 
     Returns:
-        The policy, with J ≤ J_all + λN and the sharper J ≤ J_all + λN(1−R) at the rate R (average: λ and λ(1−R)).
+        The policy, with J ≤ J_all + λN and the sharper J ≤ J_all + λN(1 − rate) at a rate per step (average: λ and
+        λ(1 − rate)).
 
     Raises:
         ProblemError: a continuous plant, C or V, N or a discount, a delay above 1, or a reference that does not fit.
@@ -129,7 +130,7 @@ def lossy_lqg(
         cost=cost,
         guarantee=Guarantee(
             cost_all_time + price * ticks,
-            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1−R)",
+            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
             "khashooei2017",
             cost_all_time,
             price * ticks,

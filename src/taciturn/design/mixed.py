@@ -38,8 +38,8 @@ def mixed(
 
     Returns:
         The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
-        J ≤ (J_all − s(tr(QΣ) + c) + μY²(1−R))/(1−s), c the inter-sample noise cost, 0 of a discrete plant; no bound is
-        known for a larger σ.
+        J ≤ (J_all − s(tr(QΣ) + c) + μY²(1 − rate))/(1−s), c the inter-sample noise cost, 0 of a discrete plant; no
+        bound is known for a larger σ.
 
     Raises:
         ProblemError: σ < 0 or Y < 0, period missing or out of place.

@@ -18,7 +18,7 @@ from taciturn.model.trigger import Bell, Form, Trigger
 
 
 def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> Policy:
-    """Design the schedule that nearly minimises J + λR, R the sends per step or per second.
+    """Design the schedule that nearly minimises J + λ·rate, in sends per step or per second.
 
     The actuator runs a model, so that a send resets the error e of what it predicts, and silence costs e'Γe beyond
     sending always. The best schedule sends iff e'Γe + V(e) > g, where −V(e) is what may still be saved if e is kept;

@@ -12,7 +12,7 @@ from taciturn.renewal.policy import OptimalPolicy
 
 
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
-    """Design the schedule that minimises J + λR, R the sends per step or per second.
+    """Design the schedule that minimises J + λ·rate, in sends per step or per second.
 
     The actuator runs a model, so that a send resets the error e of what it predicts, and silence costs e'Γe beyond
     sending always. The best schedule sends iff e'Γe + V(e) > g, V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) the value of

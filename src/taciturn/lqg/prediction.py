@@ -8,6 +8,7 @@ import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, number, symmetrised
 from taciturn._modes import balancing
+from taciturn.errors import ProblemError
 from taciturn.lqg._interval import Interval, integrate
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
@@ -79,7 +80,8 @@ class PredictionCost:
                 constants is taken to fall to 0, as that of a stable plant does.
         """
         lengths = self._lengths(shortest, longest)
-        ratios = [self.growth(h) / h for h in lengths]
+        found = [self._reached(h) for h in lengths]
+        ratios = [np.inf if one is None else one.noise_cost / h**2 for one, h in zip(found, lengths, strict=True)]
         if shortest == 0:
             lengths, ratios = [0.0, *lengths], [self.initial_slope, *ratios]
         if np.isinf(longest) and ratios[-1] < ratios[-2]:
@@ -90,11 +92,15 @@ class PredictionCost:
     def convex_until(self, longest: float) -> float:
         """Return the length until which g is convex, as far as a grid shows; ``longest`` where it is throughout.
 
+        Where the error passes every number, g grows exponentially.
+
         h g''(h) = v'(h) − 2g'(h), where v(s) = tr(SV(s)), v'(s) = tr(S e^{As}We^{A's}) and h g' = v − g.
         """
         scale = self.initial_slope
         for h in self._lengths(0.0, longest):
-            found = self._over(h)
+            found = self._reached(h)
+            if found is None:
+                break
             flow = found.Phi
             rate = float(np.sum(self.S * (flow @ self.W @ flow.T)))
             slope = (float(np.sum(self.S * found.G)) - found.noise_cost / h) / h
@@ -103,9 +109,18 @@ class PredictionCost:
         return longest
 
     def _lengths(self, shortest: float, longest: float) -> list[float]:
-        end = longest if np.isfinite(longest) else 100 * max(shortest, 1 / max(float(np.abs(self.A).max()), 1e-3))
-        start = shortest if shortest > 0 else 1e-4 * end
-        return np.geomspace(start, end, GRID).tolist()
+        lasting = 100 * max(shortest, 1 / max(float(np.abs(self.A).max()), 1e-3))
+        end = min(longest, lasting)
+        lengths = np.geomspace(shortest if shortest > 0 else 1e-4 * end, end, GRID).tolist()
+        beyond = np.isfinite(longest) and longest > lasting
+        return lengths + (np.geomspace(lasting, longest, GRID)[1:].tolist() if beyond else [])
+
+    def _reached(self, length: float) -> Interval | None:
+        """Return what so many seconds do; None where the error passes every number that the computer holds."""
+        try:
+            return self._over(length)
+        except ProblemError:
+            return None
 
     def _over(self, length: float) -> Interval:
         return integrate(self.A, self.S, self.W, number("length", length, 0.0), balancing(self.A))

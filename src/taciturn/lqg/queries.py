@@ -21,7 +21,12 @@ NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
 SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
 LONGEST = 100_000  # ticks within which a schedule must repeat
-WORK = 4e10  # products of numbers for one schedule: about a minute
+WORK = 6e10  # nanoseconds, about, for one schedule
+VALUE, TERM, STEP = (
+    6e5,
+    2e3,
+    1.5e5,
+)  # of them: for one value of a query, for a term of its sum, for one that is followed
 CHUNK = 64  # ticks whose matrices are at hand together
 APART = 1e-6  # distance from the unit circle that computed eigenvalues of a double one can have
 
@@ -153,7 +158,7 @@ class QueryValue:
             return self._follow(np.stack([X, Y]), symmetrised(gain @ plant.C @ Sigma @ plant.A.T), tick)
         ahead = self._weights.horizon is not None
         weighed = flow.weighed(self._weights.P[tick + 1 :], 1.0) if ahead else self._weighed
-        self._count(len(weighed))
+        self._count(VALUE + TERM * len(weighed), len(weighed))
         S, total = plant.C @ Sigma @ plant.C.T + plant.V, 0.0
         for begin in range(0, len(weighed), CHUNK):
             ticks = slice(begin, min(begin + CHUNK, len(weighed)))
@@ -161,14 +166,17 @@ class QueryValue:
             total += float((weighed[ticks] @ left @ S * right).sum())
         return total
 
-    def _count(self, ticks: int) -> None:
-        """Add up what was done, and stop where a schedule takes too long."""
-        self._done += ticks * (1e3 + self._predictor.plant.states**3)
-        if self._done > WORK and self._weights.horizon is None:
+    def _count(self, work: float, products: int) -> None:
+        """Add up what is done, with products of matrices, and stop where a schedule takes too long."""
+        states = self._predictor.plant.states
+        self._done += work + products * 2 * states**3
+        if self._done > WORK:
+            late, expected = "has not repeated", "a horizon"
+            if self._weights.horizon is not None:
+                late, expected = f"of {self._weights.horizon} ticks has not ended", "a shorter horizon"
             raise UnstableError(
-                f"the schedule of queries has not repeated within about a minute of work for "
-                f"{self._predictor.plant.states} states: errors fade too slowly; expected a horizon, fewer states, or "
-                "noise W and V that let the filter forget sooner"
+                f"the schedule of queries {late} within about a minute of work for {states} states: errors fade too "
+                f"slowly; expected {expected}, fewer states, or noise W and V that let the filter forget sooner"
             )
 
     def _follow(self, both: Array, D: Array, tick: int) -> float:
@@ -180,7 +188,7 @@ class QueryValue:
         total, factor = 0.0, alpha
         for s in range(LONGEST if horizon is None else len(prices)):
             if s % 64 == 0:
-                self._count(64)
+                self._count(64 * STEP, 10 * 64)
             P = prices[0 if horizon is None else s]
             total += factor * float((P * D).sum())
             gains = predictor.gain(both)

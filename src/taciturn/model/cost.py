@@ -9,6 +9,8 @@ import numpy as np
 from taciturn._arrays import Array, ArrayLike, array, count, definite, frozen, number, semidefinite
 from taciturn.errors import ProblemError
 
+LONGEST = 100_000  # steps of a mission
+
 
 @dataclass(frozen=True, eq=False)
 class Cost:
@@ -23,7 +25,8 @@ class Cost:
         discount: factor per step in (0, 1]; below 1 the cost is the discounted sum.
 
     Raises:
-        ProblemError: wrong shape, indefinite weight, ``terminal`` without ``horizon``, ``discount`` with ``horizon``.
+        ProblemError: wrong shape, indefinite weight, ``terminal`` without ``horizon``, ``discount`` with ``horizon``, a
+            horizon above 100,000.
 
     Example:
         >>> Cost(Q=[[1.0]], R=[[2.0]]).N
@@ -63,6 +66,11 @@ class Cost:
             raise ProblemError("discount and horizon are both given; expected one of them")
         if horizon is not None:
             horizon = count("horizon", horizon)
+            if horizon > LONGEST:
+                raise ProblemError(
+                    f"horizon is {horizon} steps; expected at most {LONGEST}, as every step has gains of its own: an "
+                    "average or a discount looks further"
+                )
             terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
         for key, value in zip(
             ("Q", "R", "N", "horizon", "terminal", "discount"), (Q, R, N, horizon, terminal, discount), strict=True

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, cast
 
+import numpy as np
+
 from taciturn._arrays import choice, count, instance, number
 from taciturn.errors import ProblemError
 from taciturn.model.wire import CODES, Encoding, EncodingName
@@ -143,6 +145,15 @@ class Network:
         """Return the loss probability of a link: constant, or the stationary one of its bursts."""
         burst = self.burst(link)
         return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link] if burst is None else burst.loss
+
+    def outage(self, link: str) -> float:
+        """Return the probability, in the long run, with which a link that has lost every packet loses the next one."""
+        burst = self.burst(link)
+        if burst is None:
+            return self.loss(link)
+        turns = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
+        lost = turns * [burst.loss_good, burst.loss_bad]
+        return float(np.abs(np.linalg.eigvals(lost)).max())
 
     def without_bursts(self) -> Network:
         """Return the network that loses as much on each link, without memory."""

@@ -28,7 +28,7 @@ class Guarantee:
     per_silence: float = 0.0
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound at a rate R of sends per tick, base + per_silence·(1 − R), or None where none is proved."""
+        """Return the bound at a rate in sends per tick, base + per_silence·(1 − rate), or None where none is proved."""
         return None if self.base is None else self.base + self.per_silence * (1 - rate)
 
 

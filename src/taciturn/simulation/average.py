@@ -9,7 +9,7 @@ from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.simulation.doubts import expect_arrivals, find_doubts
+from taciturn.simulation.doubts import doubt_tail, expect_arrivals, find_doubts
 from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.sampling import (
     BURN_IN,
@@ -292,6 +292,8 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
     """Return averages with what was averaged, and what makes them doubtful."""
     used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
     found, loop = replace(found, estimator=used), parts[0].loop
-    if loop.horizon is not None or len(parts) > 1:
+    if len(parts) > 1:
         return found
-    return replace(found, notes=find_doubts(loop, found.cost, found.rates, found.steps, found.settled))
+    if loop.horizon is not None:
+        return replace(found, notes=doubt_tail(found.tail))
+    return replace(found, notes=find_doubts(loop, found.cost, found.rates, found.steps, found.settled, found.tail))

@@ -1,8 +1,10 @@
-"""Where an average over paths is none: packets that never come, and errors as large as what they are of."""
+"""Where an average over paths is none, or its standard error says nothing: outages, rare large costs, silence."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+
+import numpy as np
 
 from taciturn._modes import eigenvalues, lost_modes, persistent, root
 from taciturn.errors import UnstableError
@@ -11,25 +13,31 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName, Send
 
 LARGE = 1 / 3  # of the cost: a standard error above it is told
+HEAVY = 1.6  # index of a power law, estimated from 64 paths to an eighth: two standard errors below 2
 
 
 def expect_arrivals(loop: Loop) -> None:
-    """Refuse a loop on one of whose links nothing ever arrives, where the plant left alone costs ever more.
+    """Refuse a loop whose mean square outages of a link make infinite, whatever the policy sends.
 
     Raises:
-        UnstableError: such a link.
+        UnstableError: a link that loses every packet, or too many in a row, of a plant that does not come to rest.
     """
-    links: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
-    for link in sorted(links):
-        if _loss(loop, link) == 1 and comes_never_to_rest(loop):
+    for link, outage, growth in _outages(loop):
+        if outage == 1:
             raise UnstableError(
                 f"the loop of {loop.policy.kind} diverges: the {link} link loses every packet, and the plant does not "
                 "come to rest by itself; expected a loss below 1"
             )
+        if outage * growth**2 >= 1:
+            raise UnstableError(
+                f"the loop of {loop.policy.kind} diverges: an outage of the {link} link lasts another tick with "
+                f"probability {outage:.4g}, in which the mean square of the error grows {growth**2:.4g} times; "
+                "expected a product below 1: fewer losses, or shorter bursts"
+            )
 
 
 def find_doubts(
-    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
+    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool, tail: float
 ) -> tuple[str, ...]:
     """Return what makes a simulated average doubtful, for the reader of its numbers.
 
@@ -39,6 +47,7 @@ def find_doubts(
         rates: sends per tick, by link.
         steps: simulated steps of all paths together.
         settled: whether the loop had time to forget its start.
+        tail: index of the power law by which the costs of the dearest paths fall off.
     """
     silent = [link for link, rate in rates.items() if rate.value == 0]
     notes: tuple[str, ...] = ()
@@ -47,12 +56,53 @@ def find_doubts(
             f"nothing was sent on the {silent[0]} link in the {steps} steps simulated, and the plant does not come to "
             "rest by itself: the cost is how far it got, not an average",
         )
+    elif silent:
+        notes += (
+            f"nothing was sent on the {silent[0]} link in the {steps} steps simulated: the cost is that of control "
+            "without packets",
+        )
     elif not settled:
         notes += (
             f"the loop has not settled within {steps} steps: cost and rates are those of a start that is not yet "
             "forgotten, not averages",
         )
-    return notes + doubt_errors(cost, steps)
+    return notes + (_doubt_moments(loop) or doubt_tail(tail)) + doubt_errors(cost, steps)
+
+
+def _doubt_moments(loop: Loop) -> tuple[str, ...]:
+    """Return a sentence where outages make the variance of the cost infinite."""
+    for link, outage, growth in _outages(loop):
+        if outage * growth**4 >= 1:
+            return (
+                f"the variance of the cost is infinite: an outage of the {link} link lasts another tick with "
+                f"probability {outage:.4g}, in which the square of the cost grows {growth**4:.4g} times. So the "
+                "standard error says nothing, and the average is probably too small",
+            )
+    return ()
+
+
+def doubt_tail(tail: float) -> tuple[str, ...]:
+    """Return a sentence where the costs of the paths have a tail in which a variance has no end."""
+    if tail >= HEAVY:
+        return ()
+    return (
+        f"the costs of the dearest paths fall off as a power law of index {tail:.2g}, and below 2 the variance is "
+        "infinite: do not trust the standard error; the average is probably too small",
+    )
+
+
+def _outages(loop: Loop) -> list[tuple[str, float, float]]:
+    """Return how probably an outage of a link lasts, and how fast an error grows in it, of links that nothing replaces.
+
+    While nothing arrives, inputs do not depend on the noise since the last packet; so the fastest mode that this noise
+    moves grows on its own. Only of a linear plant of which the cost sees all modes that do not decay.
+    """
+    policy, growth = loop.policy, _fastest(loop)
+    if growth == 0 or "actuator" in policy.site("sensor"):
+        return []
+    links: set[LinkName] = {step.link for step in policy.steps if isinstance(step, Send)}
+    needed = [link for link in sorted(links) if "controller" not in policy.site(link)]
+    return [(link, loop.network.outage(link), growth) for link in needed]
 
 
 def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
@@ -66,21 +116,20 @@ def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
     )
 
 
-def _loss(loop: Loop, link: LinkName) -> float:
-    """Return the share of a link's packets that is lost."""
-    burst = loop.network.actuator_burst if link == "actuator" else loop.network.sensor_burst
-    if burst is not None:
-        return burst.loss
-    return loop.network.actuator_loss if link == "actuator" else loop.network.sensor_loss
-
-
 def comes_never_to_rest(loop: Loop) -> bool:
     """Tell whether noise moves a mode that does not decay, in a linear plant of which the cost sees all such modes."""
+    return _fastest(loop) > 0
+
+
+def _fastest(loop: Loop) -> float:
+    """Return the growth per tick, at least 1, of the fastest such mode; 0 where there is none."""
     plant = loop.problem.plant
     if plant.function is not None:
-        return False
+        return 0.0
     A = plant.A
-    all_modes = persistent(eigenvalues(A), A, False)
-    still = lost_modes(A, root(plant.W), False)
-    unseen = lost_modes(A.T, loop.problem.Q, False)
-    return len(all_modes) > len(still) and not len(unseen)
+    modes = np.sort(np.abs(persistent(eigenvalues(A), A, False)))
+    if not modes.size or len(lost_modes(A.T, loop.problem.Q, False)):
+        return 0.0
+    for still in np.abs(lost_modes(A, root(plant.W), False)):
+        modes = np.delete(modes, np.argmin(np.abs(modes - still)))
+    return max(1.0, float(modes[-1])) if modes.size else 0.0

@@ -21,7 +21,7 @@ from taciturn.program.ir import Program
 from taciturn.simulation.doubts import comes_never_to_rest
 from taciturn.simulation.lost import find_loss
 from taciturn.simulation.parts import Part
-from taciturn.simulation.statistics import Moments, controlled_mean, rate_of
+from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
 PATHS = 4096
 RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
@@ -55,6 +55,7 @@ class Averages:
         notes: what makes the numbers doubtful.
         settled: whether the loop had time to forget its start.
         estimator: what was averaged: "completed squares", "plain average" or "conditional sampling"; or "".
+        tail: index of the power law by which the costs of the dearest paths fall off; infinite where there are too few.
     """
 
     cost: Estimate
@@ -65,6 +66,7 @@ class Averages:
     notes: tuple[str, ...] = ()
     estimator: str = ""
     settled: bool = True
+    tail: float = np.inf
 
 
 class Sampling:
@@ -142,10 +144,10 @@ class Sampling:
             long_enough = forgotten and measured >= pace and len(kept) > 1
             target = self._target(standard_error, float(means[0].mean()))
             if steps is None and long_enough and self._is_precise(cost, target):
-                yield Averages(cost, rates, self.steps, dropped, True)
+                yield Averages(cost, rates, self.steps, dropped, True, tail=self._tail(means))
                 return
             reached = left <= window and steps is not None and long_enough
-            yield Averages(cost, rates, self.steps, dropped, reached, settled=long_enough)
+            yield Averages(cost, rates, self.steps, dropped, reached, settled=long_enough, tail=self._tail(means))
             if left <= window:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
@@ -187,7 +189,7 @@ class Sampling:
             target = self._target(standard_error, first.center)
             reached = steps is None and self._is_precise(cost, target)
             last = reached or self.steps + paths * horizon * width > budget
-            yield Averages(cost, found, self.steps, 0, reached or (last and steps is not None))
+            yield Averages(cost, found, self.steps, 0, reached or (last and steps is not None), tail=self._tail(sums))
             if last:
                 return
             self._report(cost, None if steps else target, self.steps / budget)
@@ -284,6 +286,9 @@ class Sampling:
             for part, rows in zip(self.parts, self.rows, strict=True)
         ]
         return np.sum(terms, axis=0)
+
+    def _tail(self, means: Array) -> float:
+        return np.inf if len(self.parts) > 1 else tail_index(means[0])
 
     def _sends(self, sums: Array) -> dict[str, Array]:
         """Return the sends of the paths on each link, added up over the parts, (paths,)."""

@@ -11,6 +11,7 @@ from taciturn._arrays import Array, ArrayLike, array, count
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 
+TAIL = 64  # values of a tail, and one of so many is of it
 BATCHES = 32
 CYCLES = 30  # fewer give no standard error
 
@@ -60,6 +61,24 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
     rest = values - fitted @ weights
     variance = float(rest @ rest) / (len(values) - int(large.sum()))
     return Estimate(float(weights[0]), float(np.sqrt(variance * inverse[0, 0])), "simulation")
+
+
+def tail_index(values: Array) -> float:
+    """Return Hill's estimate of the index of the power law by which the largest values fall off, above their median.
+
+    Args:
+        values: independent, (values,); fewer than 4,096 are too few to tell, and have an infinite index.
+
+    Source: hill1975
+    """
+    largest = len(values) // TAIL
+    if largest < TAIL:
+        return float(np.inf)
+    above = np.sort(values - np.median(values))[-largest - 1 :]
+    if not above[0] > 0:
+        return float(np.inf)
+    spread = float(np.log(above[1:] / above[0]).mean())
+    return 1 / spread if spread > 0 else float(np.inf)
 
 
 def rate_of(values: Array, seen: int) -> Estimate:

@@ -49,7 +49,7 @@ class Description:
 
     @property
     def gains(self) -> dict[str, Matrix]:
-        """L of the input, and K of what a measurement adds, where the policy has them."""
+        """L of the input, and that of the filter, where the policy has them."""
         return {} if self.nodes is None else _gains(self.nodes)
 
     @property
@@ -96,7 +96,7 @@ class Description:
         lines += _cost_lines(problem)
         lines.append(("sending always", f"J_all = {self.policy.cost_all_time:.6g} per {per}"))
         for name, value in self.gains.items():
-            lines += _matrix_lines(f"gain {name}", value)
+            lines += _matrix_lines("gain L" if name == "L" else f"{name} gain", value)
         if self.nodes is not None and self.nodes.prediction is not None:
             lines.append(("actuator", "runs dx̂/dt = (A + BL) x̂ between ticks and applies L x̂; its input is x̂"))
         lines += self._guarantee_lines()
@@ -137,7 +137,9 @@ class Description:
         lines = [("guarantee", f"{found['statement']}: at most {found['cost']:.6g} ({found['source']})")]
         rated = found.get("at_rate")
         if rated is not None:
-            lines.append(("at a rate R", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − R per tick)"))
+            lines.append(
+                ("at a rate", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − sends per tick)")
+            )
         return lines
 
 
@@ -178,8 +180,8 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
                     if step.signal == "command" and name in ESTIMATES:
                         found.setdefault("L", value)
                     elif name == "innovation":
-                        found.setdefault("K", value)
-    return dict(sorted(found.items(), reverse=True))  # L, K
+                        found.setdefault("filter", value)
+    return dict(sorted(found.items()))
 
 
 def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:

@@ -27,7 +27,8 @@ def evaluation_lines(found: Evaluation) -> Lines:
     lines.append(("method", f"{found.method}: {found.reason}"))
     lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.cost_all_time is not None:
-        more = f"   (this policy: {above_all_time(found)} %)" if found.cost_all_time else ""
+        always = found.cost.method == "exact" and math.isclose(found.cost.value, found.cost_all_time, rel_tol=1e-12)
+        more = f"   (this policy: {above_all_time(found)} %)" if found.cost_all_time and not always else ""
         lines.append(("all-time cost", f"{found.cost_all_time:.6g}{more}"))
     if found.cost_bound is not None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}"))
@@ -57,13 +58,21 @@ def evaluation_lines(found: Evaluation) -> Lines:
 def tuned_lines(found: Tuned) -> Lines:
     """Return what is said of the parameter that meets a budget, and of the answer at it."""
     parameter = found.parameter
-    lines: Lines = [(parameter.name, str(parameter)), *evaluation_lines(found.evaluation)]
+    lines: Lines = [(parameter.name, str(parameter)), ("budget", _budget(found)), *evaluation_lines(found.evaluation)]
     if found.beyond is not None:
         other = found.beyond
         rates = ", ".join(f"rate, {link} {rate}" for link, rate in other.evaluation.rates.items())
         text = f"{other.parameter.beside(parameter)}: {rates}, cost {other.evaluation.cost}"
         lines.append(("beyond", f"the budget lies in a jump, on whose other side is {parameter.name} = {text}"))
     return lines
+
+
+def _budget(found: Tuned) -> str:
+    """Say whether the budget is kept, and how surely."""
+    goal, sure = found.goal, math.floor(1000 * found.confidence) / 10
+    per = found.evaluation.rate_unit if goal.name == "rate" else found.evaluation.unit
+    kept = "exactly" if found.confidence == 1 else f"with {sure:g} % confidence"
+    return f"{goal.name} at most {goal.budget:.6g} per {per}, kept {kept}"
 
 
 def _verdict(found: Evaluation) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Never
 
@@ -25,8 +26,9 @@ CLOSE = 0.25  # standard errors of a look that a root may be off
 JUMP = 1e-11  # width in log(value) over which what is sought jumps
 SPAN, STRIDE = 0.02, 0.1  # of log(value): for slopes, and that a correction goes at most
 ROUNDS = 3  # of corrections at full precision
+KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: at least, what a correction aims at, and at most
 PASSED = 20  # whole numbers on either side that are passed over where nothing can be designed
-SURE = 3.0  # standard errors by which the answer may miss the budget
+SURE = 3.0  # standard errors by which a look at the end of what can be reached may miss the budget
 EXACT = 1e-9  # relative
 
 
@@ -55,6 +57,14 @@ class Goal:
     def of(self, evaluation: Evaluation) -> Estimate:
         """Return what is to be met, as it was found."""
         return evaluation.cost if self.name == "cost" else self.rate(evaluation)
+
+    def confidence(self, evaluation: Evaluation) -> float:
+        """Return the probability with which a normal error leaves what was found within the budget."""
+        found = self.of(evaluation)
+        below = self.budget - found.value - found.error
+        if found.standard_error > 0:
+            return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
+        return float(below >= -EXACT * self.budget)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +124,10 @@ class Search:
     def meets_exactly(self, look: Look) -> bool:
         """Tell whether a look is on the budget."""
         return abs(look.above) <= max(EXACT * self.goal.budget, CLOSE * look.error)
+
+    def keeps(self, look: Look) -> bool:
+        """Tell whether a look is below the budget by more than its error."""
+        return look.above + KEPT * look.error <= EXACT * self.goal.budget
 
     def bracket(self) -> tuple[Look, Look]:
         """Return the looks next to the budget, not above it and above it, as far as a walk finds them.
@@ -193,12 +207,15 @@ class Search:
         measured = self._look(look.value, LONGER * EFFORT) if look.error and slope else look
         for _ in range(ROUNDS):
             blur = measured.error  # of what decides the place
-            place -= float(np.clip(measured.above / slope, -STRIDE, STRIDE)) if slope else 0.0
+            missing = measured.above + AIMED * blur
+            place -= float(np.clip(missing / slope, -STRIDE, STRIDE)) if slope else 0.0
             measured = self._look(self._value(place), standard_error=standard_error)
-            if abs(measured.above) <= max(SURE * measured.error, EXACT * self.goal.budget) or not slope:
+            near_enough = measured.above >= -max(FAR * measured.error, EXACT * self.goal.budget)
+            if (self.keeps(measured) and near_enough) or not slope:
                 break
         else:
-            measured = replace(measured, evaluation=replace(measured.evaluation, reached=False))
+            if not self.keeps(measured):
+                measured = replace(measured, evaluation=replace(measured.evaluation, reached=False))
         changes = slope / (measured.value - self.knob.least)
         error = blur / abs(changes) if changes else None
         costs = [one.evaluation.cost.value for one in near]
@@ -208,6 +225,17 @@ class Search:
     def measure(self, look: Look, standard_error: float | None) -> Look:
         """Return a look at full precision."""
         return self._look(look.value, standard_error=standard_error)
+
+    def measure_within(self, look: Look, standard_error: float | None) -> Look:
+        """Return a look at full precision that is not above the budget: at this whole number, or at one beside it."""
+        found, step = self.measure(look, standard_error), -1 if self.rising else 1
+        for away in range(1, PASSED if self.knob.whole else 1):
+            value = int(look.value) + away * step
+            if found.above <= EXACT * self.goal.budget or value < self.knob.least:
+                break
+            if (other := self.look(value)) is not None:
+                found = self.measure(other, standard_error)
+        return found
 
     def _start(self) -> Look:
         """Return the look at the value that is given, or at the nearest that can be designed."""

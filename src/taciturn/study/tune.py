@@ -31,23 +31,24 @@ def tune(
     """Return the parameter with which a problem's policy sends at a rate, or costs so much.
 
     The parameter is the knob of the policy kind; rate and cost are taken to be monotone in it. The search looks at the
-    same draws again and again, and corrects its answer once it is measured more precisely. Where the rate jumps, as
-    with whole numbers, the answer is the policy next to the budget that keeps it.
+    same draws again and again, and corrects its answer once it is measured more precisely, until it is at least two
+    standard errors within the budget. Where the rate jumps, as with whole numbers, the answer is the policy next to the
+    budget that keeps it.
 
     Args:
         problem: its policy; the value that its parameter has is where the search starts.
-        rate: sends per step or per second, or ``"50%"`` of the rate of sending always; the answer sends that often, or
-            as little less as it can.
-        cost: per step, per second or per mission, or ``"+5%"`` above the cost of sending always; the answer costs so
-            much, or as little less as it can.
+        rate: at most so many sends per step or per second, or ``"50%"`` of the rate of sending always; the answer
+            sends as little less as it can.
+        cost: at most so much per step, per second or per mission, or ``"+5%"`` above the cost of sending always; the
+            answer costs as little less as it can.
         link: whose rate; omitted where the policy decides one only.
         seed: of the draws.
         standard_error: absolute, of the cost of the answer; omitted: 1e-4 of it.
         progress: called with the fraction done.
 
     Returns:
-        The parameter with the standard error that it has as an answer to the budget, and the evaluation at this
-        parameter, whose standard errors are those of any evaluation.
+        The parameter with the standard error that it has as an answer to the budget, the evaluation at this parameter,
+        whose standard errors are those of any evaluation, and the confidence with which the budget is kept.
 
     Raises:
         ProblemError: a budget that no value reaches, none or two budgets, a policy without such a parameter.
@@ -74,11 +75,11 @@ def tune(
     if not knob.whole:
         low, high = search.close_in(low, high)
         if low is high:
-            return _tuned(problem, knob, *search.refine(low, standard_error))
-    found = _tuned(problem, knob, search.measure(low, standard_error), 0.0, None)
+            return _tuned(search, *search.refine(low, standard_error))
+    found = _tuned(search, search.measure_within(low, standard_error), 0.0, None)
     if search.meets_exactly(low):
         return found
-    return replace(found, beyond=_tuned(problem, knob, search.measure(high, standard_error), 0.0, None))
+    return replace(found, beyond=_tuned(search, search.measure(high, standard_error), 0.0, None))
 
 
 def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned | None:
@@ -92,7 +93,7 @@ def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned 
     found = clock.around(goal.budget) if goal.name == "rate" else clock.around_cost(goal.budget)
     if found is None:
         return None
-    below, above = (_at_cycle(problem, knob, point.cycle) for point in found)
+    below, above = (_at_cycle(search, point.cycle) for point in found)
     keeps, beyond = (below, above) if goal.name == "rate" else (above, below)
     if goal.of(beyond.evaluation).value <= goal.budget * (1 + EXACT):
         return beyond
@@ -100,16 +101,17 @@ def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned 
     return keeps if meets else replace(keeps, beyond=beyond)
 
 
-def _at_cycle(problem: Problem, knob: Knob, cycle: Cycle | None) -> Tuned:
+def _at_cycle(search: Search, cycle: Cycle | None) -> Tuned:
     assert cycle is not None
-    value = cycle[0] if len(cycle) == 1 else cycle
-    changed = problem.changed({knob.name: value})
-    return Tuned(Parameter(knob.name, value, 0.0), changed, evaluate(changed), None, None)
+    name, value = search.knob.name, cycle[0] if len(cycle) == 1 else cycle
+    changed = search.problem.changed({name: value})
+    return Tuned(search.goal, Parameter(name, value, 0.0), changed, evaluate(changed), None, None)
 
 
-def _tuned(problem: Problem, knob: Knob, look: Look, error: float | None, slope: float | None) -> Tuned:
-    parameter = Parameter(knob.name, look.value, error)
-    return Tuned(parameter, problem.changed({knob.name: look.value}), look.evaluation, None, slope)
+def _tuned(search: Search, look: Look, error: float | None, slope: float | None) -> Tuned:
+    name = search.knob.name
+    changed = search.problem.changed({name: look.value})
+    return Tuned(search.goal, Parameter(name, look.value, error), changed, look.evaluation, None, slope)
 
 
 def _knob(problem: Problem, link: LinkName | None) -> Knob:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import text_of, tuned_lines
+
+if TYPE_CHECKING:
+    from taciturn.study.search import Goal
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Tuned:
     """The policy that meets a budget.
 
     Args:
+        goal: the budget.
         parameter: that was sought.
         problem: with this parameter.
         evaluation: of it.
@@ -52,11 +56,17 @@ class Tuned:
         slope: change of the cost with the rate at the budget, along the parameter; None at a jump.
     """
 
+    goal: Goal
     parameter: Parameter
     problem: Problem
     evaluation: Evaluation
     beyond: Tuned | None
     slope: float | None
+
+    @property
+    def confidence(self) -> float:
+        """With which the budget is kept, by the errors of the evaluation: 1 where it is computed exactly."""
+        return self.goal.confidence(self.evaluation)
 
     def __str__(self) -> str:
         """Return what ``taciturn tune`` prints."""
@@ -69,7 +79,8 @@ class Tuned:
             "value": self.parameter.value,
             "standard_error": self.parameter.standard_error,
         }
-        found = {"parameter": parameter} | self.evaluation.document()
+        budget = {"of": self.goal.name, "at_most": self.goal.budget, "confidence": self.confidence}
+        found = {"parameter": parameter, "budget": budget} | self.evaluation.document()
         if self.beyond is not None:
             rates = {link: rate.value for link, rate in self.beyond.evaluation.rates.items()}
             jump = {"value": self.beyond.parameter.value, "cost": self.beyond.evaluation.cost.value, "rates": rates}
