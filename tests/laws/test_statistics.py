@@ -17,7 +17,7 @@ from taciturn.model.network import Burst
 from taciturn.program.controls import CONTROL, MOST
 from taciturn.program.engine import prepare
 from taciturn.simulation import sampling
-from taciturn.simulation.average import average, completed_squares
+from taciturn.simulation.average import average, completed_squares, plain_average
 from taciturn.simulation.course import course
 from taciturn.simulation.doubts import doubt_tail
 from taciturn.simulation.statistics import batch_means, controlled_mean, mean, regenerative, tail_index
@@ -221,13 +221,14 @@ def test_outages_decide_whether_a_mean_and_a_variance_exist() -> None:
     """In k ticks without a packet, of probability q^k, a square grows a^2k times: finite where qa² < 1, or qa⁴ < 1."""
     plant, cost = Plant([[1.5]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
 
-    def found(loss: float = 0.0, burst: Burst | None = None) -> tuple[str, ...]:
+    def found(loss: float = 0.0, burst: Burst | None = None, plain: bool = True) -> tuple[str, ...]:
         network = Network("tcp", sensor_loss=loss, sensor_burst=burst)
-        policy = design.lossy_lqg(plant, cost, price=0.1, network=network.without_bursts())
-        return average(close(plant, policy, network, cost), steps=200_000).notes
+        loop = close(plant, design.lossy_lqg(plant, cost, price=0.1, network=network.without_bursts()), network, cost)
+        return average(loop, plain_average(loop) if plain else None, steps=200_000).notes
 
     assert not any("variance" in note for note in found(0.19))  # 1.5⁴ · .19 = .96
     assert any("in which the square of the cost grows 5.062 times" in note for note in found(0.2))
+    assert found(0.2, plain=False) == ()  # terms between 0 and the price
     bursts = Burst(to_bad=0.1, to_good=0.6, loss_good=0.0, loss_bad=1.0)  # huang2007: 4.214 ± a useless error
     assert any("another tick with probability 0.4, in which the square" in note for note in found(burst=bursts))
     with pytest.raises(UnstableError, match=r"another tick with probability 0.45, in which the mean square .* 2.25"):

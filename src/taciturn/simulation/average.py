@@ -9,7 +9,7 @@ from taciturn._arrays import count, instance, number
 from taciturn._progress import OutOfTime, Progress
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.simulation.doubts import doubt_tail, expect_arrivals, find_doubts
+from taciturn.simulation.doubts import doubt_moments, doubt_tail, expect_arrivals, find_doubts
 from taciturn.simulation.parts import Estimator, Part, sends
 from taciturn.simulation.sampling import (
     BURN_IN,
@@ -296,4 +296,8 @@ def _judged(parts: Sequence[Part], found: Averages) -> Averages:
         return found
     if loop.horizon is not None:
         return replace(found, notes=doubt_tail(found.tail))
-    return replace(found, notes=find_doubts(loop, found.cost, found.rates, found.steps, found.settled, found.tail))
+    notes = (
+        doubt_moments(loop) if parts[0].estimator.sum == COST else ()
+    )  # the terms of a square are bounded, or nothing is lost
+    notes = notes or doubt_tail(found.tail)
+    return replace(found, notes=notes + find_doubts(loop, found.cost, found.rates, found.steps, found.settled))

@@ -37,7 +37,7 @@ def expect_arrivals(loop: Loop) -> None:
 
 
 def find_doubts(
-    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool, tail: float
+    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
 ) -> tuple[str, ...]:
     """Return what makes a simulated average doubtful, for the reader of its numbers.
 
@@ -47,7 +47,6 @@ def find_doubts(
         rates: sends per tick, by link.
         steps: simulated steps of all paths together.
         settled: whether the loop had time to forget its start.
-        tail: index of the power law by which the costs of the dearest paths fall off.
     """
     silent = [link for link, rate in rates.items() if rate.value == 0]
     notes: tuple[str, ...] = ()
@@ -66,11 +65,11 @@ def find_doubts(
             f"the loop has not settled within {steps} steps: cost and rates are those of a start that is not yet "
             "forgotten, not averages",
         )
-    return notes + (_doubt_moments(loop) or doubt_tail(tail)) + doubt_errors(cost, steps)
+    return notes + doubt_errors(cost, steps)
 
 
-def _doubt_moments(loop: Loop) -> tuple[str, ...]:
-    """Return a sentence where outages make the variance of the cost infinite."""
+def doubt_moments(loop: Loop) -> tuple[str, ...]:
+    """Return a sentence where outages make the variance of the stage cost infinite."""
     for link, outage, growth in _outages(loop):
         if outage * growth**4 >= 1:
             return (

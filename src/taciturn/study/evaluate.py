@@ -183,7 +183,7 @@ def evaluate(
 
     Args:
         problem: from ``load`` or ``Problem``.
-        seed: of the draws, at least 0.
+        seed: of the draws, at least 0. Two evaluations with one seed have common draws, and correlated errors.
         standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
         steps: run this many steps of all paths together instead; what has no closed form is then simulated. A note
             says where this, or a precision, had no effect.

@@ -22,7 +22,8 @@ def text_of(lines: Lines) -> str:
 
 def evaluation_lines(found: Evaluation) -> Lines:
     """Return what is said of one answer."""
-    method = ", ".join(filter(None, (found.cost.method, found.estimator)))
+    how = found.method if found.cost.method == "simulation" else found.cost.method
+    method = how if found.estimator in ("", how) else f"{how}, {found.estimator}"
     lines: Lines = [("policy", found.policy), ("cost", f"{found.cost} per {found.unit}   ({method})")]
     lines.append(("method", f"{found.method}: {found.reason}"))
     lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]

@@ -136,7 +136,7 @@ def tradeoff(
     Args:
         problem: the problem; each point changes the named keys.
         over: the values of each key (of ``[policy]``, or dotted); several keys make a grid.
-        seed: of the draws, the same at every point.
+        seed: of the draws, the same at every point: the errors of two points are correlated.
         standard_error: absolute, of each cost; omitted: 1e-4 of it.
         confidence: with which lower bounds are to hold of the cost of any scheduling at the rates found; omitted: none
             is sought. Points that have none go without, unless that is all of them.
