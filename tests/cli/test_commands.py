@@ -390,8 +390,10 @@ def test_options_without_effect_are_noted_where_they_are_given(run: Run, write: 
     done = run("evaluate", path, "--seed", "0", "--steps", "20000", "--precision", "float32", "--json")
     assert (done.code, done.err) == (0, "")
     assert json.loads(done.out)["notes"] == [
-        "steps = 20000 and precision = float32 had no effect: no loop was simulated",
-        "seed = 0 had no effect: no loop was simulated",
+        "steps = 20000 and precision = float32 had no effect: no loop was simulated"
     ]
+    unused = "note: --seed 0 had no effect: nothing was drawn\n"
+    for command in (["evaluate", path], ["tradeoff", path, "--over", "every=2,3"], ["tune", path, "--rate", "0.5"]):
+        assert run(*command, "--seed", "0").out.endswith(unused)
     assert "no effect" not in run("evaluate", path).out
     assert "no effect" not in run("evaluate", "two-mass", "--steps", "20000", "--seed", "1").out

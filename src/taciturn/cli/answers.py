@@ -10,16 +10,17 @@ from taciturn import _print
 from taciturn.cli.frame import (
     Confidence,
     File,
+    GivenSeed,
     Json,
     Link,
     Plot,
-    Seed,
     StandardError,
     Steps,
     TimeLimit,
     app,
     can_print,
     check_effort,
+    note_seed,
     print_json,
     progress_bar,
     refuse,
@@ -30,7 +31,7 @@ from taciturn.cli.frame import (
 def evaluate(
     file: File,
     as_json: Json = False,
-    seed: Annotated[int | None, typer.Option(help="Seed of the draws. Default: 0.")] = None,
+    seed: GivenSeed = None,
     standard_error: StandardError = None,
     steps: Steps = None,
     method: Annotated[str, typer.Option(help="auto, exact, 'conditional sampling' or simulation.")] = "auto",
@@ -42,12 +43,8 @@ def evaluate(
 
     With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
     """
-    from dataclasses import replace
-
     import taciturn
-    from taciturn.study.evaluate import without_effect
     from taciturn.study.lower import choose_confidence
-    from taciturn.study.measure import CONDITIONAL
 
     check_effort(standard_error, steps)
     problem = taciturn.load(file)
@@ -63,12 +60,11 @@ def evaluate(
             time_limit=time,
             progress=progress,
         )
-    if found.lower_bound is None and found.method != CONDITIONAL:
-        found = replace(found, notes=found.notes + without_effect({"seed": seed}, found.method))
     if as_json:
         print_json(found.document())
     else:
         typer.echo(found)
+        note_seed(seed, found.drawn)
     if not found.reached and steps is not None:
         refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
     if not found.reached and time is not None and found.seconds > time:
@@ -122,17 +118,17 @@ def tune(
     file: File,
     rate: Annotated[
         str | None,
-        typer.Option(metavar="X|P%", help="Sends per step or per second that are to be met, or 50% of sending always."),
+        typer.Option(metavar="X|P%", help="At most so many sends per step or per second, or 50% of sending always."),
     ] = None,
     cost: Annotated[
-        str | None, typer.Option(metavar="X|+P%", help="Cost that is to be met, or +5% above sending always.")
+        str | None, typer.Option(metavar="X|+P%", help="At most this cost, or +5% above sending always.")
     ] = None,
     link: Link = None,
     least_period: Annotated[
         float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
     ] = None,
     as_json: Json = False,
-    seed: Seed = 0,
+    seed: GivenSeed = None,
     standard_error: StandardError = None,
 ) -> None:
     """The parameter of a policy that meets a rate or a cost."""
@@ -145,7 +141,13 @@ def tune(
     with progress_bar("searching") as progress:
         if least_period is None:
             found = taciturn.tune(
-                problem, rate=allowed, cost=spent, link=on, seed=seed, standard_error=standard_error, progress=progress
+                problem,
+                rate=allowed,
+                cost=spent,
+                link=on,
+                seed=seed or 0,
+                standard_error=standard_error,
+                progress=progress,
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
@@ -157,7 +159,7 @@ def tune(
                 rate=allowed,
                 least=least_period,
                 link=on,
-                seed=seed,
+                seed=seed or 0,
                 standard_error=standard_error,
                 progress=progress,
             )
@@ -168,6 +170,7 @@ def tune(
         if isinstance(found, TunedPeriod):
             _print.periods(found)
         typer.echo(best)
+        note_seed(seed, best.evaluation.drawn)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
 

@@ -77,6 +77,7 @@ Kind = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the draws. Default: 0.")]
 Link = Annotated[
     str | None,
     typer.Option(
@@ -243,3 +244,9 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
             bar.update(task, total=1.0, completed=fraction, description=what + counted)
 
         yield move
+
+
+def note_seed(seed: int | None, drawn: bool) -> None:
+    """Print a note where a seed is given and nothing was drawn."""
+    if seed is not None and not drawn:
+        typer.echo(f"note: --seed {seed} had no effect: nothing was drawn")

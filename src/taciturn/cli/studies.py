@@ -15,6 +15,7 @@ from taciturn import _print
 from taciturn.cli.frame import (
     Confidence,
     File,
+    GivenSeed,
     Json,
     Link,
     Plot,
@@ -23,6 +24,7 @@ from taciturn.cli.frame import (
     Steps,
     app,
     check_effort,
+    note_seed,
     print_json,
     progress_bar,
     refuse,
@@ -46,7 +48,7 @@ def tradeoff(
     over: Over,
     as_json: Json = False,
     plot: Plot = None,
-    seed: Seed = 0,
+    seed: GivenSeed = None,
     standard_error: StandardError = None,
     confidence: Confidence = None,
     store: Annotated[
@@ -70,7 +72,7 @@ def tradeoff(
         found = taciturn.tradeoff(
             problem,
             values,
-            seed=seed,
+            seed=seed or 0,
             standard_error=standard_error,
             confidence=choose_confidence(problem, confidence),
             executor=executor,
@@ -81,6 +83,7 @@ def tradeoff(
         print_json(found.document())
     else:
         _print.tradeoff(found)
+        note_seed(seed, any(point.evaluation.drawn for point in found.points))
     if plot is not None:  # after the numbers, which a picture that cannot be written must not take away
         save(found.plot(), plot)
         if not as_json:
@@ -122,7 +125,7 @@ def sweep(
     table: Annotated[
         Path | None, typer.Option(metavar="OUT", help="The result as a table as well: .csv or .parquet.")
     ] = None,
-    seed: Seed = 0,
+    seed: GivenSeed = None,
     standard_error: StandardError = None,
     steps: Steps = None,
     confidence: Annotated[float | None, typer.Option(help="Of lower bounds. Default: none is sought.")] = None,
@@ -149,12 +152,13 @@ def sweep(
             values,
             executor=executor,
             store=store,
-            seed=seed,
+            seed=seed or 0,
             standard_error=standard_error,
             steps=steps,
             confidence=confidence,
             progress=progress,
         )
+    note_seed(seed, confidence is not None or bool((found.cost_method == "simulation").any()))
     result = store / "result.nc"
     aside = save_whole(found, result)
     if aside is not None:
@@ -202,7 +206,7 @@ def compare(
     link: Link = None,
     as_json: Json = False,
     plot: Plot = None,
-    seed: Seed = 0,
+    seed: GivenSeed = None,
     standard_error: Annotated[float | None, typer.Option(help="Of each cost. Default: 3e-4 of all-time's.")] = None,
 ) -> None:
     """Several policies at the same rate, ranked, with the standard errors of their differences."""
@@ -215,12 +219,13 @@ def compare(
     problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
     with progress_bar("comparing") as progress:
         found = taciturn.compare(
-            problems, rate, link=cast("Any", link), seed=seed, standard_error=standard_error, progress=progress
+            problems, rate, link=cast("Any", link), seed=seed or 0, standard_error=standard_error, progress=progress
         )
     if as_json:
         print_json(found.document())
     else:
         _print.comparison(found)
+        note_seed(seed, any(one.tuned.evaluation.drawn for one in found.ranking))
     if plot is not None:
         save(found.plot(), plot)
         if not as_json:

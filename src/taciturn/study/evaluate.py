@@ -115,6 +115,11 @@ class Evaluation:
         return rate_unit(self.unit)
 
     @property
+    def drawn(self) -> bool:
+        """Whether a seed decides any number of it."""
+        return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
+
+    @property
     def cost_periodic_same_rate(self) -> float | None:
         """Exact cost of the fair clock at the rate found; None where there is none."""
         return None if self.clock is None else self.clock.cost
