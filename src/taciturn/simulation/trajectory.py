@@ -27,7 +27,8 @@ class Trajectory:
     """What happened at each tick of one path.
 
     Args:
-        time: in seconds, or ticks where the plant counts steps; (ticks,).
+        time: of each tick, (ticks,).
+        unit: of the time: ``"s"``, or ``"steps"`` where the plant has no ``dt``.
         state: of the plant, (ticks, n).
         estimate: x̂, (ticks, n); empty where the policy has none.
         input: applied to the plant, (ticks, m).
@@ -40,6 +41,7 @@ class Trajectory:
     """
 
     time: Array
+    unit: str
     state: Array
     estimate: Array
     input: Array
@@ -71,7 +73,7 @@ class Trajectory:
             )
             for i, (link, sent) in enumerate(self.sends.items())
         ]
-        panels.append(Panel(marks, ylabel="sends", xlabel="time"))
+        panels.append(Panel(marks, ylabel="sends", xlabel=f"time ({self.unit})"))
         return draw(panels, height=1.9 * len(panels))
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -126,9 +128,10 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
     expect_numbers(loop, states)
     silent, others = _weighed(loop.policy, records)
     sends = {name.split()[1]: values > 0 for name, values in records.items() if name.startswith(f"{SENT} ")}
-    time = np.arange(ticks, dtype=np.float64) * (loop.problem.plant.dt or 1.0)
+    dt = loop.problem.plant.dt
+    time, unit = np.arange(ticks, dtype=np.float64) * (dt or 1.0), "steps" if dt is None else "s"
     estimate, applied, measured = map(stacked, ("estimate", "applied", "y"))
-    return Trajectory(time, states, estimate, applied, silent, others, sends, measured)
+    return Trajectory(time, unit, states, estimate, applied, silent, others, sends, measured)
 
 
 def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:

@@ -118,7 +118,7 @@ def _steps(steps: int) -> list[float]:
 
 def _picture(scalar: Problem, double: Problem, first: Row, second: Row, seed: int) -> Figure:
     panels = [
-        Panel([*running_costs(problem, STEPS, seed), *_levels(row)], ylabel="running cost", title=title)
+        Panel([*running_costs(problem, STEPS, seed), *_levels(row)], ylabel="cost per step", title=title)
         for problem, row, title in (
             (scalar, first, "Figure 3.4: scalar system, θ = 0.2, ζ = 1.65"),
             (double, second, "Figure 3.5: double integrator, θ = 0.1, ζ = 0.5"),

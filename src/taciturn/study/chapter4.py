@@ -159,7 +159,7 @@ def _figure_4_4(lengths: Sequence[Row]) -> Panel:
     alphas = [float(row.setting["α"]) for row in lengths]
     found = [row.computed["L(α)"].value for row in lengths]
     series = [Series(alphas, found, "L(α)"), Series(alphas, alphas, "α", "dashed", color=7)]
-    return Panel(series, "α", "mean interval (s)", "Figure 4.4 (a)")
+    return Panel(series, "α (s)", "mean interval (s)", "Figure 4.4 (a)")
 
 
 def _figure_4_4_b(process: JumpProcess, trigger: IntegralTrigger, seed: int) -> Panel:
@@ -184,10 +184,20 @@ def _figures(
     threshold = [(1 / p.rate.value, p.cost.value - counter.base) for p in losses.points]
     euclidean = Series([x for x, _ in threshold], [y for _, y in threshold], "Euclidean threshold", color=3)
     return [
-        Panel([Series(slopes, alphas, "α*")], "slope C", "mean interval (s)", "Figure 4.5, top left"),
-        Panel([Series(slopes, costs, "J")], "slope C", "cost per second", "Figure 4.5, top right"),
+        Panel(
+            [Series(slopes, alphas, "α*")],
+            "slope C (cost per second and second)",
+            "mean interval (s)",
+            "Figure 4.5, top left",
+        ),
+        Panel(
+            [Series(slopes, costs, "J")],
+            "slope C (cost per second and second)",
+            "cost per second",
+            "Figure 4.5, top right",
+        ),
         Panel(
             [Series(alphas, costs, "dynamic"), periodic], "mean interval (s)", "cost per second", "Figure 4.5, bottom"
         ),
-        Panel([proposed, euclidean, clock], "mean interval (s)", "cost beyond tr(PλW)", "Figure 4.6"),
+        Panel([proposed, euclidean, clock], "mean interval (s)", "cost per second beyond tr(PλW)", "Figure 4.6"),
     ]

@@ -77,7 +77,7 @@ def _picture(problem: Problem, schedule: Schedule, realised: list[Series], seed:
     ]
     return draw(
         [
-            Panel(running_costs(problem, steps, seed), ylabel="running cost", title="Figure 6.5: ground robot"),
+            Panel(running_costs(problem, steps, seed), ylabel="cost per step", title="Figure 6.5: ground robot"),
             Panel(realised, ylabel="input (%)", title="Figure 6.6: one realisation"),
             Panel([sends], ylabel="sends"),
             Panel(values, "step", "cost", "Figure 6.7: when the camera is asked"),

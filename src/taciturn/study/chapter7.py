@@ -136,7 +136,7 @@ def _figure_7_2(points: Sequence[Row]) -> Figure:
     for protocol in PROTOCOLS:
         rows = [row for row in points if row.setting["links"] == protocol]
         rates = [row.computed["R_t"].value for row in rows]
-        panels.append(Panel(_curves(rows, rates), "sends per step, R_t", "cost", f"Figure 7.2: {protocol}"))
+        panels.append(Panel(_curves(rows, rates), "sends per step, R_t", "cost per mission", f"Figure 7.2: {protocol}"))
     return draw(panels, height=9.0)
 
 
@@ -164,4 +164,6 @@ def _figure_7_5(seed: int) -> Figure:
 
 
 def _figure_7_6(rounds: Sequence[Row]) -> Figure:
-    return draw([Panel(_curves(rounds, TRACKING_PRICES), "price of a send, λ", "cost", "Figure 7.6: two circles")])
+    return draw(
+        [Panel(_curves(rounds, TRACKING_PRICES), "price of a send, λ (cost)", "cost per mission", "Figure 7.6")]
+    )

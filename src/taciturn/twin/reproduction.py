@@ -75,7 +75,7 @@ def _chapter6(seed: int, progress: Progress) -> Reproduction:
     ]
     figure = draw(
         [
-            Panel(running_costs(trials), ylabel="running cost", title=f"Figures 6.5 and 6.8: mean of {RUNS} runs"),
+            Panel(running_costs(trials), ylabel="cost per step", title=f"Figures 6.5 and 6.8: mean of {RUNS} runs"),
             Panel(inputs(trials), ylabel="input (%)", title="Figures 6.6 and 6.9: one run"),
             Panel(sends(run.trial), ylabel="sent"),
             Panel(values, ylabel="cost", title="Figure 6.7: when the camera is asked"),
@@ -151,7 +151,7 @@ def _costs(rows: list[Row]) -> Figure:
         Series(prices, [e.value for e in column], name, styles[name], [e.standard_error for e in column], color)  # type: ignore[arg-type]
         for color, (name, column) in enumerate(found.items())
     ]
-    return draw([Panel(series, "price of a send, λ", "cost", "Figure 7.6: two circles")])
+    return draw([Panel(series, "price of a send, λ (cost)", "cost per mission", "Figure 7.6")])
 
 
 def _percent(sent: Array) -> Estimate:
