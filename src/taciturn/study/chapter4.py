@@ -186,13 +186,13 @@ def _figures(
     return [
         Panel(
             [Series(slopes, alphas, "α*")],
-            "slope C (cost per second and second)",
+            "slope C (cost/s²)",
             "mean interval (s)",
             "Figure 4.5, top left",
         ),
         Panel(
             [Series(slopes, costs, "J")],
-            "slope C (cost per second and second)",
+            "slope C (cost/s²)",
             "cost per second",
             "Figure 4.5, top right",
         ),
