@@ -37,45 +37,6 @@ def of_plant(system: System, actuation: str) -> Problem:
     return Problem(system.plant, system.cost, Network(), "excess", {"theta": 0.2, "actuation": actuation})
 
 
-def simulated(plant: Plant, cost: Cost, policy: taciturn.Policy, cycle: tuple[int, ...], seed: int) -> np.ndarray:
-    """Return the mean cost of each of 2,000 paths over 600 ticks: a Kalman filter and gains, in plain NumPy."""
-    paths, ticks, burn = 2000, 600, 120
-    draws, n = np.random.default_rng(seed), plant.states
-    (L,) = (step.branches[0]["estimate"] for step in policy.steps if getattr(step, "signal", "") == "command")
-    prior = plant.W + np.eye(n)
-    for _ in range(2000):
-        gain = prior @ plant.C.T @ np.linalg.inv(plant.C @ prior @ plant.C.T + plant.V)
-        posterior = prior - gain @ plant.C @ prior
-        prior = plant.A @ posterior @ plant.A.T + plant.W
-    root = [np.linalg.cholesky(M + 1e-15 * np.eye(len(M))) for M in (plant.W, plant.V)]
-    x, seen, u, total = np.zeros((n, paths)), np.zeros((n, paths)), np.zeros((plant.inputs, paths)), np.zeros(paths)
-    due = set(itertools.accumulate((0, *cycle[:-1])))
-    for tick in range(ticks):
-        y = plant.C @ x + root[1] @ draws.standard_normal((plant.outputs, paths))
-        seen = seen + gain @ (y - plant.C @ seen)
-        place = tick % sum(cycle)
-        if place in due:
-            u = (L.values[place] if hasattr(L, "values") else L) @ seen
-        if tick >= burn:
-            weighed = cost.Q @ x + 2 * cost.N @ u
-            total += (x * weighed).sum(axis=0) + (u * (cost.R @ u)).sum(axis=0)
-        x = plant.A @ x + plant.B @ u + root[0] @ draws.standard_normal((n, paths))
-        seen = plant.A @ seen + plant.B @ u
-    return total / (ticks - burn)
-
-
-@pytest.mark.parametrize("cycle", [(4,), (5, 4)])
-def test_a_cycle_of_the_two_masses_costs_what_plain_numpy_simulates(cycle: tuple[int, ...]) -> None:
-    """Measured and filtered at every tick, sent every fourth, or after four and five ticks in turn."""
-    problem = taciturn.load("two-mass")
-    policy = design.periodic(problem.plant, problem.cost, every=cycle)
-    assert policy.closed_form is not None
-    found = simulated(problem.plant, problem.cost, policy, cycle, seed=3)
-    error = found.std(ddof=1) / np.sqrt(len(found))
-    assert error < 0.007 * found.mean()
-    assert abs(found.mean() - policy.closed_form.cost) <= 4 * error
-
-
 def test_the_clocks_of_the_two_masses_are_those_of_their_policies() -> None:
     """With a model the chord of neighbours, 4.7 % above all-time control at a quarter of the sends; hold by cycles."""
     problem = taciturn.load("two-mass")
