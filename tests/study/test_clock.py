@@ -13,7 +13,8 @@ from systems import System, systems
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, design
-from taciturn.study.clock import Clock, ClockPoint, clock_of, lower_hull, sampling_clock
+from taciturn.study.clock import Clock, ClockPoint, lower_hull
+from taciturn.study.fair import clock_of, sampling_clock
 
 TANK = ContinuousPlant(
     [[-0.016, 0, 0.042, 0], [0, -0.011, 0, 0.033], [0, 0, -0.042, 0], [0, 0, 0, -0.033]],
@@ -109,6 +110,12 @@ def test_the_weaker_clock_measures_only_when_it_sends() -> None:
     """Of outputs with noise it costs more than the fair one at every rate, of an exact full state the same."""
     problem = Problem(TANK, WEIGHTS, Network(), "excess", {"theta": 0.1, "period": 1.0})
     clock, weaker = fair(problem), sampling_clock(problem)
+    for rate in (0.6, 0.8667, 0.95):  # where a real period comes nearer to the rate than whole ticks
+        one, other = clock.at(rate), weaker.at(rate)
+        assert one is not None
+        assert other is not None
+        assert one.cost <= other.cost * (1 + 1e-9)
+    assert [point.cycle for point in one.points] == [None]
     for rate in (0.1, 0.25, 0.5, 1.0):
         one, other = clock.at(rate), weaker.at(rate)
         assert one is not None

@@ -10,7 +10,7 @@ import pytest
 import taciturn
 from taciturn import Network, Plant
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.study.clock import clock_of
+from taciturn.study.fair import clock_of
 from taciturn.study.reproduce import reproduce
 
 

@@ -8,7 +8,7 @@ from drawn import rows
 
 import taciturn
 from taciturn.simulation.average import Averages, average, plain_average
-from taciturn.study.clock import sampling_clock
+from taciturn.study.fair import sampling_clock
 
 EPSILON = 0.009
 COST_ERROR, RATE_ERROR = 5e-5, 5e-4

@@ -17,18 +17,8 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.design.catalogue import AnyPolicy
-from taciturn.design.certainty import Actuation, Certainty, design_certainty
-from taciturn.design.periodic import all_time, periodic, predicted_cost
 from taciturn.errors import TaciturnError
-from taciturn.lqg._kept import kept
-from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import steady_filter
-from taciturn.lqg.periodic import Held, cycles, lift
-from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import Assign, Policy
-from taciturn.problem import Problem
-from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.lqg.periodic import cycles
 
 SENDS = 4  # of a cycle, at most
 BELOW, ABOVE = 1, 2  # ticks by which its intervals may be off the mean one
@@ -36,9 +26,9 @@ REACH = 8  # ticks by which intervals are tried that are longer than what is ask
 MOST_INTERVALS, MOST_MEANS = 64, 12  # lengths that are tried of cycles of one interval, and of several
 MOST_CYCLES = 2000
 LONGEST = 2000  # ticks of an interval that is looked for
-WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
 CURVE_POINTS = 40
-SAME, ALIKE = 1e-9, 1e-6  # relative
+SAME = 1e-9  # relative
+FREE = 4  # ticks up to which a real period is tried
 Cycle: TypeAlias = tuple[int, ...]
 ClockKind: TypeAlias = Literal["hold", "model", "queries"]
 Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
@@ -167,13 +157,8 @@ class Ticked(Clock):
         """Return the two corners of the lower hull next to a rate."""
         ticks = max(1.0, 1 / (rate * self._tick))
         nearest = int(ticks * (1 + SAME))
-
-        def next_to(corners: Sequence[ClockPoint]) -> Sequence[ClockPoint]:
-            slower = [corner for corner in corners if corner.rate <= rate * (1 + SAME)]
-            faster = [corner for corner in corners if corner.rate > rate * (1 + SAME)] or slower[-1:]
-            return (slower[-1], faster[0]) if slower else ()
-
-        found = self._exact((max(1, nearest // 2), 2 * nearest + REACH, nearest), next_to)
+        lengths = max(1, nearest // 2), 2 * nearest + REACH, nearest
+        found = self._exact(lengths, lambda corners: _beside(corners, rate))
         return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
@@ -252,6 +237,50 @@ class Ticked(Clock):
             return np.inf
 
 
+class Either(Clock):
+    """Control that sends at ticks, or samples and sends at one real period: whichever costs less, or a mix.
+
+    Between one tick and two, say, a real period comes nearer to a rate, although it measures only when it sends.
+
+    Args:
+        ticked: sends at ticks.
+        timed: sends at any period.
+        tick: seconds.
+        near: periods that are tried beside the one at a rate.
+    """
+
+    def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int) -> None:
+        """Compute nothing yet."""
+        self.words, self.ticked, self._timed, self._tick, self._near = ticked.words, ticked, timed, tick, near
+
+    def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
+        """Return the two corners of the common lower hull next to a rate."""
+        near = max(rate / 1.5, 1 / (FREE * self._tick)), min(1.5 * rate, 1 / self._tick)
+        found = _beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
+        return (found[0], found[1]) if found else None
+
+    def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
+        """Return the corners of the common lower hull, the fastest first."""
+        slow = max(slowest, 1 / (FREE * self._tick))
+        free = self._free(fastest, slow, min(fastest, 1 / self._tick))
+        return tuple(reversed(lower_hull([*self.ticked.curve(fastest, slowest), *free])))
+
+    def _free(self, rate: float, slowest: float, fastest: float) -> list[ClockPoint]:
+        """Return points of real periods at rates in between, and at the rate itself."""
+        if slowest > fastest:
+            return []
+        rates = [*np.geomspace(slowest, fastest, self._near).tolist(), min(max(rate, slowest), fastest)]
+        found = [self._timed.around(one) for one in rates]
+        return [points[0] for points in found if points is not None]
+
+
+def _beside(corners: Sequence[ClockPoint], rate: float) -> Sequence[ClockPoint]:
+    """Return the corner of at most a rate, and that of at least it; none where all are faster."""
+    slower = [corner for corner in corners if corner.rate <= rate * (1 + SAME)]
+    faster = [corner for corner in corners if corner.rate > rate * (1 + SAME)] or slower[-1:]
+    return (slower[-1], faster[0]) if slower else ()
+
+
 def lower_hull(points: Iterable[ClockPoint]) -> list[ClockPoint]:
     """Return the corners of the convex lower hull, from the least rate to the cheapest point."""
     corners: list[ClockPoint] = []
@@ -270,107 +299,3 @@ def _is_below(middle: ClockPoint, before: ClockPoint, after: ClockPoint) -> bool
     return (middle.cost - before.cost) * (after.rate - before.rate) < (after.cost - before.cost) * (
         middle.rate - before.rate
     )
-
-
-def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
-    """Return the fair clock of a policy.
-
-    Args:
-        problem: its plant, cost and network.
-        policy: designed for it.
-
-    Returns:
-        The clock; None where there is none: in a loop that is not the one of the design, such as over links that lose
-        or round, of clipped inputs or another plant; for missions; where two links are scheduled; where the policy
-        knows measurements later than the clock would.
-    """
-    nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
-        return sampling_clock(problem, "model")
-    continuous = isinstance(problem.plant, ContinuousPlant)
-    period = nodes.tick if continuous else None
-    try:
-        certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
-        nominal = problem.close(all_time(problem.plant, problem.cost, period=period)).nominal
-    except TaciturnError:  # a mission, or a network with a delay
-        return None
-    if not nominal or nodes.tracking is not None:
-        return None
-    always = certainty.problem.per_unit(certainty.cost_all_time)
-    if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
-        return None
-    if nodes.scheduled == ("sensor",):
-        return _asking(certainty)
-    if nodes.scheduled != ("actuator",):
-        return None
-    if actuation_of(nodes) == "model":
-        return _ticked(certainty, "model", lambda cycle: predicted_cost(certainty, cycle))
-    if continuous and problem.plant.full_state:
-        return sampling_clock(problem)
-    p = certainty.problem
-    given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
-    return _holding(*given, certainty.unseen, p.noise_cost, p.tick)
-
-
-def actuation_of(policy: Policy) -> Actuation:
-    """Return whether the actuator of a policy holds its input between sends, or runs a model."""
-    silent = next(
-        step.branches[0]
-        for step in policy.steps
-        if isinstance(step, Assign) and step.signal == "input" and len(step.branches) > 1
-    )
-    return "hold" if set(silent) == {"input"} else "model"
-
-
-def sampling_clock(problem: Problem, actuation: Actuation = "hold") -> Clock:
-    """Return the clock that samples a continuous plant and sends at one rate: it measures only when it sends.
-
-    With an exact measurement of the full state that is the fair clock. Else it is a weaker one, which the thesis shows.
-    """
-    return Timed(actuation, lambda seconds: _cost(problem, seconds, actuation))
-
-
-def _cost(problem: Problem, seconds: float, actuation: Actuation) -> float | None:
-    """Return what periodic control at a real period costs, or None where it is not stable or not the designed loop."""
-    try:
-        policy = periodic(problem.plant, problem.cost, period=seconds, actuation=actuation)
-        nominal = problem.close(policy).nominal
-    except TaciturnError:  # such as sampling that loses a mode
-        return None
-    return policy.closed_form.cost if nominal and policy.closed_form is not None else None
-
-
-def _ticked(certainty: Certainty, words: ClockKind, per_tick: Callable[[Cycle], float]) -> Clock:
-    """Return a clock whose cycles of several intervals are no better than the chord between single ones."""
-    problem = certainty.problem
-    return Ticked(words, problem.tick, lambda cycle: problem.per_unit(per_tick(cycle)))
-
-
-@kept
-def _holding(
-    A: Array, B: Array, Q: Array, R: Array, N: Array, corrections: Array, unseen: float, noise_cost: float, tick: float
-) -> Clock:
-    """Return the clock of an actuator that holds its input; points of one plant and cost share what it has tried."""
-    held, known = Held(A, B, Q, R, N, corrections), unseen + noise_cost
-    return Ticked(
-        "hold",
-        tick,
-        lambda cycle: (known + held.solve(cycle).cost) / tick,
-        lambda listed: (known + held.screen(listed)) / tick,
-        min(MOST_CYCLES, int(WORK / (len(A) + SENDS * len(R)) ** 3)),
-    )
-
-
-def _asking(certainty: Certainty) -> Clock:
-    """Return the clock of a sensor whose measurements reach a controller at the actuator."""
-    plant, regulator = certainty.problem.plant, certainty.regulator
-    noise = float(np.sum(regulator.K * plant.W))
-
-    def per_tick(cycle: Cycle) -> float:
-        (ticks,) = cycle
-        free, none = np.zeros((plant.inputs, plant.inputs)), np.zeros_like(plant.B)
-        asked = lift(plant.A, plant.B, certainty.square, free, none, plant.W, ticks)
-        seen = steady_filter(asked.A, plant.C, asked.W, plant.V)
-        return noise + (float(np.sum(asked.Q * seen.posterior)) + asked.noise_cost) / ticks
-
-    return _ticked(certainty, "queries", per_tick)

@@ -20,7 +20,8 @@ from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import check_effort
 from taciturn.simulation.events import average_events
-from taciturn.study.clock import ClockMix, clock_of
+from taciturn.study.clock import ClockMix
+from taciturn.study.fair import clock_of
 from taciturn.study.lines import evaluation_lines, text_of
 from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum

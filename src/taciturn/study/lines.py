@@ -95,9 +95,8 @@ def _clock(clock: ClockMix, found: Evaluation) -> str:
     """Say what time-triggered control costs at this rate, whether it holds or predicts, and when it sends."""
     base = found.cost_all_time
     more = f" ({100 * (clock.cost / base - 1):+.2f} %)" if base else ""
-    cycles = [point.cycle for point in clock.points]
-    named = [str(list(cycle)) for cycle in cycles if cycle is not None]
-    sends = f", every {' or '.join(named)} ticks" if named else ""
+    named = [f"{list(point.cycle)} ticks" if point.cycle else f"{1 / point.rate:.4g} s" for point in clock.points]
+    sends = f", every {' or '.join(named)}"
     return f"{clock.cost:.6g} at this rate{more}: {clock.words}{sends}"
 
 

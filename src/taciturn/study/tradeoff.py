@@ -15,8 +15,9 @@ from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
-from taciturn.study.clock import ClockKind, ClockPoint, clock_of
+from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluate import Evaluation
+from taciturn.study.fair import clock_of
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import Unit

@@ -12,8 +12,9 @@ from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.budget import budget_of
-from taciturn.study.clock import Cycle, Ticked, clock_of
+from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
+from taciturn.study.fair import clock_of
 from taciturn.study.search import EXACT, Goal, Look, Search
 from taciturn.study.tuned import Parameter, Tuned
 
@@ -87,6 +88,7 @@ def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned 
     always = problem.changed({knob.name: 1})
     policy = always.designed()
     clock = clock_of(always, policy)
+    clock = clock.ticked if isinstance(clock, Either) else clock
     if not isinstance(clock, Ticked):
         return None
     search.expect_possible(evaluate(always))
