@@ -58,7 +58,7 @@ def test_plant_gains_and_guarantee_are_those_of_the_design(run: Run) -> None:
     assert isinstance(plant, taciturn.Plant)
     shown = document(run, "two-mass")
     assert np.allclose(shown["gains"]["L"], regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).L, rtol=1e-12)
-    assert np.allclose(shown["gains"]["filter"], steady_filter(plant.A, plant.C, plant.W, plant.V).gain, rtol=1e-12)
+    assert np.allclose(shown["gains"]["estimator"], steady_filter(plant.A, plant.C, plant.W, plant.V).gain, rtol=1e-12)
     assert shown["cost_all_time"] == policy.cost_all_time
     assert shown["guarantee"]["cost"] == pytest.approx(1.1 * policy.cost_all_time)
     assert shown["guarantee"]["holds"] is True
@@ -145,9 +145,10 @@ def test_modes_that_no_input_moves_are_told(run: Run, write: Write) -> None:
 
 def test_missions_links_and_tables_are_told(run: Run) -> None:
     """Gains by the clock, the network, the schedule of queries."""
-    rover = rows(run("show", "rover").out)
+    shown = run("show", "rover").out
+    rover = rows(shown)
     assert rover["cost"] == "a mission of 60 steps of x'Qx + u'Ru per step"
-    assert rover["gain L"] == "by clock, 60 of them; the first:"
+    assert "input = + L × estimate; L:\n               by clock, 60 of them; the first:" in shown
     assert rover["link, sensor"].startswith("y (1): if query, by the clock: 11 of the first 59 ticks")
     lossy = rows(run("show", "lossy-double-integrator").out)
     assert lossy["network"] == "udp (no acknowledgement); actuator loses 30 %, sensor loses 60 %"

@@ -23,6 +23,10 @@ BLUR = 1e-6  # relative: what rounding makes of poles that coincide
 WIDEST = 12  # columns of a matrix that is printed whole
 SHOWN_OPTIONS = 4  # of a decision
 ESTIMATES = ("estimate", "deviation")  # what a gain multiplies: the state as it is known, or its deviation
+GAINS = {
+    "L": ("feedback gain", "input = + L × estimate; L:"),
+    "estimator": ("estimator gain", "the estimate moves by + gain × (measurement − its prediction):"),
+}
 Lines = list[tuple[str, str]]
 
 
@@ -49,7 +53,7 @@ class Description:
 
     @property
     def gains(self) -> dict[str, Matrix]:
-        """L of the input, and that of the filter, where the policy has them."""
+        """L of the feedback, and that of the estimator, where the policy has them."""
         return {} if self.nodes is None else _gains(self.nodes)
 
     @property
@@ -96,7 +100,8 @@ class Description:
         lines += _cost_lines(problem)
         lines.append(("sending always", f"J_all = {self.policy.cost_all_time:.6g} per {per}"))
         for name, value in self.gains.items():
-            lines += _matrix_lines("gain L" if name == "L" else f"{name} gain", value)
+            lines.append(GAINS[name])
+            lines += _matrix_lines("", value)
         if self.nodes is not None and self.nodes.prediction is not None:
             lines.append(("actuator", "runs dx̂/dt = (A + BL) x̂ between ticks and applies L x̂; its input is x̂"))
         lines += self._guarantee_lines()
@@ -180,7 +185,7 @@ def _gains(policy: Policy) -> dict[str, Matrix]:
                     if step.signal == "command" and name in ESTIMATES:
                         found.setdefault("L", value)
                     elif name == "innovation":
-                        found.setdefault("filter", value)
+                        found.setdefault("estimator", value)
     return dict(sorted(found.items()))
 
 
