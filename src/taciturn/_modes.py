@@ -19,6 +19,7 @@ Modes: TypeAlias = npt.NDArray[np.complex128]
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
 TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
 EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
+SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 LARGEST = 1e140  # of a power of a stable map: its square is still a number
 FADED = 1e-4  # square of a power of a stable map from which on its sum may have settled
 LOOSE = 1e-2  # distance to the edge, beyond which a computed mode decays
@@ -89,6 +90,17 @@ def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
     if continuous:
         return modes[modes.real >= -EDGE * pace(A)]
     return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
+
+
+def growing(modes: Modes, A: Array, continuous: bool) -> Modes:
+    """Return those of the modes of ``A`` that grow, by more than a defective matrix may scatter those on the edge.
+
+    Args:
+        modes: some eigenvalues of A.
+        A: (n, n) dynamics.
+        continuous: whether time is.
+    """
+    return modes[modes.real > SCATTER * pace(A)] if continuous else modes[np.abs(modes) > 1 + SCATTER]
 
 
 def mode_text(mode: complex) -> str:

@@ -11,6 +11,7 @@ from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
+from taciturn.lqg.kalman import resting_states
 from taciturn.model.cost import Cost
 from taciturn.model.information import check_network, unheard_acknowledgements
 from taciturn.model.network import Network
@@ -350,14 +351,14 @@ def _check_plants(problem: Discrete, policy: Policy) -> None:
 
 def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
     plant, model, cost = problem.plant, policy.model, problem.cost
-    same_start = np.array_equal(plant.mean, model.mean) and np.array_equal(plant.covariance, model.covariance)
+    started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     filtered = not plant.full_state and policy.closed_form is None
     bursts = any(network.burst(link) is not None for link in ENDS)
     exact, designed = network.without_rounding(), policy.network.without_rounding()
     found = {
         "the plant is not linear (A and B are its linearisation)": plant.function is not None,
         "the plant is not the one of the design": not plant.same_as(model),
-        "the initial state is not the one of the design": cost.mission and not same_start,
+        "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
         "inputs are clipped (input_limit)": plant.input_limit is not None,
         "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
         "losses come in bursts, and the design knows their mean only": bursts,

@@ -18,7 +18,7 @@ from taciturn._arrays import Array, ArrayLike, block_diagonal, choice
 from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
-from taciturn.lqg.kalman import Filter, filter_checked
+from taciturn.lqg.kalman import Filter, expect_known_start, filter_checked
 from taciturn.lqg.periodic import Held
 from taciturn.lqg.riccati import Regulator, refuse_uncertain, regulate_checked
 from taciturn.model.cost import Cost
@@ -117,6 +117,7 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     plant = problem.plant
     regulator = regulate_checked(plant.A, plant.B, problem.Q, problem.R, problem.N, 1.0)
     steady = filter_checked(plant.A, plant.C, plant.W, plant.V)
+    expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
     left = np.eye(plant.states) - steady.gain @ plant.C  # of an error of the prior, in the posterior

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._modes import radius
+from taciturn._modes import lost_modes, radius
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.prices import by_clock
@@ -20,7 +20,7 @@ from taciturn.lqg.lossy import (
     regulate_lossy_finite,
     slowest_growth,
 )
-from taciturn.lqg.riccati import refuse_uncertain
+from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -102,17 +102,19 @@ def lossy_lqg(
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
     settling, times = 0.0, "" if cost.horizon is None else "N"
+    seen = states_with_cost(plant.A, plant.B, cost.Q, cost.R, cost.N)
+    A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
         gains = regulate_lossy(plant.A, plant.B, cost.Q, cost.R, channel)
-        settling = 1 / (1 - np.sqrt(mean_square_rate(plant.A, plant.B, gains.L, channel)))
+        settling = 1 / (1 - np.sqrt(mean_square_rate(A, B, gains.L[:, seen], channel)))
         ticks = 1
     else:
         assert cost.terminal is not None
         gains = regulate_lossy_finite(plant.A, plant.B, cost.Q, cost.R, cost.terminal, cost.horizon, channel)
         if reference is not None:
             reference.check(plant, cost.horizon)
-        if radius(plant.A) > 1 and slowest_growth(plant.A, plant.B, channel)[0] >= 1:
-            notes = (f"{loss_sentence(plant.A, plant.B, channel)}: over longer horizons the cost grows without bound",)
+        if radius(A) > 1 and not lost_modes(A, B, False).size and slowest_growth(A, B, channel)[0] >= 1:
+            notes = (f"{loss_sentence(A, B, channel)}: over longer horizons the cost grows without bound",)
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
     refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
+from taciturn._modes import radius
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     CLOCK,
@@ -24,7 +25,7 @@ from taciturn.design.estimation import ESTIMATE, HELD, Estimation
 from taciturn.design.prices import Prices, by_clock, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
-from taciturn.lqg.kalman import forgetting, steady_filter
+from taciturn.lqg.kalman import expect_known_start, forgetting, steady_filter
 from taciturn.lqg.queries import Predictor, Weights, follow_every_query, schedule_queries
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -168,6 +169,7 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
     initial, steady = plant.covariance, None
     if prices.average:
         steady = steady_filter(plant.A, plant.C, plant.W, plant.V)
+        expect_known_start(plant, prices.K.diagonal() > 0)
         initial = steady.prior
     if zeta is not None:
         found = schedule_queries(plant, Weights(prices.P, cost.discount), zeta, initial)
@@ -181,10 +183,11 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
 
 
 def _settling(prices: Prices, watch: _Watch) -> float:
-    plant = prices.problem.plant
+    plant, seen = prices.problem.plant, prices.K.diagonal() > 0
     return forgetting(
+        plant,
         [plant.A - gain @ plant.C for gain in watch.gains],
-        plant.A + plant.B @ prices.L,
+        radius((plant.A + plant.B @ prices.L)[np.ix_(seen, seen)]),
         "too few queries for what the noise leaves undetermined; expected a smaller zeta, or noise V on the "
         "measurement",
     )

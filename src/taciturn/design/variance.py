@@ -59,8 +59,9 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
         certainty,
         _measured(plant, schedule, corrections),
         forgetting(
+            plant,
             [plant.A @ kept for kept in left],
-            plant.A + plant.B @ certainty.regulator.L,
+            certainty.regulator.slowest,
             "too few measurements for what the noise leaves undetermined; expected a smaller threshold, or noise V on "
             "the measurement",
         ),

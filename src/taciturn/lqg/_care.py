@@ -9,11 +9,17 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import Modes
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._newton import Answer, Solution, Time
+from taciturn.lqg._worth import Worth
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     """Return the solution with A + BL stable, R definite, or None where none was found."""
     return _FLOW.solve(Quadratic(A, B, Q, R, N))
+
+
+def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
+    """Return which states have a cost-to-go."""
+    return _FLOW.worth(Quadratic(A, B, Q, R, N))
 
 
 class _Flow(Time):

@@ -14,6 +14,7 @@ from taciturn._modes import Modes, summed
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._doubling import double
 from taciturn.lqg._newton import Answer, Solution, Time
+from taciturn.lqg._worth import Worth
 
 MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not called stable
 # Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
@@ -50,11 +51,16 @@ def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
+def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
+    """Return which states have a cost-to-go."""
+    return STEPS.worth(Quadratic(A, B, Q, R, N))
+
+
 def is_clear(found: Solution) -> bool:
     """Say whether a solution is sound and its closed loop clear of the unit circle.
 
-    Then the inputs move all modes that do not decay, and the cost sees all modes on the circle: one that they do not
-    move, or it does not see, stands in the closed loop as it is.
+    Then the inputs move all modes that do not decay, and the cost sees all modes on the circle, but for those that
+    neither touches.
     """
     return found.sound and found.slowest < 1 - CLEAR
 

@@ -170,12 +170,16 @@ class Time(ABC):
 
     def solve(self, given: Quadratic) -> Solution | None:
         """Return the best of the solutions found; None where no start stabilises or nothing settles."""
-        worth = worth_of(given, lambda modes: self.pace(modes) - self.edge, self.margin(given))
+        worth = self.worth(given)
         if worth.states.all():
             return self._solved(given)
         found = self._solved(given.among(worth.states))
         slowest = float(self.pace(worth.decaying).max(initial=self.fastest))
         return None if found is None else found.within(worth, slowest)
+
+    def worth(self, given: Quadratic) -> Worth:
+        """Return which states have a cost-to-go."""
+        return worth_of(given, lambda modes: self.pace(modes) - self.edge, self.margin(given))
 
     def slowest(self, F: Array) -> float:
         """Return the pace of the slowest mode of a closed loop."""

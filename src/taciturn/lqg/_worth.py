@@ -12,10 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from taciturn._arrays import Array, Bits
-from taciturn._modes import Modes, eigenvalues
+from taciturn._modes import SCATTER, Modes, eigenvalues
 from taciturn.lqg._axes import Quadratic
-
-EDGE = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
 
 
 class Worth(NamedTuple):
@@ -25,11 +23,13 @@ class Worth(NamedTuple):
         states: those for which the equation must be solved, (n,).
         decaying: modes of the others that decay.
         still: modes of the others on the edge of stability, which no input moves: they stay in the closed loop.
+        resting: the states that have these modes, (n,).
     """
 
     states: Bits
     decaying: Modes
     still: Modes
+    resting: Bits
 
 
 def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) -> Worth:
@@ -46,10 +46,11 @@ def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) 
     """
     nothing = np.zeros(0, dtype=np.complex128)
     moved = np.asarray(given.A != 0, dtype=np.bool_)  # row by column
-    needed = _closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
+    needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
+    resting = np.zeros(len(needed), dtype=np.bool_)
     if needed.all():
-        return Worth(needed, nothing, nothing)
-    reached = _closure((given.B != 0).any(axis=1), moved)
+        return Worth(needed, nothing, nothing, resting)
+    reached = closure((given.B != 0).any(axis=1), moved)
     leads = _paths(moved.T)
     left, decaying, still = ~needed, [nothing], [nothing]
     cycles: list[tuple[Bits, Modes]] = []
@@ -60,17 +61,19 @@ def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) 
         modes = eigenvalues(given.A[np.ix_(cycle, cycle)])
         cycles.append((cycle, modes))
         highest = float(beyond(modes).max())
-        if highest >= -margin and (highest > EDGE or reached[cycle].any()):
+        if highest >= -margin and (highest > SCATTER or reached[cycle].any()):
             needed = needed | leads[:, state]
     for cycle, modes in cycles:
         if not needed[cycle].any():
             inside = beyond(modes) < -margin
             decaying.append(modes[inside])
             still.append(modes[~inside])
-    return Worth(needed, np.concatenate(decaying), np.concatenate(still))
+            if not inside.all():
+                resting = resting | cycle
+    return Worth(needed, np.concatenate(decaying), np.concatenate(still), resting)
 
 
-def _closure(found: Bits, leads: Bits) -> Bits:
+def closure(found: Bits, leads: Bits) -> Bits:
     """Return these states and all those to which they lead.
 
     Args:

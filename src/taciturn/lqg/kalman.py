@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
-from taciturn._modes import lost_modes, mode_text, radius, root, uncontrollable_modes
+from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
+from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import refuse_doubtful
-from taciturn.lqg._worth import EDGE
+from taciturn.lqg._worth import Worth, closure
+from taciturn.model.plant import Plant
 
 CRUMB = 1e-14  # relative to the prior: a posterior variance below this is rounding
 
@@ -27,7 +28,8 @@ class Filter:
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, ``innovation`` the
     covariance S of y − C x̂⁻. The estimate is driven by corrections of covariance gain S gain' = prior −
     posterior. ``error`` bounds what rounding may leave in the prior: −error ⪯ prior − exact ⪯ error, to first order.
-    ``slowest`` is the modulus of the slowest mode of its error, A − A gain C.
+    ``slowest`` is the modulus of the slowest mode of its error, A − A gain C, but for those of ``resting_states``,
+    whose covariance and gain are 0.
     """
 
     prior: Array
@@ -36,6 +38,22 @@ class Filter:
     innovation: Array
     error: Array
     slowest: float
+
+    def among(self, unknown: Bits, worth: Worth) -> Filter:
+        """Return the filter of a plant with more states, of which noise reaches none.
+
+        Args:
+            unknown: the states of this filter.
+            worth: the modes of the others.
+        """
+        if unknown.all():
+            return self
+        n, p = len(unknown), self.gain.shape[1]
+        place = np.ix_(unknown, unknown)
+        prior, posterior, error, gain = np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, p))
+        prior[place], posterior[place], error[place], gain[unknown] = self.prior, self.posterior, self.error, self.gain
+        slowest = max(self.slowest, float(np.abs(worth.decaying).max(initial=0.0)))
+        return Filter(prior, posterior, gain, self.innovation, error, slowest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +69,7 @@ class Covariances:
 
 
 def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
-    """Return the steady Kalman filter of x⁺ = Ax + w, y = Cx + v, always a stable one.
+    """Return the steady Kalman filter of x⁺ = Ax + w, y = Cx + v, stable on all that noise or measurement touches.
 
     Σ̃ = AΣA' + W,  S = CΣ̃C' + V,  gain = Σ̃C'S^{-1},  Σ = Σ̃ − gain S gain', with A − A gain C stable.
 
@@ -65,8 +83,10 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
       directions the gain keeps the entries of such a stable observer.
     - W = 0, V > 0 and A unstable: Σ = 0 also solves the equation, but only until the first disturbance. The
       filter returned is the stabilising one, the limit of W = sI as s → 0, with Σ > 0 on the unstable modes.
-    - A mode on the unit circle that W does not reach, with V > 0: its covariance falls to zero only as 1/k
+    - A mode on the unit circle that W does not reach and C sees, with V > 0: its covariance falls to zero only as 1/k
       and the gain with it; there is no steady stable filter, and the problem is refused.
+    - States with a mode on the unit circle that W does not reach and C does not see, themselves or by the states that
+      they move: they are known as well as at the start; covariance and gain are 0.
 
     Args:
         A: (n, n) dynamics.
@@ -79,8 +99,8 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
 
     Raises:
         ProblemError: data of the wrong shape, or W or V not semidefinite.
-        UnstableError: an unstable mode that C does not see, or a mode on the unit circle that no noise
-            reaches.
+        UnstableError: an unstable mode that C does not see, or a mode on the unit circle that noise reaches and C does
+            not see, or that C sees and no noise reaches.
 
     Source: anderson1990optimal
 
@@ -172,26 +192,58 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
     return _arrays.frozen(symmetrised(A @ _posterior(Sigma, gain, C, V) @ A.T + W))
 
 
-def forgetting(filtered: Sequence[Array], regulated: Array, remedy: str = "take more measurements") -> float:
-    """Return the ticks in which a filter, steady or along a schedule that repeats, and a regulator forget.
+def resting_states(plant: Plant) -> Bits:
+    """Return the states with a mode on the unit circle that neither noise nor measurement touches, (n,).
 
-    1/(1 − |slowest mode per tick|).
+    An estimate of them that is right at the start stays right, another one stays wrong.
+    """
+    return _dare.worth(plant.A.T, plant.C.T, plant.W, plant.V, np.zeros((plant.states, plant.outputs))).resting
+
+
+def expect_known_start(plant: Plant, seen: Bits) -> None:
+    """Refuse an unknown start of states that no measurement corrects, where it costs something for ever.
 
     Args:
+        plant: with the covariance of its start.
+        seen: the states that have a cost-to-go, (n,).
+
+    Raises:
+        UnstableError: such a state.
+    """
+    resting = resting_states(plant)
+    unknown = np.flatnonzero(resting & (plant.covariance.diagonal() > 0))
+    if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
+        raise UnstableError(
+            f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which "
+            "neither noise nor measurement ever touches, so the estimate never learns its start, and that costs "
+            "something for ever; expected 0 there (a start that is known, initial.mean), or a measurement of it"
+        )
+
+
+def forgetting(
+    plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
+) -> float:
+    """Return the ticks in which a filter, steady or along a schedule that repeats, and a regulator forget.
+
+    1/(1 − |slowest mode per tick|), but for states that rest.
+
+    Args:
+        plant: A, C, W and V.
         filtered: (n, n) each, maps of the filter's error from tick to tick, once around.
-        regulated: (n, n), A + BL.
+        regulated: modulus of the slowest mode of A + BL.
         remedy: what to do about a filter that does not.
 
     Raises:
         UnstableError: the filter does not forget.
     """
-    turn = np.eye(len(regulated))
+    moving = ~resting_states(plant)
+    turn = np.eye(int(moving.sum()))
     for step in filtered:
-        turn = step @ turn
+        turn = step[np.ix_(moving, moving)] @ turn
     slowest = radius(turn) ** (1 / len(filtered))
     if slowest >= 1 - 1e-12:
         raise UnstableError(f"the filter along the schedule does not forget its start: {remedy}")
-    return 1 / (1 - max(radius(regulated), slowest))
+    return 1 / (1 - max(regulated, slowest))
 
 
 @kept
@@ -200,32 +252,36 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
-        return _frozen(W, np.zeros((n, n)), gain, C @ W @ C.T, np.zeros((n, n)), radius(A - A @ gain @ C))
-    if not V.any() and not W.any():
-        observer = _filter(A, C, np.eye(n), np.eye(p))
-        if observer is not None:
-            none = np.zeros((n, n))
-            return _frozen(none, none, observer.gain, np.zeros((p, p)), none, observer.slowest)
+        none, slowest = np.zeros((n, n)), radius(A - A @ gain @ C)
+        return _frozen(Filter(W, none, gain, C @ W @ C.T, none, slowest))
+    worth = _dare.worth(A.T, C.T, W, V, np.zeros((n, p)))
+    calm = not W.any() and not V.any()  # nothing is random: the gain is that of noise everywhere
+    unknown = ~worth.resting if calm else worth.states
+    place = np.ix_(unknown, unknown)
+    noise = (np.eye(int(unknown.sum())), np.eye(p)) if calm else (W[place], V)
     with np.errstate(over="ignore", invalid="ignore"):
-        found = _filter(A, C, W, V)
+        found = _filter(A[place], C[:, unknown], *noise)
     if found is None:
-        _refuse_unreached(A, W)
+        _refuse_unreached(A[place], noise[0])
         raise UnstableError(
             "no stable steady filter was found: with this V some combination of outputs is free of noise and "
             "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small positive part"
         )
+    if calm:
+        none = np.zeros_like(found.prior)
+        found = replace(found, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
             f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output is beyond every number the "
             "computer holds; expected outputs in larger units"
         )
-    return found
+    return _frozen(found.among(unknown, worth))
 
 
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or found.still.size or not _dare.is_clear(found):  # what it is that has no solution
+    if found is None or not _dare.is_clear(found):  # what it is that has no solution
         _refuse_unseen(A, C)
         if is_definite(V):
             _refuse_unreached(A, W)
@@ -244,7 +300,7 @@ def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
         slowest = radius(A - A @ gain @ C)
         if slowest >= 1 - _dare.MARGIN:
             return None
-    return _frozen(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, slowest)
+    return Filter(Sigma, _posterior(Sigma, gain, C, V), gain, S, found.error, slowest)
 
 
 def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
@@ -270,16 +326,17 @@ def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Arr
 def _refuse_unseen(A: Array, C: Array) -> None:
     unseen = lost_modes(A.T, C.T, False)
     if unseen.size:
+        on_edge = "; it lies on the unit circle and noise W reaches it" if _on_circle(unseen[:1]).all() else ""
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see; expected (A, C) "
-            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor or take "
-            "that state out of the problem"
+            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see{on_edge}; expected (A, C) "
+            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor, or take that "
+            "state out of the problem"
         )
 
 
 def _refuse_unreached(A: Array, W: Array) -> None:
     still = uncontrollable_modes(A, root(W))
-    still = still[np.abs(np.abs(still) - 1) <= EDGE]
+    still = still[_on_circle(still)]
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on the unit circle, which the noise W does "
@@ -288,9 +345,13 @@ def _refuse_unreached(A: Array, W: Array) -> None:
         )
 
 
-def _frozen(prior: Array, posterior: Array, gain: Array, innovation: Array, error: Array, slowest: float) -> Filter:
-    prior, posterior, gain, innovation, error = map(_arrays.frozen, (prior, posterior, gain, innovation, error))
-    return Filter(prior, posterior, gain, innovation, error, slowest)
+def _on_circle(modes: Modes) -> Bits:
+    return np.asarray(np.abs(np.abs(modes) - 1) <= SCATTER, dtype=np.bool_)
+
+
+def _frozen(found: Filter) -> Filter:
+    arrays = (found.prior, found.posterior, found.gain, found.innovation, found.error)
+    return Filter(*map(_arrays.frozen, arrays), found.slowest)
 
 
 def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _scipy
-from taciturn._arrays import Array, frozen, symmetrised
-from taciturn._modes import balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
+from taciturn._arrays import Array, Bits, frozen, symmetrised
+from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, nothing, units_of
 from taciturn.lqg._mean_square import MeanSquare
-from taciturn.lqg._worth import EDGE
-from taciturn.lqg.riccati import regulate
+from taciturn.lqg.riccati import regulate, states_with_cost
 
 TURNS = 100
 MOST_MODES = 12  # on or outside the unit circle, for which critical losses are sought: it takes seconds
@@ -66,6 +65,19 @@ class LossyRegulator:
     L: Array
     Gamma: Array
     error: Array
+
+    def within(self, states: Bits) -> LossyRegulator:
+        """Return the gains of a plant with more states, which cost nothing.
+
+        Args:
+            states: those of these gains.
+        """
+        n, place, L = len(states), np.ix_(states, states), np.zeros((len(self.L), len(states)))
+        L[:, states] = self.L
+        forms = {name: np.zeros((n, n)) for name in ("K", "P", "Gamma", "error")}
+        for name, form in forms.items():
+            form[place] = getattr(self, name)
+        return LossyRegulator(L=frozen(L), **{name: frozen(form) for name, form in forms.items()})
 
 
 def lossy_step(
@@ -149,8 +161,16 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
 
     Source: khashooei2017, schenato2007
     """
-    plain = regulate(A, B, Q, R, np.zeros_like(B))  # refuses modes that no input moves or no weight sees
     given = Quadratic(A, B, Q, R, np.zeros_like(B))
+    seen = states_with_cost(*given)
+    found = _fixed_point(given.among(seen), channel)
+    return found if seen.all() else found.within(seen)
+
+
+def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
+    """Return the gains of a problem whose states all have a cost-to-go."""
+    A, B, Q, R, N = given
+    plain = regulate(A, B, Q, R, N)  # refuses modes that no input moves or no weight sees
     axes = units_of(A + B @ plain.L, plain.K, plain.H, nothing(given, plain.K, plain.L))
     here = axes.problem(given)
     L = axes.gain(plain.L)
@@ -227,7 +247,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
     """Say by how much the losses pass what mean-square stability allows."""
-    many = int((np.abs(eigenvalues(A)) >= 1 - EDGE).sum()) > MOST_MODES
+    many = int((np.abs(eigenvalues(A)) >= 1 - SCATTER).sum()) > MOST_MODES
     actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
     if channel.actuator_loss > 0 and actuator > 0:
@@ -267,7 +287,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     lost = lost_modes(A, B, False)
     if lost.size:
         raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
-    A_u, V = _scipy.unstable_part(A, 1 - EDGE)
+    A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
     B_u, count = V @ B, len(V)
     if count == 0:
         return 0.0, np.zeros((m, n))

@@ -13,7 +13,7 @@ from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._flow import flow
-from taciturn.lqg.kalman import steady_filter
+from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 
@@ -316,7 +316,8 @@ def _schedule(
 ) -> Schedule:
     values = frozen(np.array(value))
     found = Schedule(values > price, values, frozen(np.array(covariance)), price, start, discount)
-    if start is not None and not found.queries[start:].any() and radius(plant.A) >= 1:
+    moving = ~resting_states(plant)
+    if start is not None and not found.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
         raise UnstableError(
             f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable: nothing "
             "would tell where its state drifts; expected a smaller one, or noise W on the unstable modes"

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn import _arrays
-from taciturn._arrays import Array, ArrayLike, is_definite, symmetrised
+from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
 from taciturn._modes import (
+    SCATTER,
     TOLERANCE,
     Modes,
     eigenvalues,
@@ -23,7 +24,6 @@ from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._kept import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
-from taciturn.lqg._worth import EDGE
 
 __all__ = [
     "FiniteRegulator",
@@ -33,6 +33,7 @@ __all__ = [
     "regulate_continuous",
     "regulate_discounted",
     "regulate_finite",
+    "states_with_cost",
     "uncontrollable_modes",
 ]
 
@@ -81,8 +82,8 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
 
     Raises:
         ProblemError: data of the wrong shape, or H singular.
-        UnstableError: an unstable mode that B cannot move, or a mode on the unit circle that the cost does
-            not see.
+        UnstableError: an unstable mode that B cannot move, or a mode on the unit circle that the cost sees and B
+            cannot move, or that B moves and the cost does not see.
 
     Source: anderson1990optimal
 
@@ -192,7 +193,8 @@ def regulate_finite(
 def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
     """Return the gain that minimises ∫ x'Qx + u'Ru + 2x'Nu dt along ẋ = Ax + Bu.
 
-    0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R.
+    0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R. States on the imaginary axis that no
+    input moves and the cost does not see stay as they are, as with :func:`regulate`.
 
     Args:
         A: (n, n) dynamics, per unit of time.
@@ -206,8 +208,8 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
 
     Raises:
         ProblemError: data of the wrong shape, or R not positive definite.
-        UnstableError: an unstable mode that B cannot move, or a mode on the imaginary axis that the cost does
-            not see.
+        UnstableError: an unstable mode that B cannot move, or a mode on the imaginary axis that the cost sees and B
+            cannot move, or that B moves and the cost does not see.
 
     Source: anderson1990optimal
 
@@ -216,13 +218,20 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
         >>> found.L.round(6).tolist()
         [[-0.316228, -0.855836]]
     """
-    A, B, Q, R, N = Quadratic.checked(A, B, Q, R, N)
-    R = _arrays.definite("R", R, len(R), "inputs × inputs")
-    _refuse_unmoved(lost_modes(A, B, True), "the open left half-plane")
-    unseen = _unseen_modes(A, B, Q, R, N)
-    _refuse_unseen(unseen[np.abs(unseen.real) <= EDGE * pace(A)], "the imaginary axis")
-    found = _checked_solution(_care.solve(A, B, Q, R, N), None)
+    given = Quadratic.checked(A, B, Q, R, N)
+    R = _arrays.definite("R", given.R, len(given.R), "inputs × inputs")
+    seen = given.among(_care.worth(*given).states)
+    lost = lost_modes(seen.A, seen.B, True)
+    _refuse_unmoved(lost, "the open left half-plane", np.abs(lost.real) <= SCATTER * pace(given.A), "the imaginary axis")
+    unseen = _unseen_modes(*seen)
+    _refuse_unseen(unseen[np.abs(unseen.real) <= SCATTER * pace(given.A)], "the imaginary axis")
+    found = _checked_solution(_care.solve(*given), None)
     return Regulator(_arrays.frozen(found.K), _arrays.frozen(found.L), R, _arrays.frozen(found.error), found.slowest)
+
+
+def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
+    """Return which states have a cost-to-go, (n,); the others and what they move cost nothing, and need no input."""
+    return _dare.worth(A, B, Q, R, N).states
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
@@ -251,10 +260,12 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
     """
     found = _dare.solve(A, B, Q, R, N)
     if found is None or not _dare.is_clear(found):  # what it is that has no solution
-        _refuse_unmoved(lost_modes(A, B, False) / unit, _disc(unit))
+        seen = Quadratic(A, B, Q, R, N).among(_dare.worth(A, B, Q, R, N).states)
+        lost = lost_modes(seen.A, seen.B, False)
+        _refuse_unmoved(lost / unit, _disc(unit), np.abs(np.abs(lost) - 1) <= SCATTER, _disc(unit))
         if is_definite(R):
-            unseen = _unseen_modes(A, B, Q, R, N)
-            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= EDGE] / unit, "the edge of " + _disc(unit))
+            unseen = _unseen_modes(*seen)
+            _refuse_unseen(unseen[np.abs(np.abs(unseen) - 1) <= SCATTER] / unit, "the edge of " + _disc(unit))
     found = _checked_solution(found, A / unit)
     if not is_definite(found.H):
         raise _singular(found.H, "")
@@ -282,20 +293,21 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
     return uncontrollable_modes((A - B @ share).T, root(symmetrised(weight)))
 
 
-def _refuse_unmoved(modes: Modes, region: str) -> None:
-    if modes.size and np.abs(np.abs(modes[0]) - 1) <= EDGE and region == _disc(1.0):
+def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None:
+    """Refuse modes that no input moves, and say of one on the edge of stability that only the cost makes it matter."""
+    if not modes.size:
+        return
+    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move"
+    if on_edge[0]:
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; it lies on the unit circle "
-            "and the cost sees it, so the cost along it is infinite, or rests on numbers that cancel exactly; expected "
-            "(A, B) stabilisable, or no weight in Q and N on that state and on those that it moves; let it decay, or "
-            "take it out of the problem"
+            f"{named}; it lies on {edge} and the cost sees it, so the cost along it is infinite, or rests on numbers "
+            "that cancel exactly; expected (A, B) stabilisable, or no weight in Q and N on that state and on those "
+            "that it moves; let it decay, or take it out of the problem"
         )
-    if modes.size:
-        raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move; expected (A, B) "
-            f"stabilisable: every eigenvalue outside {region} must be reached; add an actuator or take that "
-            "state out of the problem"
-        )
+    raise UnstableError(
+        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {region} must be reached; add an actuator or "
+        "take that state out of the problem"
+    )
 
 
 def _refuse_unseen(modes: Modes, edge: str) -> None:

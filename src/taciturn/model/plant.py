@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
-from taciturn._modes import Slow, lost_modes, mode_text
+from taciturn._modes import Slow, growing, lost_modes, mode_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
@@ -35,8 +35,8 @@ class Plant:
             that by w is the identity wherever W is not 0. Omitted: A x + B u + w.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable; or a function that fails,
-            does not rest at 0, or has another linearisation.
+        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows; or
+            a function that fails, does not rest at 0, or has another linearisation.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
@@ -177,7 +177,8 @@ class ContinuousPlant:
         input_limit: symmetric clip of each input at the plant, (m,); omitted: none.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite, not stabilisable or not detectable, W and jumps both given.
+        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows; W
+            and jumps both given.
 
     Example:
         >>> ContinuousPlant(A=[[0, 1], [0, 0]], B=[[0], [1]], W=[[0, 0], [0, 2.5]]).states
@@ -356,16 +357,19 @@ def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
-    """Refuse a plant with a persisting mode that no input moves or no measurement shows."""
+    """Refuse a plant with a growing mode that no input moves or no measurement shows.
+
+    Those on the edge of stability are for cost and noise to decide: they may leave one alone.
+    """
     slow = Slow(plant.A, continuous)
     for A, B, verb, what, remedy in (
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = lost_modes(A, B, continuous, slow)
+        lost = growing(lost_modes(A, B, continuous, slow), A, continuous)
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
-                f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which does not decay; "
+                f"{matrices} is not {verb}: {what} the mode at {mode_text(complex(lost[0]))}, which grows; "
                 f"expected a {verb} plant; {remedy}"
             )

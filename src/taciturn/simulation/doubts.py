@@ -9,6 +9,7 @@ import numpy as np
 from taciturn._modes import eigenvalues, lost_modes, persistent, root
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
+from taciturn.lqg.riccati import states_with_cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName, Send
 
@@ -116,19 +117,24 @@ def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
 
 
 def comes_never_to_rest(loop: Loop) -> bool:
-    """Tell whether noise moves a mode that does not decay, in a linear plant of which the cost sees all such modes."""
+    """Tell whether noise moves a mode that does not decay, in a linear plant of which the cost sees all such modes.
+
+    States without a cost-to-go do not count.
+    """
     return _fastest(loop) > 0
 
 
 def _fastest(loop: Loop) -> float:
     """Return the growth per tick, at least 1, of the fastest such mode; 0 where there is none."""
-    plant = loop.problem.plant
+    problem, plant = loop.problem, loop.problem.plant
     if plant.function is not None:
         return 0.0
-    A = plant.A
+    seen = states_with_cost(plant.A, plant.B, problem.Q, problem.R, problem.N)
+    place = np.ix_(seen, seen)
+    A = plant.A[place]
     modes = np.sort(np.abs(persistent(eigenvalues(A), A, False)))
-    if not modes.size or len(lost_modes(A.T, loop.problem.Q, False)):
+    if not modes.size or len(lost_modes(A.T, problem.Q[place], False)):
         return 0.0
-    for still in np.abs(lost_modes(A, root(plant.W), False)):
+    for still in np.abs(lost_modes(A, root(plant.W[place]), False)):
         modes = np.delete(modes, np.argmin(np.abs(modes - still)))
     return max(1.0, float(modes[-1])) if modes.size else 0.0
