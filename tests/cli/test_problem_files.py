@@ -220,8 +220,8 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
         (plant(A="[[]]"), "A has shape (1, 0); expected a square matrix with at least one state"),
         (plant(dt="nan"), "dt is nan; expected a finite number"),
         (plant(dt="0"), "dt is 0; expected 0 < dt"),
-        (plant(B="[[0.0]]"), "(A, B) is not stabilisable: no input can move the mode at 1.2, which does not decay"),
-        (plant(C="[[0.0]]"), "(A, C) is not detectable: no measurement shows the mode at 1.2, which does not decay"),
+        (plant(B="[[0.0]]"), "(A, B) is not stabilisable: no input can move the mode at 1.2, which grows"),
+        (plant(C="[[0.0]]"), "(A, C) is not detectable: no measurement shows the mode at 1.2, which grows"),
         (
             plant(function="'f.py'"),
             "plant.function is 'f.py'; expected 'file.py:name', a Python file and a function in",

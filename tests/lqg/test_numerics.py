@@ -10,7 +10,7 @@ from drawn import law
 from hypothesis import assume, reject
 from hypothesis import strategies as st
 
-from taciturn import ContinuousPlant, Cost, Plant, design
+from taciturn import Cost, Plant, design
 from taciturn._modes import accumulate, least_eigenvalue, radius, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare, _mean_square
@@ -235,10 +235,11 @@ def test_units_of_weights_do_not_decide_whether_they_are_definite():
 
 def test_a_slow_mode_beyond_reach_decays_in_any_unit_of_time():
     """−1e-13 per second is a stable mode of a plant whose pace is as slow, and the edge of one that is fast."""
-    slow = ContinuousPlant(np.diag([-1e-13, -2e-13]), [[0.0], [1e-13]], np.eye(2))
-    assert slow.states == 2
-    with pytest.raises(ProblemError, match="which does not decay"):
-        ContinuousPlant(np.diag([-1e-13, -2.0]), [[0.0], [1.0]], np.eye(2))
+    weights = np.eye(2), np.eye(1), np.zeros((2, 1))
+    found = regulate_continuous(np.diag([-1e-13, -2e-13]), [[0.0], [1e-13]], *weights)
+    assert found.K[0, 0] == pytest.approx(5e12)
+    with pytest.raises(UnstableError, match="which B cannot move; it lies on the imaginary axis and the cost sees it"):
+        regulate_continuous(np.diag([-1e-13, -2.0]), [[0.0], [1.0]], *weights)
 
 
 @pytest.mark.parametrize("fast", [1e2, 1e5, 1e8])

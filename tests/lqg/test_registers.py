@@ -1,20 +1,17 @@
-"""Registers, and modes on the edge of stability that neither cost nor control, or neither noise nor measurement, touches."""
+"""Registers, and modes on the edge of stability that no cost and input, or no noise and measurement, touches."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from catalogue import CLOSED_FORM, POLICIES, Build, outputs
-from counts import few
+from catalogue import POLICIES, Build, outputs
 from digits import regulated
-from drawn import law
+from drawn import law, rows
 from hypothesis import assume
 from hypothesis import strategies as st
 from systems import System, make_system
 
-from taciturn import ContinuousPlant, Cost, Plant, close, design, evaluate
+from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
 from taciturn._modes import accumulate
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
@@ -117,7 +114,7 @@ def test_registers_with_a_cross_term_are_regulated_to_what_is_claimed(draw, seed
     c, m = draw(seed), B.shape[1]
     weighed = np.append(c.rng.random(len(A)) < 0.5, np.ones(m)) * np.append(np.ones(n), c.rng.random(len(A) + m - n))
     root = c.rng.normal(size=(len(A) + m, len(A) + m)) * weighed[:, None]
-    root[: n, -n:] += np.eye(n)  # the plant itself is seen
+    root[:n, -n:] += np.eye(n)  # the plant itself is seen
     joint = root @ root.T
     Q, R, N = joint[: len(A), : len(A)], joint[len(A) :, len(A) :] + 0.1 * np.eye(m), joint[: len(A), len(A) :]
     found = regulate(A, B, Q, R, N)
@@ -141,8 +138,9 @@ def test_units_of_registers_decide_nothing(draw, seed, inputs, outputs):
     A_x, B_x, C_x = A / x[:, None] * x, B / x[:, None] * u, C / y[:, None] * x
     plain = regulate(A, B, Q, c.R, N), steady_filter(A, C, W, c.V)
     R_x, N_x = c.R * u * u[:, None], N * x[:, None] * u
-    found = regulate(A_x, B_x, Q * x * x[:, None], R_x, N_x), steady_filter(
-        A_x, C_x, W / x / x[:, None], c.V / y / y[:, None]
+    found = (
+        regulate(A_x, B_x, Q * x * x[:, None], R_x, N_x),
+        steady_filter(A_x, C_x, W / x / x[:, None], c.V / y / y[:, None]),
     )
     cost, spread = found[0].K / x / x[:, None], found[1].prior * x * x[:, None]
     for answer, exact, which in ((cost, plain[0].K, plain[0].error), (spread, plain[1].prior, plain[1].error)):
@@ -192,7 +190,7 @@ def test_a_disturbance_that_the_cost_does_not_see_is_left_alone():
 
 
 def test_a_plant_whose_loop_is_slow_leaves_a_disturbance_alone_as_well():
-    """A mode at 1 − 1e-6 that nothing moves, where the cost sees it, has nothing to do with a constant that it does not."""
+    """A mode at 1 − 1e-6 that the cost sees is not taken for the constant that it does not see."""
     A, B = np.diag([0.5, 1 - 1e-6, 1.0]), np.array([[1.0], [0.0], [0.0]])
     found = regulate(A, B, np.diag([1.0, 1.0, 0.0]), [[1.0]], np.zeros((3, 1)))
     assert found.slowest == pytest.approx(1 - 1e-6)
@@ -200,7 +198,7 @@ def test_a_plant_whose_loop_is_slow_leaves_a_disturbance_alone_as_well():
 
 
 def test_what_neither_noise_nor_measurement_touches_is_known_as_well_as_at_the_start():
-    """By duality: the covariance and the gain are 0; if noise reaches it, or a measurement alone, there is no filter."""
+    """By duality covariance and gain are 0; where only noise or only a measurement reaches it there is no filter."""
     A, C = np.diag([1.1, 1.0]), np.array([[1.0, 0.0]])
     found, alone = steady_filter(A, C, np.diag([1.0, 0.0]), [[1.0]]), steady_filter([[1.1]], [[1.0]], [[1.0]], [[1.0]])
     assert pytest.approx(np.diag([alone.prior[0, 0], 0.0])) == found.prior
@@ -226,9 +224,10 @@ def more(system: System, kind: str) -> System:
     A, W, Q = np.zeros((3, n + k, n + k))
     A[:n, :n], W[:n, :n], Q[:n, :n] = plant.A, plant.W, cost.Q
     A[n:, n:] = np.roll(np.eye(k), 1, axis=0)
-    B, N, C = (np.pad(part, ((0, rows), (0, columns))) for part, rows, columns in (
-        (plant.B, k, 0), (cost.N, k, 0), (plant.C, 0, k)
-    ))
+    B, N, C = (
+        np.pad(part, ((0, rows), (0, columns)))
+        for part, rows, columns in ((plant.B, k, 0), (cost.N, k, 0), (plant.C, 0, k))
+    )
     if kind in ("drift", "walk"):
         W[n, n] = 0.01
     if kind == "drift":
@@ -239,3 +238,90 @@ def more(system: System, kind: str) -> System:
     return System(made, Cost(Q, cost.R, N), system.seed)
 
 
+KINDS = [(kind, name) for kind in ("clock", "drift", "walk") for name in POLICIES if "lossy" not in name]
+BEYOND = ("relative", "mixed", "dynamic", "separate", "pattern", "near-optimal", "variance")
+
+
+@pytest.mark.parametrize(("kind", "name"), rows([one for one in KINDS if not one[1].startswith(BEYOND)], 6))
+def test_every_policy_leaves_alone_what_its_cost_does_not_see(kind, name):
+    """Cost of sending always, bound and memory are those of the plant without it, if it does not blur what is seen."""
+    build: Build = POLICIES[name]
+    system = make_system(5, 3, 2, 3, True, 2) if kind == "walk" else make_system(7, 2, 1, 1, False, 2)
+    policy, plain = build(more(system, kind)), build(system)
+    shown = outputs(policy, 3)
+    assert np.isfinite(shown["applied 0"]).all()
+    if kind == "drift":
+        assert policy.cost_all_time > plain.cost_all_time  # the drift of a sensor hides the plant from it
+        return
+    if "remote" not in name or policy.cost is None or not policy.cost.mission:  # whose starts are drawn for the plant
+        assert policy.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
+        assert policy.settling == pytest.approx(plain.settling, rel=1e-6)
+    if policy.guarantee is not None and plain.guarantee is not None and not policy.cost.mission:
+        assert policy.guarantee.cost == pytest.approx(plain.guarantee.cost, rel=1e-8)
+
+
+@pytest.mark.parametrize("protocol", ["udp", "tcp"])
+@pytest.mark.parametrize("horizon", [None, 20])
+def test_losses_do_not_concern_what_the_cost_does_not_see(protocol, horizon):
+    """Fixed point, recursion and memory of the gains over lossy links are those of the plant without a random walk."""
+    small = make_system(5, 3, 2, 3, True, 2)
+    found, plain = (
+        design.lossy_lqg(
+            one.plant, Cost(one.cost.Q, one.cost.R, horizon=horizon), price=1.0, network=Network(protocol, 0.1, 0.2)
+        )
+        for one in (more(small, "walk"), small)
+    )
+    assert found.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
+    assert found.settling == pytest.approx(plain.settling, rel=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["excess", "periodic", "lqg", "consistent"])
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+def test_a_continuous_plant_may_have_an_oscillator_that_nothing_drives_or_weighs(kind, noise):
+    """Undamped at 2 rad/s: what sending always costs is what it costs without it, held or predicted."""
+    A = np.array([[0, 1.0, 0, 0], [0, 0, 0, 0], [0, 0, 0, 2.0], [0, 0, -2.0, 0]])
+    B, Q, W = np.eye(4)[:, 1:2], np.diag([1.0, 1.0, 0, 0]), np.diag([0, 1.0, 0, noise])
+    build = {
+        "excess": lambda plant, cost: design.excess(plant, cost, delta=0.3, period=0.1),
+        "periodic": lambda plant, cost: design.periodic(plant, cost, period=0.2, actuation="model"),
+        "lqg": lambda plant, cost: design.lqg(plant, cost, theta=0.3, period=0.1),
+        "consistent": lambda plant, cost: design.consistent(plant, cost, delta=0.3, period=0.1),
+    }[kind]
+    found, plain = (build(ContinuousPlant(A[:n, :n], B[:n], W[:n, :n]), Cost(Q[:n, :n], [[0.1]])) for n in (4, 2))
+    assert found.cost_all_time == pytest.approx(plain.cost_all_time, rel=1e-9)
+    assert found.settling == pytest.approx(plain.settling, rel=1e-6)
+    gain = regulate_continuous(A, B, Q, [[0.1]], np.zeros((4, 1))).L
+    assert not gain[:, 2:].any()
+    A[1, 2] = 1.0
+    with pytest.raises(UnstableError, match=r"eigenvalue 0[+-]2i, which B cannot move; it lies on the imaginary axis"):
+        regulate_continuous(A, B, Q, [[0.1]], np.zeros((4, 1)))
+
+
+def test_a_disturbance_that_an_average_cannot_bear_is_no_harm_to_a_mission():
+    """A constant push costs R d² in each step for ever: a horizon or a discount makes a finite cost of it."""
+    plant = Plant([[0.9, 1.0], [0.0, 1.0]], [[1.0], [0.0]], np.diag([0.1, 0.0]), mean=[0.0, 1.0])
+    weights = np.diag([1.0, 0.0]), [[1.0]]
+    with pytest.raises(UnstableError, match="so the cost along it is infinite"):
+        design.excess(plant, Cost(*weights), delta=0.1)
+    discounted = design.remote_lqg(plant, Cost(*weights, discount=0.9), controller="sensor", theta=0.3)
+    finite = design.remote_lqg(plant, Cost(*weights, horizon=30), controller="sensor", theta=0.3)
+    for policy in (discounted, finite):
+        calm = Plant(plant.A, plant.B, plant.W)
+        without = design.remote_lqg(calm, policy.cost, controller="sensor", theta=0.3)
+        assert policy.cost_all_time > without.cost_all_time
+
+
+def test_an_integrator_that_nothing_measures_or_disturbs_is_known_if_its_start_is():
+    """An input is summed up, and the sum is weighed: its estimate is exact; of an unknown start it would never be."""
+    A, B, C = np.diag([0.5, 1.0]), np.array([[1.0], [1.0]]), [[1.0, 0.0]]
+    plant, cost = Plant(A, B, np.diag([1.0, 0.0]), C, [[0.5]], mean=[0.0, 3.0]), Cost(np.eye(2), [[1.0]])
+    policy = design.all_time(plant, cost)
+    shown = outputs(policy, 1)
+    assert shown["estimate 1"] == pytest.approx(shown["x 1"], abs=1e-12)
+    assert np.abs(shown["x 1"][-1]).max() < 3  # the input brings it down
+    unknown = Plant(A, B, np.diag([1.0, 0.0]), C, [[0.5]], covariance=np.diag([0.0, 1.0]))
+    with pytest.raises(UnstableError, match=r"initial.covariance is 1 in state 2.*never learns its start"):
+        design.all_time(unknown, cost)
+    assert any("initial state" in text for text in close(unknown, policy).departures)
+    harmless = Plant(A, B * [[1.0], [0.0]], np.diag([1.0, 0.0]), C, [[0.5]], covariance=np.diag([0.0, 1.0]))
+    assert design.all_time(harmless, Cost(np.diag([1.0, 0.0]), [[1.0]])).cost_all_time > 0

@@ -18,6 +18,7 @@ GOOD: dict[str, Any] = {
     "C": [[1.0, 0.0]],
     "V": [[0.01]],
 }
+GROWING: dict[str, Any] = {"A": [[1.1, 0.1], [0.0, 1.1]]}
 CONTINUOUS: dict[str, Any] = {"A": [[0, 1], [0, 0]], "B": [[0], [1]], "W": [[0, 0], [0, 2.5]]}
 WEIGHTS: dict[str, Any] = {"Q": np.eye(2), "R": [[1.0]]}
 
@@ -63,10 +64,10 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"covariance": -np.eye(2)}, "initial.covariance has the eigenvalue -1; expected a positive semidefinite matrix"),
     ({"input_limit": [1.0, 1.0]}, "input_limit has shape (2,); expected (1,) = (inputs,)"),
     ({"input_limit": [0.0]}, "input_limit is 0; expected positive limits (omit it for no limit)"),
-    ({"B": [[1.0], [0.0]]}, "(A, B) is not stabilisable: no input can move the mode at 1, which does not decay"),
-    ({"B": [[0.0], [0.0]]}, "expected a stabilisable plant; add an actuator, or remove the mode"),
-    ({"C": [[0.0, 1.0]]}, "(A, C) is not detectable: no measurement shows the mode at 1, which does not decay"),
-    ({"C": [[0.0, 0.0]]}, "expected a detectable plant; add a sensor, or remove the mode"),
+    ({**GROWING, "B": [[1.0], [0.0]]}, "(A, B) is not stabilisable: no input can move the mode at 1.1, which grows"),
+    ({**GROWING, "B": [[0.0], [0.0]]}, "expected a stabilisable plant; add an actuator, or remove the mode"),
+    ({**GROWING, "C": [[0.0, 1.0]]}, "(A, C) is not detectable: no measurement shows the mode at 1.1, which grows"),
+    ({**GROWING, "C": [[0.0, 0.0]]}, "expected a detectable plant; add a sensor, or remove the mode"),
 ]
 
 
@@ -112,10 +113,10 @@ def test_every_kind_of_real_number_is_a_step(dt: Any) -> None:
 def test_an_oscillation_is_named_by_both_its_parts() -> None:
     """A complex mode that nothing moves is shown with its imaginary part."""
     A = np.zeros((3, 3))
-    A[:2, :2], A[2, 2] = [[0, 1], [-1, 0]], 0.5
+    A[:2, :2], A[2, 2] = [[0, 2], [-2, 0]], 0.5
     told = refusal(Plant, {"A": A, "B": [[0], [0], [1]], "W": np.eye(3)})
     assert "the mode at " in told
-    assert "1i, which does not decay" in told
+    assert "2i, which grows" in told
 
 
 def test_a_mode_that_decays_may_be_unmoved_and_unseen() -> None:
@@ -123,6 +124,13 @@ def test_a_mode_that_decays_may_be_unmoved_and_unseen() -> None:
     plant = Plant([[1.2, 0], [0, 0.5]], [[1], [0]], np.eye(2), [[1, 0]], [[1]])
     assert (plant.states, plant.inputs, plant.outputs) == (2, 1, 1)
     assert ContinuousPlant([[1, 0], [0, -0.5]], [[1], [0]], np.eye(2)).states == 2
+
+
+def test_a_mode_that_neither_grows_nor_decays_may_be_unmoved_and_unseen() -> None:
+    """A constant disturbance, a clock: whether cost and noise leave them alone is for the design to find out."""
+    assert Plant(**GOOD | {"B": [[1.0], [0.0]], "C": [[0.0, 1.0]]}).states == 2
+    assert ContinuousPlant(**CONTINUOUS | {"B": [[1], [0]], "C": [[0, 1]]}).states == 2
+    assert Plant(np.roll(np.eye(30), 1, axis=0), np.zeros((30, 1)), np.zeros((30, 30))).states == 30
 
 
 def test_a_noiseless_plant_is_legal() -> None:
@@ -148,13 +156,13 @@ JUMPS = {"rate": 5.0, "covariance": [[0.0, 0.0], [0.0, 0.5]]}
             "jumps.covariance has shape (3, 3); expected (2, 2) = (states, states)",
         ),
         (
-            {"B": [[1], [0]]},
-            "(A, B) is not stabilisable: no input can move the mode at 0, which does not decay; "
+            {"A": [[2, 1], [0, 2]], "B": [[1], [0]]},
+            "(A, B) is not stabilisable: no input can move the mode at 2, which grows; "
             "expected a stabilisable plant; add an actuator, or remove the mode",
         ),
         (
-            {"C": [[0, 1]]},
-            "(A, C) is not detectable: no measurement shows the mode at 0, which does not decay; "
+            {"A": [[2, 1], [0, 2]], "C": [[0, 1]]},
+            "(A, C) is not detectable: no measurement shows the mode at 2, which grows; "
             "expected a detectable plant; add a sensor, or remove the mode",
         ),
     ],

@@ -9,7 +9,6 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import number
-from taciturn._modes import radius
 from taciturn.design.certainty import SEND
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
@@ -228,7 +227,7 @@ def _looking(
         initial={"prediction": plant.mean, "forecast": plant.mean, MARGIN: more[:1]},
         tick=problem.tick,
         noise_cost=problem.noise_cost,
-        settling=1 / (1 - radius(closed)),
+        settling=1 / (1 - problem.slowest(closed)),
         cost=cost,
         prediction=prediction,
         guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from taciturn._arrays import choice, count
-from taciturn._modes import radius, stationary
+from taciturn._modes import stationary
 from taciturn.design.certainty import (
     CLOCK,
     SEND,
@@ -196,8 +196,9 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
     problem: Discrete = discretise(plant, cost, period, prediction)
     unit = np.eye(plant.states)
     closed = problem.plant.A + problem.plant.B
-    spread = stationary(closed, problem.plant.W)
-    average = float(np.trace((problem.Q + problem.N + problem.N.T + problem.R) @ spread))
+    place = np.ix_(problem.moving, problem.moving)
+    spread = stationary(closed[place], problem.plant.W[place])
+    average = float(np.trace((problem.Q + problem.N + problem.N.T + problem.R)[place] @ spread))
     per_unit = (average + problem.noise_cost) / problem.tick
     return Policy(
         kind="periodic",
@@ -211,7 +212,7 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
         sites=(frozenset({"controller", "actuator"}),),
         tick=problem.tick,
         noise_cost=problem.noise_cost,
-        settling=1 / (1 - radius(closed)),
+        settling=1 / (1 - problem.slowest(closed)),
         cost=cost,
         prediction=prediction,
         closed_form=ClosedForm(per_unit, {"sensor": 1.0}),

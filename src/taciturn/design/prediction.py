@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, instance
-from taciturn._modes import radius
 from taciturn.design.certainty import SEND, expect_average
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -85,7 +84,7 @@ def predicted_policy(
         initial={"prediction": problem.plant.mean, "forecast": problem.plant.mean},
         tick=problem.tick,
         noise_cost=problem.noise_cost,
-        settling=1 / (1 - radius(closed)),
+        settling=1 / (1 - problem.slowest(closed)),
         cost=problem.cost,
         prediction=predicted.prediction,
         guarantee=guarantee,

@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import Array, choice, number, symmetrised
-from taciturn._modes import radius
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     CLOCK,
@@ -183,11 +182,11 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
 
 
 def _settling(prices: Prices, watch: _Watch) -> float:
-    plant, seen = prices.problem.plant, prices.K.diagonal() > 0
+    plant = prices.problem.plant
     return forgetting(
         plant,
         [plant.A - gain @ plant.C for gain in watch.gains],
-        radius((plant.A + plant.B @ prices.L)[np.ix_(seen, seen)]),
+        prices.problem.slowest(plant.A + plant.B @ prices.L),
         "too few queries for what the noise leaves undetermined; expected a smaller zeta, or noise V on the "
         "measurement",
     )

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from taciturn._arrays import Array, instance, number
-from taciturn._modes import eigenvalues
+from taciturn._arrays import Array, Bits, instance, number
+from taciturn._modes import eigenvalues, radius
 from taciturn.errors import ProblemError
+from taciturn.lqg import _dare
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
@@ -37,6 +39,15 @@ class Discrete:
     tick: float
     noise_cost: float
     jumps: JumpNoise | None = None
+
+    @cached_property
+    def moving(self) -> Bits:
+        """The states whose mode is not on the edge of stability where neither cost nor control touches it, (n,)."""
+        return ~_dare.worth(self.plant.A, self.plant.B, self.Q, self.R, self.N).resting
+
+    def slowest(self, closed: Array) -> float:
+        """Return the modulus of the slowest mode of a closed loop, (n, n), but for states that stay as they are."""
+        return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:
         """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""

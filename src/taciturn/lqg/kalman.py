@@ -350,8 +350,8 @@ def _on_circle(modes: Modes) -> Bits:
 
 
 def _frozen(found: Filter) -> Filter:
-    arrays = (found.prior, found.posterior, found.gain, found.innovation, found.error)
-    return Filter(*map(_arrays.frozen, arrays), found.slowest)
+    prior, posterior, error = map(_arrays.frozen, (found.prior, found.posterior, found.error))
+    return Filter(prior, posterior, _arrays.frozen(found.gain), _arrays.frozen(found.innovation), error, found.slowest)
 
 
 def _checked(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> tuple[Array, Array, Array, Array]:

@@ -222,7 +222,9 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
     R = _arrays.definite("R", given.R, len(given.R), "inputs × inputs")
     seen = given.among(_care.worth(*given).states)
     lost = lost_modes(seen.A, seen.B, True)
-    _refuse_unmoved(lost, "the open left half-plane", np.abs(lost.real) <= SCATTER * pace(given.A), "the imaginary axis")
+    _refuse_unmoved(
+        lost, "the open left half-plane", np.abs(lost.real) <= SCATTER * pace(given.A), "the imaginary axis"
+    )
     unseen = _unseen_modes(*seen)
     _refuse_unseen(unseen[np.abs(unseen.real) <= SCATTER * pace(given.A)], "the imaginary axis")
     found = _checked_solution(_care.solve(*given), None)

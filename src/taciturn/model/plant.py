@@ -35,8 +35,8 @@ class Plant:
             that by w is the identity wherever W is not 0. Omitted: A x + B u + w.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows; or
-            a function that fails, does not rest at 0, or has another linearisation.
+        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows;
+            or a function that fails, does not rest at 0, or has another linearisation.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
