@@ -136,7 +136,7 @@ def switched(loop: Loop) -> Switched:
         G=G,
         M=tuple(both.T @ stage @ both for both in paid),
         Psi=reading.Psi,
-        X=reading.memory(STATE),
+        X=reading.memory(STATE)[problem.moving],
         starts=np.column_stack([reading.memory(STATE).T, reading.start()]),
     )
     return _finished(reading, reduce(raw, reading.c), 0.0, 0.0)
@@ -175,12 +175,12 @@ def switched_innovations(loop: Loop) -> Switched:
         G=np.eye(reading.size)[:, reading.rows(NOISE)],
         M=tuple(both.T @ stage @ both for both in paid),
         Psi=reading.Psi,
-        X=taken[0][estimate],
+        X=taken[0][estimate][problem.moving],
         starts=reading.start()[:, None],
     )
     Sigma = innovations.error_covariance
     constant = float(np.trace(problem.Q @ Sigma))
-    return _finished(reading, reduce(raw, reading.c), constant, float(np.trace(Sigma)))
+    return _finished(reading, reduce(raw, reading.c), constant, float(np.diag(Sigma)[problem.moving].sum()))
 
 
 def _finished(reading: _Reading, found: Coordinates, constant: float, hidden: float) -> Switched:

@@ -11,6 +11,7 @@ from taciturn._arrays import Array, Bits, instance, number
 from taciturn._modes import eigenvalues, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg import _dare
+from taciturn.lqg._worth import closure
 from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
@@ -42,11 +43,16 @@ class Discrete:
 
     @cached_property
     def moving(self) -> Bits:
-        """The states whose mode is not on the edge of stability where neither cost nor control touches it, (n,)."""
-        return ~_dare.worth(self.plant.A, self.plant.B, self.Q, self.R, self.N).resting
+        """The states but for those on the edge of stability that neither cost nor control touches, and what these move.
+
+        (n,). An average cost says nothing of the others, whose variance may grow without end.
+        """
+        A = self.plant.A
+        resting = _dare.worth(A, self.plant.B, self.Q, self.R, self.N).resting
+        return ~closure(resting, np.asarray(A != 0, dtype=np.bool_))
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, (n, n), but for states that stay as they are."""
+        """Return the modulus of the slowest mode of a closed loop, (n, n), but for states that do not move."""
         return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:

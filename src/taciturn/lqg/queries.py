@@ -306,7 +306,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     if horizon is None:
         raise UnstableError(
             f"the error covariance has not converged within {LONGEST} ticks; "
-            "expected noise W on slow modes, or a horizon"
+            "expected noise W on slow modes, a measurement of every mode that does not decay, or a horizon"
         )
     return frozen(np.array(covariance)), None
 
