@@ -92,17 +92,6 @@ def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
     return modes[np.abs(modes) >= 1 - EDGE * max(pace(A), 1.0)]
 
 
-def growing(modes: Modes, A: Array, continuous: bool) -> Modes:
-    """Return those of the modes of ``A`` that grow, by more than a defective matrix may scatter those on the edge.
-
-    Args:
-        modes: some eigenvalues of A.
-        A: (n, n) dynamics.
-        continuous: whether time is.
-    """
-    return modes[modes.real > SCATTER * pace(A)] if continuous else modes[np.abs(modes) > 1 + SCATTER]
-
-
 def mode_text(mode: complex) -> str:
     """Return an eigenvalue as a reader expects it in a sentence."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
-from taciturn._modes import Slow, growing, lost_modes, mode_text
+from taciturn._modes import SCATTER, Slow, lost_modes, mode_text, pace
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
 
@@ -366,7 +366,8 @@ def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None
         (plant.A, plant.B, "stabilisable", "no input can move", "add an actuator, or remove the mode"),
         (plant.A.T, plant.C.T, "detectable", "no measurement shows", "add a sensor, or remove the mode"),
     ):
-        lost = growing(lost_modes(A, B, continuous, slow), A, continuous)
+        lost = lost_modes(A, B, continuous, slow)
+        lost = lost[lost.real > SCATTER * pace(A)] if continuous else lost[np.abs(lost) > 1 + SCATTER]
         if lost.size:
             matrices = "(A, B)" if verb == "stabilisable" else "(A, C)"
             raise ProblemError(
