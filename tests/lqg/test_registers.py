@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from systems import System, make_system
 
 from taciturn import ContinuousPlant, Cost, Network, Plant, close, design
-from taciturn._modes import accumulate
+from taciturn._modes import accumulate, radius
+from taciturn.analyse.switched import switched
 from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate, regulate_continuous
@@ -339,3 +340,11 @@ def test_an_integrator_that_nothing_measures_or_disturbs_is_known_if_its_start_i
     assert any("initial state" in text for text in close(unknown, policy).departures)
     harmless = Plant(A, B * [[1.0], [0.0]], np.diag([1.0, 0.0]), C, [[0.5]], covariance=np.diag([0.0, 1.0]))
     assert design.all_time(harmless, Cost(np.diag([1.0, 0.0]), [[1.0]])).cost_all_time > 0
+
+
+def test_certificates_are_about_what_moves():
+    """The drift of a sensor is no coordinate of the loop, its estimation error is: sending always, all modes decay."""
+    system = more(make_system(7, 2, 1, 1, False, 2), "drift")
+    found = switched(close(system.plant, design.excess(system.plant, system.cost, delta=0.1)))
+    assert radius(found.F[-1]) < 0.999
+    assert found.X.shape[0] == 2
