@@ -1,6 +1,6 @@
 """Rules and the fair clock at equal rate on random plants: who costs less, how often.
 
-    python benchmarks/random_plants.py [--json docs/random-plants.json] [--plants 20]
+    python benchmarks/random_plants.py [--json docs/random_plants.json] [--plants 20]
 
 Plants that are in the file already are kept: it can be interrupted, and goes on where it was.
 """
