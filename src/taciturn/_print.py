@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     import xarray
 
+    from taciturn.simulation.trajectory import Trajectory
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
     from taciturn.study.channel import Sharing
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
 
+COLUMNS, FIRST, LAST = 6, 20, 10  # of a path that are printed beside the time; its first and its last steps
 RATES = ("rate_actuator", "rate_sensor")
 
 
@@ -44,6 +46,28 @@ def network(found: NetworkRun) -> None:
             lines.append(("lateness, ms", f"{name}: {shown}"))
     lines += [("note", note) for note in found.notes]
     pairs(lines)
+
+
+def trajectory(found: Trajectory) -> None:
+    """Print a path step by step, as many columns as 80 letters hold, and how often each link sent."""
+    named = [("x", found.state), ("u", found.input)]
+    columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
+    left = max(0, len(columns) - (COLUMNS - len(found.sends)))
+    shown = columns[: len(columns) - left]
+    header = [f"time ({found.unit})", *(name for name, _ in shown), *found.sends]
+    rows = [
+        [
+            f"{time:.6g}",
+            *(f"{column[k]:.4g}" for _, column in shown),
+            *("sent" * bool(s[k]) for s in found.sends.values()),
+        ]
+        for k, time in enumerate(found.time)
+    ]
+    cut = len(rows) > FIRST + LAST
+    _print_table(header, [*rows[:FIRST], ["…"] * len(header), *rows[-LAST:]] if cut else rows)
+    if left or cut:
+        typer.echo(f"{'columns' if left else 'steps'} are left out; --json and --table have all of them")
+    pairs([(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in found.sends.items()])
 
 
 def pairs(lines: Lines) -> None:

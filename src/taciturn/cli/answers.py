@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
@@ -14,12 +15,15 @@ from taciturn.cli.frame import (
     Json,
     Link,
     Plot,
+    Seed,
+    Settings,
     StandardError,
     Steps,
     TimeLimit,
     app,
     can_print,
     check_effort,
+    load_changed,
     note_seed,
     print_json,
     progress_bar,
@@ -30,6 +34,7 @@ from taciturn.cli.frame import (
 @app.command(epilog="Example: taciturn evaluate two-mass --standard-error 1e-3")
 def evaluate(
     file: File,
+    settings: Settings = None,
     as_json: Json = False,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
@@ -41,13 +46,13 @@ def evaluate(
 ) -> None:
     """Cost, rate and guarantee of one policy.
 
-    With other parameters than those of FILE: taciturn tradeoff FILE --over NAME=v1,v2,…
+    With another parameter than that of FILE: --set theta=0.2; with many: taciturn tradeoff FILE --over NAME=v1,v2,…
     """
     import taciturn
     from taciturn.study.lower import choose_confidence
 
     check_effort(standard_error, steps)
-    problem = taciturn.load(file)
+    problem = load_changed(file, settings)
     with progress_bar("computing") as progress:
         found = taciturn.evaluate(
             problem,
@@ -86,7 +91,7 @@ def evaluate(
 
 
 @app.command(epilog="Example: taciturn show two-mass")
-def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
+def show(file: File, settings: Settings = None, as_json: Json = False, plot: Plot = None) -> None:
     """Plant, gains, guarantee, triggers and node diagram of a problem, before anything runs."""
     import taciturn
     from taciturn._figure import check_format, save
@@ -94,7 +99,7 @@ def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
 
     if plot is not None:
         check_format(plot)
-    found = describe(taciturn.load(file))
+    found = describe(load_changed(file, settings))
     drawn = found.diagram
     if plot is not None and drawn is None:
         raise taciturn.ProblemError(
@@ -113,9 +118,49 @@ def show(file: File, as_json: Json = False, plot: Plot = None) -> None:
             typer.echo(f"picture: {plot}")
 
 
+@app.command(epilog="Example: taciturn simulate two-mass --ticks 200 --plot path.svg")
+def simulate(
+    file: File,
+    ticks: Annotated[int, typer.Option(help="Steps of the path.")] = 100,
+    settings: Settings = None,
+    as_json: Json = False,
+    plot: Plot = None,
+    table: Annotated[Path | None, typer.Option(metavar="OUT", help="Every step as a table: .csv or .parquet.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """One path of the closed loop: states, inputs and the instants at which packets are sent."""
+    import taciturn
+    from taciturn._figure import check_format, save
+    from taciturn._table import check_table, save_table
+    from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+
+    if plot is not None:
+        check_format(plot)
+    if table is not None:
+        check_table(table)
+    problem = load_changed(file, settings)
+    policy = problem.designed()
+    if isinstance(policy, EventPolicy | OptimalPolicy):
+        raise taciturn.ProblemError(
+            f"{policy.kind} as given is analysed and runs in no nodes; expected a policy with a period, such as "
+            "near-optimal or excess"
+        )
+    found = taciturn.simulate(problem.close(policy), ticks, seed=seed)
+    if as_json:
+        print_json({"policy": policy.kind, "seed": seed} | found.document())
+    else:
+        _print.trajectory(found)
+    for target, what in ((table, "table"), (plot, "picture")):
+        if target is not None:
+            save_table(found.to_pandas().reset_index(), target) if what == "table" else save(found.plot(), target)
+            if not as_json:
+                typer.echo(f"{what}: {target}")
+
+
 @app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
+    settings: Settings = None,
     rate: Annotated[
         str | None,
         typer.Option(metavar="X|P%", help="At most so many sends per step or per second, or 50% of sending always."),
@@ -137,7 +182,7 @@ def tune(
 
     check_effort(standard_error)
     allowed, spent = _budget("rate", rate), _budget("cost", cost)
-    problem, on = taciturn.load(file), cast("Any", link)
+    problem, on = load_changed(file, settings), cast("Any", link)
     with progress_bar("searching") as progress:
         if least_period is None:
             found = taciturn.tune(

@@ -20,10 +20,11 @@ from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
     from taciturn._progress import Progress
+    from taciturn.problem import Problem
 
 GROUPS = {
     "Design and look": ("new", "show", "tune"),
-    "Measure and prove": ("evaluate", "certify", "bench"),
+    "Measure and prove": ("evaluate", "simulate", "certify", "bench"),
     "Compare": ("tradeoff", "compare", "sweep", "channel"),
     "Run": ("network", "node", "plant", "relay", "twin", "camera"),
     "Export": ("export",),
@@ -77,6 +78,12 @@ Kind = Annotated[
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set", metavar="NAME=VALUE", help="Changes a key of [policy], or a dotted one, as cost.R; none removes it."
+    ),
+]
 GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the draws. Default: 0.")]
 Link = Annotated[
     str | None,
@@ -244,6 +251,15 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
             bar.update(task, total=1.0, completed=fraction, description=what + counted)
 
         yield move
+
+
+def load_changed(file: str, settings: list[str] | None) -> Problem:
+    """Return the problem of a file with the keys that --set changes."""
+    from taciturn import load
+    from taciturn._grid import parse_settings
+
+    problem, changes = load(file), parse_settings(settings or [])
+    return problem.changed(changes) if changes else problem
 
 
 def note_seed(seed: int | None, drawn: bool) -> None:

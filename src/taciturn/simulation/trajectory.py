@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -75,6 +75,21 @@ class Trajectory:
         ]
         panels.append(Panel(marks, ylabel="sends", xlabel=f"time ({self.unit})"))
         return draw(panels, height=1.9 * len(panels))
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn simulate --json``: a list per tick of each quantity."""
+        return {
+            "ticks": len(self.time),
+            "time": self.time.tolist(),
+            "unit": self.unit,
+            "state": self.state.tolist(),
+            "estimate": self.estimate.tolist(),
+            "input": self.input.tolist(),
+            "measurement": self.measurement.tolist(),
+            "trigger_value": self.trigger_value.tolist(),
+            "threshold": self.threshold.tolist(),
+            "sends": {link: sent.tolist() for link, sent in self.sends.items()},
+        }
 
     def to_pandas(self) -> pandas.DataFrame:
         """Return a table with one row per tick.
