@@ -204,7 +204,7 @@ def test_a_loop_that_hardly_ever_sends_is_no_average() -> None:
     loose = average(walk(theta=1e3), standard_error=1e3)  # which the walk keeps long before it has sent
     assert loose.rates["actuator"].value > 0.01
     (told,) = average(walk(theta=1e6, A=0.9), steps=500_000).notes
-    assert told.endswith("the cost is that of control without packets")
+    assert told.endswith("steps: the cost is that of silence")
     assert average(walk(), steps=500_000).notes == ()
 
 

@@ -57,10 +57,7 @@ def find_doubts(
             "rest by itself: the cost is how far it got, not an average",
         )
     elif silent:
-        notes += (
-            f"nothing was sent on the {silent[0]} link in the {steps} steps simulated: the cost is that of control "
-            "without packets",
-        )
+        notes += (f"nothing was sent on the {silent[0]} link in {steps} steps: the cost is that of silence",)
     elif not settled:
         notes += (
             f"the loop has not settled within {steps} steps: cost and rates are those of a start that is not yet "
