@@ -196,7 +196,7 @@ REFUSED = [
     ({"slope": 5.0, "alpha": 0.3, "period": 3.0}, "period is 3 and h_max is 2; expected period ≤ h_max"),
     (
         {"slope": 5.0, "alpha": 0.3, "period": 0.01, "h_max": 1e4},
-        "period is 0.01, and 1000000 looks after a send h_min",
+        "h_min, h_max or the saturation is 1000000 looks of 0.01 s",
     ),
     (
         {"slope": 0.1, "plant": STABLE, "cost": Cost([[1.0]], [[1.0]]), "h_max": np.inf},
