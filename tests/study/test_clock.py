@@ -97,6 +97,40 @@ def test_no_cycle_is_below_the_fair_clock_and_the_clock_is_a_cycle_or_two(system
             assert found.cost <= policy.closed_form.cost * (1 + 1e-6)
 
 
+ROTATION = Problem(  # a turn of a quarter in each step: every second interval loses a mode
+    Plant([[0, -1.05], [1.05, 0]], [[1.0], [0]], 0.1 * np.eye(2), [[1.0, 0]], [[0.1]]),
+    Cost(np.eye(2), [[0.1]]),
+    Network(),
+    "excess",
+    {"theta": 0.2},
+)
+
+
+def cheapest_at_its_own_rate(problem: Problem, cycle: tuple[int, ...]) -> None:
+    """Check that the clock at the rate of a cycle costs no more than the cycle."""
+    try:
+        policy = design.periodic(problem.plant, problem.cost, every=cycle)
+    except taciturn.UnstableError:
+        return
+    found = fair(problem).at(len(cycle) / sum(cycle))
+    assert found is not None
+    assert policy.closed_form is not None
+    assert found.cost <= policy.closed_form.cost * (1 + 1e-9)
+
+
+@law(3, 60, system=systems(states=4, inputs=2), cycle=st.lists(st.integers(1, 12), min_size=1, max_size=2))
+def test_no_cycle_is_below_the_fair_clock_at_its_own_rate(system: System, cycle: list[int]) -> None:
+    """Whose corners may be cycles of the same rate, but for rounding; where sampling loses modes, too."""
+    near = (cycle[0], min(cycle[-1], cycle[0] + 1)) if len(cycle) > 1 else (cycle[0],)
+    cheapest_at_its_own_rate(of_plant(system, "hold"), near)
+
+
+@pytest.mark.parametrize("every", range(1, 10))
+def test_intervals_that_lose_a_mode_hide_no_others(every: int) -> None:
+    """Their Riccati equations have no solution, and are solved in one stack with those that have one."""
+    cheapest_at_its_own_rate(ROTATION, (every,))
+
+
 @law(3, 60, system=systems(states=4, inputs=2), rate=st.floats(0.05, 1.0))
 def test_a_model_never_costs_a_clock_more_than_holding(system: System, rate: float) -> None:
     """At the same rate: what is held could have been predicted."""

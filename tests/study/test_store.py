@@ -184,7 +184,10 @@ def run_with_files_of(most: int, folder: Path) -> subprocess.CompletedProcess[st
         "--workers",
         "1",
     ]
-    return subprocess.run(command, preexec_fn=limited, capture_output=True, text=True, timeout=120, check=False)
+    whole = os.environ | {"PYTHONDONTWRITEBYTECODE": "1"}  # Python itself would keep modules cut off at the limit
+    return subprocess.run(
+        command, preexec_fn=limited, env=whole, capture_output=True, text=True, timeout=120, check=False
+    )
 
 
 def test_a_full_disk_is_a_sentence_and_what_was_kept_stays(tmp_path: Path) -> None:

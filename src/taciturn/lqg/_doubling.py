@@ -37,10 +37,7 @@ def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, invers
     n, one, both, worth = A.shape[-1], np.eye(A.shape[-1]), np.concatenate([F, G], axis=-1), _diagonal(last)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for _ in range(TURNS):
-            try:
-                solved = np.linalg.solve(one + G @ K, both)
-            except np.linalg.LinAlgError:
-                return np.full_like(K, np.nan)
+            solved = _divided(one + G @ K, both)
             turned = F.swapaxes(-1, -2)
             more = turned @ K @ solved[..., :n]
             K = symmetrised(K + more)
@@ -51,6 +48,16 @@ def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, invers
             F = F @ solved[..., :n]
             both[..., :n], both[..., n:] = F, G
     return symmetrised(last + K)
+
+
+def _divided(matrix: Array, right: Array) -> Array:
+    """Return M^{-1}R, of one or of a stack; of those that are singular no number, without loss to the others."""
+    try:
+        return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        if matrix.ndim == 2:
+            return np.full_like(right, np.nan)
+        return np.stack([_divided(one, part) for one, part in zip(matrix, right, strict=True)])
 
 
 def _diagonal(matrix: Array) -> Array:

@@ -209,11 +209,16 @@ def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array:
 
 
 def _inverse(H: Array) -> Array:
-    """Return the inverses of a stack of symmetric matrices; pseudo-inverses where one is singular."""
+    """Return the inverses of a stack of symmetric matrices, pseudo-inverses where one is singular; NaN stays NaN."""
     try:
         return np.asarray(np.linalg.inv(H), dtype=np.float64)
     except np.linalg.LinAlgError:  # an input that costs nothing
-        return np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+        unknown = np.flatnonzero(~np.isfinite(H.sum(axis=(1, 2))))
+        H = H.copy()
+        H[unknown] = 0.0
+        inverses = np.asarray(np.linalg.pinv(H, hermitian=True), dtype=np.float64)
+        inverses[unknown] = np.nan
+        return inverses
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:

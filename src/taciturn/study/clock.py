@@ -247,21 +247,23 @@ class Either(Clock):
         timed: sends at any period.
         tick: seconds.
         near: periods that are tried beside the one at a rate.
+        longest: real period that is tried, in ticks.
     """
 
-    def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int) -> None:
+    def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int, longest: float = FREE) -> None:
         """Compute nothing yet."""
         self.words, self.ticked, self._timed, self._tick, self._near = ticked.words, ticked, timed, tick, near
+        self._slowest = 1 / (longest * tick)
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
         """Return the two corners of the common lower hull next to a rate."""
-        near = max(rate / 1.5, 1 / (FREE * self._tick)), min(1.5 * rate, 1 / self._tick)
+        near = max(rate / 1.5, self._slowest), min(1.5 * rate, 1 / self._tick)
         found = _beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
         return (found[0], found[1]) if found else None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
         """Return the corners of the common lower hull, the fastest first."""
-        slow = max(slowest, 1 / (FREE * self._tick))
+        slow = max(slowest, self._slowest)
         free = self._free(fastest, slow, min(fastest, 1 / self._tick))
         return tuple(reversed(lower_hull([*self.ticked.curve(fastest, slowest), *free])))
 
@@ -285,8 +287,10 @@ def lower_hull(points: Iterable[ClockPoint]) -> list[ClockPoint]:
     """Return the corners of the convex lower hull, from the least rate to the cheapest point."""
     corners: list[ClockPoint] = []
     for point in sorted(points, key=lambda one: (one.rate, one.cost)):
-        if corners and point.rate <= corners[-1].rate * (1 + SAME):
-            continue  # the cheaper one of this rate is there
+        if corners and point.rate <= corners[-1].rate * (1 + SAME):  # one rate, but for rounding
+            if point.cost >= corners[-1].cost:
+                continue
+            corners.pop()
         while len(corners) > 1 and not _is_below(corners[-1], corners[-2], point):
             corners.pop()
         corners.append(point)

@@ -19,7 +19,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import Assign, Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.clock import MOST_CYCLES, SENDS, Clock, ClockKind, Cycle, Either, Ticked, Timed
+from taciturn.study.clock import FREE, MOST_CYCLES, SENDS, Clock, ClockKind, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
 NEAR, SMALL = 8, 10  # real periods that are tried beside the one at a rate, of plants with so many states at most
@@ -57,17 +57,15 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
         return _asking(certainty)
     if nodes.scheduled != ("actuator",):
         return None
-    actuation = actuation_of(nodes)
-    if continuous and problem.plant.full_state and actuation == "hold":
-        return sampling_clock(problem)
     p = certainty.problem
-    if actuation == "model":
+    if actuation_of(nodes) == "model":
         ticked = _ticked(certainty, "model", lambda cycle: predicted_cost(certainty, cycle))
     else:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
         ticked = _holding(*given, certainty.unseen, p.noise_cost, p.tick)
     near = NEAR if p.plant.states <= SMALL else 0
-    return Either(ticked, sampling_clock(problem), p.tick, near) if continuous else ticked
+    longest = np.inf if problem.plant.full_state else FREE  # a state that is known needs no measurement in between
+    return Either(ticked, sampling_clock(problem), p.tick, near, longest) if continuous else ticked
 
 
 def actuation_of(policy: Policy) -> Actuation:
