@@ -238,6 +238,18 @@ def test_outages_decide_whether_a_mean_and_a_variance_exist() -> None:
     )
 
 
+def test_limited_inputs_do_not_hold_an_unstable_plant_for_ever() -> None:
+    """Beyond limit/(a − 1) no input brings it back, and normal noise gets there; a random walk comes back."""
+    cost = Cost([[1.0]], [[0.5]])
+
+    def notes(A: float) -> tuple[str, ...]:
+        plant = Plant([[A]], [[1.0]], [[1.0]], input_limit=[2.6])
+        return average(close(plant, design.all_time(plant, cost), cost=cost), steps=200_000).notes
+
+    assert notes(1.3)[0].startswith("the plant is unstable and its inputs are limited: sooner or later the noise")
+    assert notes(1.0) == ()
+
+
 def test_a_tail_without_a_variance_is_told_from_those_with_one() -> None:
     """Pareto's law has the index that it says, within four of the standard errors of 64 values; others are lighter."""
     draws = np.random.default_rng(3)

@@ -14,6 +14,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName, Send
 
 LARGE = 1 / 3  # of the cost: a standard error above it is told
+NEARLY = 1e-9  # growth above 1 that counts
 HEAVY = 1.6  # index of a power law, estimated from 64 paths to an eighth: two standard errors below 2
 
 
@@ -51,6 +52,12 @@ def find_doubts(
     """
     silent = [link for link, rate in rates.items() if rate.value == 0]
     notes: tuple[str, ...] = ()
+    limit = loop.problem.plant.input_limit
+    if limit is not None and np.isfinite(limit).all() and _fastest(loop) > 1 + NEARLY:
+        notes += (
+            "the plant is unstable and its inputs are limited: sooner or later the noise carries the state to where no "
+            "input brings it back, so that no average exists; this one is of the time before",
+        )
     if silent and comes_never_to_rest(loop):
         notes += (
             f"nothing was sent on the {silent[0]} link in the {steps} steps simulated, and the plant does not come to "
