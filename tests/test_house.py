@@ -35,7 +35,8 @@ MEETINGS = {
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
     ("_matlab", "errors"), ("_progress", "_arrays"),
-    ("study", "problem"), ("cli", ""), ("cli", "_print"), ("cli", "twin"), ("renewal", "program"),
+    ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "_print"), ("cli", "twin"),
+    ("renewal", "program"),
 }  # fmt: skip
 
 

@@ -92,3 +92,15 @@ def gamma_share(shape: Array, x: float) -> Array:
     from scipy.special import gammainc
 
     return np.asarray(gammainc(shape, x), dtype=np.float64)
+
+
+def spectral_radius(apply: Callable[[Array], Array], size: int) -> float:
+    """Return the largest modulus of an eigenvalue of a linear map of vectors of a size above 2, by Arnoldi's method."""
+    import scipy.sparse.linalg as sparse
+
+    operator = sparse.LinearOperator((size, size), matvec=apply, dtype=np.float64)
+    try:
+        found = sparse.eigs(operator, k=1, which="LM", return_eigenvectors=False, v0=np.ones(size), tol=1e-9)
+    except sparse.ArpackNoConvergence as error:
+        found = error.eigenvalues
+    return float(np.abs(np.asarray(found)).max(initial=0.0))

@@ -59,6 +59,13 @@ def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
         raw: the map.
         c: constants of the trigger.
     """
+    found = relevant(raw)
+    T = _sizes(found, c)
+    return found.changed(np.asarray(np.linalg.inv(T), dtype=np.float64), T)
+
+
+def relevant(raw: Coordinates) -> Coordinates:
+    """Return the map in coordinates of what starts and noise reach and rows, cost and trigger see."""
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
     reached = invariant(np.column_stack([_unit(found.G), _unit(found.starts)]), found.F)
@@ -66,9 +73,7 @@ def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
     differences = [Psi - found.Psi[0] for Psi in found.Psi[1:]]
     rows = np.vstack([_unit(found.X.T).T, *(_normed(each) for each in (*found.M, *differences))])
     seen = invariant(rows.T, [F.T for F in found.F])
-    found = found.changed(seen.T, seen)
-    T = _sizes(found, c)
-    return found.changed(np.asarray(np.linalg.inv(T), dtype=np.float64), T)
+    return found.changed(seen.T, seen)
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +21,7 @@ from taciturn.model.policy import (
     Decide,
     Draw,
     Evaluate,
+    LinkName,
     Send,
     Step,
     Terms,
@@ -118,10 +119,10 @@ def switched(loop: Loop) -> Switched:
         (('silent', 'send'), 2, True)
     """
     instance("loop", loop, Loop)
-    _refuse_loops(loop)
+    refuse_loops(loop)
     problem, plant = loop.problem, loop.problem.plant
     spread = factor(plant.V) if plant.V.any() else np.zeros((plant.outputs, 0))
-    reading = _Reading(loop, {STATE: plant.states}, spread.shape[1])
+    reading = Reading(loop, {STATE: plant.states}, spread.shape[1])
     reading.given["y"] = plant.C @ reading.memory(STATE) + spread @ reading.noise
     taken = reading.actions()
     moved = [plant.A @ reading.memory(STATE) + plant.B @ signals["input"] for signals in taken]
@@ -156,7 +157,7 @@ def switched_innovations(loop: Loop) -> Switched:
     Source: khashooei2017
     """
     instance("loop", loop, Loop)
-    _refuse_loops(loop)
+    refuse_loops(loop)
     innovations, problem = loop.policy.innovations, loop.problem
     if not loop.reducible or innovations is None:
         raise ProblemError(
@@ -164,7 +165,7 @@ def switched_innovations(loop: Loop) -> Switched:
             "expected the loop of the design, or the one with its plant"
         )
     spread = factor(innovations.covariance)
-    reading = _Reading(loop, {}, spread.shape[1])
+    reading = Reading(loop, {}, spread.shape[1])
     reading.given[innovations.signal] = spread @ reading.noise
     taken = reading.actions()
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
@@ -183,7 +184,7 @@ def switched_innovations(loop: Loop) -> Switched:
     return _finished(reading, reduce(raw, reading.c), constant, float(np.diag(Sigma)[problem.moving].sum()))
 
 
-def _finished(reading: _Reading, found: Coordinates, constant: float, hidden: float) -> Switched:
+def _finished(reading: Reading, found: Coordinates, constant: float, hidden: float) -> Switched:
     return Switched(
         labels=reading.labels,
         F=found.F,
@@ -198,7 +199,7 @@ def _finished(reading: _Reading, found: Coordinates, constant: float, hidden: fl
     )
 
 
-class _Reading:
+class Reading:
     """The signals of one tick as linear maps of what is remembered and of the measurement noise.
 
     Args:
@@ -208,6 +209,7 @@ class _Reading:
     """
 
     def __init__(self, loop: Loop, more: Mapping[str, int], noise: int) -> None:
+        """Find what is remembered, and how large it is."""
         policy = loop.policy
         self.policy = policy
         innovation = policy.innovations.signal if policy.innovations is not None and not more else None
@@ -264,9 +266,10 @@ class _Reading:
 
     def actions(self) -> list[dict[str, Array]]:
         """Return the signals at the end of a tick for each action."""
-        return [self._walk(action) for action in range(len(self.labels))]
+        return [self.walk(action) for action in range(len(self.labels))]
 
-    def _walk(self, action: int) -> dict[str, Array]:
+    def walk(self, action: int, lost: Collection[LinkName] = ()) -> dict[str, Array]:
+        """Return the signals at the end of a tick for an action, where the packets of some links are lost."""
         signals = {name: self.memory(name) for name in self.sizes} | self.given
         arrived: dict[str, int] = {}
         for step in self.steps:
@@ -277,7 +280,7 @@ class _Reading:
                 forms = [self._form(form, signals) for form in step.trigger.options.values()]
                 self.Psi, self.c = tuple(Psi for Psi, _ in forms), tuple(c for _, c in forms)
             elif isinstance(step, Send):
-                arrived[step.link] = int(self._is_sent(step, action))
+                arrived[step.link] = int(self._is_sent(step, action) and step.link not in lost)
             else:
                 raise ProblemError(f"{self.policy.kind} {_beyond(step)}, {_unserved()}")
         return signals
@@ -334,8 +337,8 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
     return f"remembers {step.signal}, a quadratic form"
 
 
-def _refuse_loops(loop: Loop) -> None:
-    """Refuse what makes a loop other than a switched linear map without end."""
+def refuse_loops(loop: Loop, dropping: bool = False) -> None:
+    """Refuse what makes a loop other than a switched linear map without end; packets that are lost, unless expected."""
     policy, network = loop.policy, loop.network
     sent = {step.link for step in policy.steps if isinstance(step, Send)}
     lost = [link for link in ENDS if link in sent and network.loss(link) > 0]
@@ -347,7 +350,7 @@ def _refuse_loops(loop: Loop) -> None:
         f"{policy.kind} adds constants": any(ONE in _read(step) for step in policy.steps),
         "the loop is a mission, with a horizon or a discount": loop.horizon is not None,
         "inputs are clipped (input_limit)": loop.problem.plant.input_limit is not None,
-        f"packets of the {lost[0] if lost else ''} link are lost": bool(lost),
+        f"packets of the {lost[0] if lost else ''} link are lost": bool(lost) and not dropping,
     }
     for text, given in found.items():
         if given:

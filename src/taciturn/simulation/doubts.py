@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from taciturn._modes import eigenvalues, lost_modes, persistent, root
+from taciturn.analyse.outcomes import outcomes
 from taciturn.errors import UnstableError
 from taciturn.loop import Loop
 from taciturn.lqg.riccati import states_with_cost
@@ -36,6 +37,12 @@ def expect_arrivals(loop: Loop) -> None:
                 f"probability {outage:.4g}, in which the mean square of the error grows {growth**2:.4g} times; "
                 "expected a product below 1: fewer losses, or shorter bursts"
             )
+    found = outcomes(loop)
+    if found is not None and not found.decides and (growth := found.growth(2)) >= 1:
+        raise UnstableError(
+            f"the loop of {loop.policy.kind} diverges: with these losses its mean square grows {growth:.6g} times per "
+            "tick; expected fewer losses"
+        )
 
 
 def find_doubts(
@@ -82,7 +89,19 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
                 f"probability {outage:.4g}, in which the square of the cost grows {growth**4:.4g} times. So the "
                 "standard error says nothing, and the average is probably too small",
             )
-    return ()
+    found = outcomes(loop)
+    if found is None or (growth := found.growth(4)) < 1:
+        return ()
+    if found.decides and (square := found.growth(2)) >= 1:
+        return (
+            f"with these losses the mean square would grow {square:.4g} times per tick if every packet were sent: the "
+            "cost is probably infinite, and this average is of the time that was simulated",
+        )
+    sent = " if every packet is sent" if found.decides else ""
+    return (
+        f"the variance of the cost is infinite: with these losses its square grows {growth:.4g} times per tick{sent}. "
+        "So the standard error says nothing, and the average is probably too small",
+    )
 
 
 def doubt_tail(tail: float) -> tuple[str, ...]:

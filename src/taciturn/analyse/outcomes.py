@@ -1,0 +1,140 @@
+"""Loops over links that drop packets as jump linear maps: z⁺ = F_o z + G w, o the links that drop their packet.
+
+How probable an outcome is depends on nothing but the state of the links. So the second and the fourth moments of z obey
+linear recursions of their own, and exist in the long run only where these shrink:
+
+    X_s⁺ = Σ_r T_rs Σ_o p(o | s) F_o X_r F_o',
+
+X_s the second moment where the links are in state s, T the probabilities of their turns; for the fourth moment F_o acts
+on all four indices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+from itertools import product
+
+import numpy as np
+
+from taciturn import _scipy
+from taciturn._arrays import Array
+from taciturn._modes import factor, radius
+from taciturn.analyse.reduction import Coordinates, relevant
+from taciturn.analyse.switched import NOISE, STATE, Reading, refuse_loops
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.model.network import Network
+from taciturn.model.policy import LinkName, Send
+
+MOST = 6  # states whose fourth moments are followed
+WHOLE = 400  # rows of a matrix of the recursion that is written down
+
+
+@dataclass(frozen=True, eq=False)
+class Outcomes:
+    """A loop that sends every packet, over links that drop some.
+
+    Args:
+        F: map of each outcome, (outcomes, r, r).
+        turns: T, probabilities of a turn of the links from state to state, (states, states).
+        odds: probability of each outcome in each state of the links, (states, outcomes).
+        decides: whether the policy may keep silent.
+    """
+
+    F: Array
+    turns: Array
+    odds: Array
+    decides: bool
+
+    def growth(self, power: int) -> float:
+        """Return the factor per tick by which the moments of this power, 2 or 4, grow in the long run.
+
+        Of the fourth power 0 where there are too many states.
+        """
+        r, states = self.F.shape[1], len(self.turns)
+        if r == 0 or (power == 4 and r > MOST):
+            return 0.0
+        if states * r**power <= WHOLE:
+            powers = [reduce(np.kron, [F] * power) for F in self.F]
+            each = [sum(p * F for p, F in zip(row, powers, strict=True)) for row in self.odds]
+            blocks = [[self.turns[s, after] * each[s] for s in range(states)] for after in range(states)]
+            return radius(np.block(blocks))
+        shape = (states, *[r] * power)
+
+        def moved(entries: Array) -> Array:
+            each = [self._pushed(F, entries.reshape(shape), power) for F in self.F]
+            before = [sum(p * X[s] for p, X in zip(row, each, strict=True)) for s, row in enumerate(self.odds)]
+            return np.tensordot(self.turns.T, np.stack(before), 1).ravel()
+
+        return _scipy.spectral_radius(moved, states * r**power)
+
+    @staticmethod
+    def _pushed(F: Array, X: Array, power: int) -> Array:
+        for axis in range(1, power + 1):
+            X = np.moveaxis(np.tensordot(X, F, (axis, 1)), -1, axis)
+        return X
+
+
+def outcomes(loop: Loop) -> Outcomes | None:
+    """Return a loop as if it sent every packet; None where nothing is dropped, or where it is not of this form."""
+    sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
+    both: tuple[LinkName, ...] = ("sensor", "actuator")
+    links: list[LinkName] = [link for link in both if link in sent and loop.network.outage(link) > 0]
+    if not links:
+        return None
+    try:
+        refuse_loops(loop, dropping=True)
+        return _read(loop, links)
+    except ProblemError:
+        return None
+
+
+def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
+    problem, plant = loop.problem, loop.problem.plant
+    spread = factor(plant.V) if plant.V.any() else np.zeros((plant.outputs, 0))
+    reading = Reading(loop, {STATE: plant.states}, spread.shape[1])
+    reading.given["y"] = plant.C @ reading.memory(STATE) + spread @ reading.noise
+    always = reading.sends()
+    if always is None:
+        return None
+    cases = list(product((False, True), repeat=len(links)))
+    stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
+    maps, paid = list[Array](), list[Array]()
+    for dropped in cases:
+        lost: set[LinkName] = {link for link, gone in zip(links, dropped, strict=True) if gone}
+        signals = reading.walk(always, lost)
+        after = plant.A @ reading.memory(STATE) + plant.B @ signals["input"]
+        both = np.vstack([reading.memory(STATE), signals["input"]])
+        maps.append(reading.following({**signals, STATE: after}))
+        paid.append(both.T @ stage @ both)
+    disturbance = factor(plant.W) if plant.W.any() else np.zeros((plant.states, 0))
+    G = np.zeros((reading.size, disturbance.shape[1] + spread.shape[1]))
+    G[reading.rows(STATE), : disturbance.shape[1]] = disturbance
+    G[reading.rows(NOISE), disturbance.shape[1] :] = np.eye(spread.shape[1])
+    nothing = tuple(np.zeros((reading.size, reading.size)) for _ in cases)
+    none = np.zeros((reading.size, 0))
+    found = relevant(Coordinates(tuple(maps), G, tuple(paid), nothing, none.T, none))
+    turns, odds = _chance(loop.network, links, cases)
+    return Outcomes(np.stack(found.F), turns, odds, len(reading.labels) > 1)
+
+
+def _chance(network: Network, links: Sequence[LinkName], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
+    """Return how the links turn together, and how probable each case of drops is in each of their states."""
+    turns: Array = np.ones((1, 1))
+    losses: list[tuple[float, ...]] = [()]
+    for link in links:
+        burst = network.burst(link)
+        if burst is None:
+            own, drops = np.ones((1, 1)), [network.loss(link)]
+        else:
+            own = np.array([[1 - burst.to_bad, burst.to_bad], [burst.to_good, 1 - burst.to_good]])
+            drops = [burst.loss_good, burst.loss_bad]
+        turns = np.asarray(np.kron(turns, own), dtype=np.float64)
+        losses = [(*before, drop) for before in losses for drop in drops]
+    odds = [
+        [float(np.prod([p if gone else 1 - p for p, gone in zip(state, case, strict=True)])) for case in cases]
+        for state in losses
+    ]
+    return turns, np.array(odds)

@@ -1,0 +1,72 @@
+"""Moments of loops over links that drop packets: against matrices by hand, bursts, and what is simulated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_discrete_are
+
+import taciturn
+from taciturn import Burst, Cost, Network, Plant, UnstableError, average, close, design
+from taciturn.analyse import outcomes as module
+from taciturn.analyse.outcomes import outcomes
+
+
+def by_hand(a: float, q: float, r: float, loss: float) -> tuple[float, float, float]:
+    """Return growths of the second and fourth moments of x⁺ = ax + û + w, û held where a packet is lost; the cost."""
+    K = solve_discrete_are([[a]], [[1.0]], [[q]], [[r]])[0, 0]
+    L = -a * K / (r + K)
+    arrives, lost = np.array([[a + L, 0], [L, 0]]), np.array([[a, 1], [0, 1]])
+    two = (1 - loss) * np.kron(arrives, arrives) + loss * np.kron(lost, lost)
+    four = sum(p * np.kron(np.kron(F, F), np.kron(F, F)) for p, F in ((1 - loss, arrives), (loss, lost)))
+    growths = [float(np.abs(np.linalg.eigvals(M)).max()) for M in (two, four)]
+    S = np.linalg.solve(np.eye(4) - two, [1.0, 0, 0, 0]).reshape(2, 2)  # at ticks before the decision
+    return growths[0], growths[1], q * S[0, 0] + r * S[1, 1]
+
+
+@pytest.mark.parametrize(
+    ("a", "q", "r", "loss"), [(1.05, 1.0, 0.01, 0.3), (0.95, 1.0, 0.001, 0.36), (1.5, 1.0, 5.0, 0.15)]
+)
+def test_moments_grow_as_matrices_by_hand_say(a: float, q: float, r: float, loss: float) -> None:
+    """Also by Arnoldi's method; and where the fourth moment is infinite, a plain average says so."""
+    plant, cost = Plant([[a]], [[1.0]], [[1.0]]), Cost([[q]], [[r]])
+    loop = close(plant, design.all_time(plant, cost), Network("udp", actuator_loss=loss), cost)
+    found, (two, four, _) = outcomes(loop), by_hand(a, q, r, loss)
+    assert found is not None
+    assert (found.growth(2), found.growth(4)) == (pytest.approx(two, rel=1e-9), pytest.approx(four, rel=1e-9))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "WHOLE", 1)
+        assert (found.growth(2), found.growth(4)) == (pytest.approx(two, rel=1e-6), pytest.approx(four, rel=1e-6))
+    assert two < 1 < four
+    assert average(loop, steps=200_000).notes[0].startswith("the variance of the cost is infinite")
+
+
+def test_a_loop_whose_mean_square_grows_is_refused() -> None:
+    """A held input that does not fit does more harm than a lost packet: no outage alone explains it."""
+    plant, cost = Plant([[1.05]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.01]])
+    policy = design.all_time(plant, cost)
+    assert by_hand(1.05, 1.0, 0.01, 0.34)[0] > 1 > 0.34 * 1.05**2
+    with pytest.raises(UnstableError, match=r"with these losses its mean square grows 1.05\d* times per tick"):
+        average(close(plant, policy, Network("udp", actuator_loss=0.34), cost), steps=200_000)
+    event = close(plant, design.excess(plant, cost, theta=0.1), Network("udp", actuator_loss=0.34), cost)
+    assert average(event, steps=200_000).notes[0].startswith("with these losses the mean square would grow 1.05")
+
+
+def test_bursts_turn_with_the_links() -> None:
+    """Bursts without memory are losses without memory; two links turn together."""
+    plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.5]])
+    policy = design.all_time(plant, cost)
+
+    def growth(network: Network) -> float:
+        found = outcomes(close(plant, policy, network, cost))
+        assert found is not None
+        return found.growth(2)
+
+    forgetful = Burst(to_bad=0.4, to_good=0.6, loss_good=0.1, loss_bad=0.6)
+    assert growth(Network("udp", actuator_burst=forgetful)) == pytest.approx(
+        growth(Network("udp", actuator_loss=0.6 * 0.1 + 0.4 * 0.6)), rel=1e-9
+    )
+    lasting = Burst(to_bad=0.04, to_good=0.06, loss_good=0.1, loss_bad=0.6)
+    assert growth(Network("udp", actuator_burst=lasting)) > 1.02 * growth(Network("udp", actuator_burst=forgetful))
+    assert outcomes(close(plant, policy, Network(), cost)) is None
+    assert outcomes(taciturn.load("rover").close(taciturn.load("rover").design())) is None
