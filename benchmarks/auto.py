@@ -1,4 +1,4 @@
-"""``evaluate(problem)`` beside ``evaluate(problem, method=...)``: does auto choose the method of least time?
+"""``evaluate(problem)`` next to ``evaluate(problem, method=...)``: does auto choose the method of least time?
 
 Fifty random problems of one to four states, stable and unstable, with triggers that send often to rarely, are evaluated
 to a standard error of 1e-2, 1e-3 and 1e-4 of their cost: with ``method="auto"``, and with each method by its name. A

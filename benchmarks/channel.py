@@ -2,7 +2,7 @@
 
     python benchmarks/channel.py [--json docs/channel.json]
 
-Parts that are in the file already are kept: it can be interrupted, and goes on where it was.
+Parts that are in the file already are kept: it can be interrupted, and continues where it was.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from taciturn.study.kinds import Kind, gather
 from taciturn.study.prices import Curves
 from taciturn.study.schedulers import SCHEDULERS, Game
 
-DOUBLE, PENDULUM, MASSES = "wiener-double-integrator", "inverted-pendulum", "two-mass"
+DOUBLE, PENDULUM, MASSES = "wiener-double-integrator", "inverted-pendulum", "two-mass-lqg"
 SIZES = (2, 10, 100, 1000, 10_000, 100_000)
 BUDGETS = {  # of the cost of a loop, in all-time costs
     DOUBLE: (1.05, 1.1, 1.2, 1.5, 2.0),
@@ -79,7 +79,7 @@ def twenty() -> dict[str, Any]:
 
 
 def growth(loops: int) -> dict[str, Any]:
-    """Return nanoseconds and bytes per loop: of a tick of the price policy, and of memory."""
+    """Return nanoseconds and bytes per loop: of a step of the price policy, and of memory."""
     game = Game(gather({DOUBLE: taciturn.load(DOUBLE)}, [loops]), loops // 10, 0)
     plan = SCHEDULERS["price"](game)
     channel = game.play(plan, game.channels)
@@ -99,7 +99,7 @@ def growth(loops: int) -> dict[str, Any]:
 
 
 def excess_at(kind: Kind, rate: float) -> float:
-    """Return what a look costs beyond sending always under the nearly best triggers of a rate, by simulation."""
+    """Return what a check costs beyond sending every sample under the nearly best triggers of a rate, by simulation."""
     curve, low, high = Curves([kind]), 1e-9, 1e9
     for _ in range(60):
         middle = (low * high) ** 0.5
@@ -117,7 +117,7 @@ def crossing(cost: Callable[[float], float], limit: float, low: float, high: flo
 
 
 def carried(name: str, budget: float) -> dict[str, Any]:
-    """Return how many loops a slot carries if each may cost so many times what sending always costs."""
+    """Return how many loops a slot carries if each may cost so many times what sending every sample costs."""
     problem = taciturn.load(name)
     (kind,) = gather({name: problem}, [1])
     limit = (budget - 1) * kind.cost_all_time

@@ -3,7 +3,7 @@
     python benchmarks/comparison.py [--json docs/comparison.json]
 
 A policy that does not reach a rate is left out of that ranking, with the sentence that says why. Tables that are in the
-file already are kept: it can be interrupted, and goes on where it was.
+file already are kept: it can be interrupted, and continues where it was.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python benchmarks/devices.py [--json docs/devices.json]
 
 Instructions are counted on boards that QEMU emulates. What is in the file already is kept: it can be interrupted, and
-goes on where it was.
+continues where it was.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from taciturn.model.policy import Assign, Decide, Policy
 from taciturn.program.c import literal
 from taciturn.program.ops import Precision
 
-TICKS = 2000  # at most: a mission has fewer
+TICKS = 2000  # at most: a finite-horizon run has fewer
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
-    "chapter 2, two-mass": ("two-mass", {}),
-    "chapter 2, two-mass, model": ("two-mass", {"actuation": "model"}),
+    "chapter 2, two-mass": ("two-mass-lqg", {}),
+    "chapter 2, two-mass, model": ("two-mass-lqg", {"actuation": "model"}),
     "chapter 3, remote-scalar": ("remote-scalar", {}),
     "chapter 3, remote-double-integrator": ("remote-double-integrator", {}),
     "chapter 5, double-integrator, consistent": ("double-integrator", {}),
-    "chapter 5, two-mass, absolute": ("two-mass", {"kind": "absolute", "theta": None, "threshold": 1.0}),
+    "chapter 5, two-mass, absolute": ("two-mass-lqg", {"kind": "absolute", "theta": None, "threshold": 1.0}),
     "chapter 6, rover": ("rover", {}),
     "chapter 7, lossy-double-integrator": ("lossy-double-integrator", {}),
 }
@@ -112,7 +112,7 @@ def numbers(policy: Policy, precision: Precision) -> str:
 
 
 def contest(name: str, fused: bool = False) -> dict[str, Any]:
-    """Return the instructions of a tick of the two masses' controller: generated, and written by hand in three ways."""
+    """Return the instructions of a step of the two masses' controller: generated, and written by hand in three ways."""
     board, precision = CONTESTS[name]
     loop = loop_of(*POLICIES["chapter 2, two-mass"], precision)
     folder = print_folder(loop, "device")

@@ -137,8 +137,8 @@ def memory() -> dict[str, float]:
 
 
 def many_loops() -> dict[str, float]:
-    """Return what a tick of ten thousand loops takes, with a hundred values of theta among them."""
-    problem = taciturn.load("two-mass")
+    """Return what a step of ten thousand loops takes, with a hundred values of theta among them."""
+    problem = taciturn.load("two-mass-lqg")
     begin = time.perf_counter()
     loops = [problem.close(problem.changed({"theta": float(t)}).design()) for t in np.linspace(0.05, 1, 100)]
     designed = (time.perf_counter() - begin) / 100

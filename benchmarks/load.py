@@ -1,9 +1,9 @@
-"""One controller process serves many loops over loopback: how late, how many ticks lost, how much of a processor.
+"""One controller process serves many loops over loopback: how late, how many steps lost, how much of a processor.
 
     python benchmarks/load.py [--loops 200] [--tick 0.01] [--ticks 1000] [--json OUT]
 
 This process plays all sensors and plants: it tells the measurements of every loop at absolute deadlines, and counts the
-packets that come back. What it costs itself is told beside, for both share the machine.
+packets that come back. What it costs itself is told next to, for both share the machine.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from taciturn.runtime.udp import Endpoint, free_addresses, parse_address
 
 def serve(loops: int, tick: float, ticks: int) -> dict[str, object]:
     """Run one controller process and return its report, with what was sent and came back here."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     wire = Wire(problem.design(), problem.network)
     here, there = (f"{host}:{port}" for host, port in free_addresses(2))
     endpoint, to = Endpoint(parse_address("here", here)), parse_address("there", there)
-    arguments = ["node", "controller", "two-mass", "--loops", str(loops), "--real-time", "--tick", repr(tick)]
+    arguments = ["node", "controller", "two-mass-lqg", "--loops", str(loops), "--real-time", "--tick", repr(tick)]
     process = Process([*arguments, "--bind", there, "--peer", here, "--plant", here])
     process.expect()
     draws = np.random.default_rng(0).standard_normal((64, loops, 2))

@@ -4,7 +4,7 @@
 
 Each cell is a plant that is not linear, under so many times the noise of its problem file, with a policy that was
 designed on the linearisation for that noise. Cells that are in the file already are kept: it can be interrupted, and
-goes on where it was.
+continues where it was.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def noisier(plant: Plant, scale: float) -> Plant:
 
 
 def measure(name: str, scale: float, theta: float) -> dict[str, Any]:
-    """Return what a cell costs and sends beside what is proved of its linearisation, or why it does not settle."""
+    """Return what a cell costs and sends next to what is proved of its linearisation, or why it does not settle."""
     problem = taciturn.load(name)
     plant = noisier(problem.plant, scale)
     policy, always = (taciturn.design.lqg(plant, problem.cost, theta=one) for one in (theta, 0.0))

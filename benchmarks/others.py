@@ -35,7 +35,7 @@ class Data:
 
 
 def numba_loop(data: Data) -> Contestant:
-    """Return loops over paths and ticks, compiled by numba, with its normals."""
+    """Return loops over paths and steps, compiled by numba, with its normals."""
     njit: Any = importlib.import_module("numba").njit
     A, B, C, Q, R, K, L = data.A, data.B[:, 0], data.C, data.Q, data.R[0, 0], data.gain, data.L[0]
     Psi, gamma, w, v = data.Psi, data.gamma, data.W[0, 0], data.V[0, 0]
@@ -86,7 +86,7 @@ def numba_loop(data: Data) -> Contestant:
 
 
 def jax_scan(data: Data, form: str) -> Contestant:
-    """Return a scan over ticks of all paths side by side in doubles, normals drawn ahead for blocks of ticks.
+    """Return a scan over steps of all paths side by side in doubles, normals drawn ahead for blocks of steps.
 
     The best of the variants that were tried: one vector of paths per signal, zeros and ones left out by hand. Matrix
     products in place of that were 1.4 times slower in the innovations form and 2.5 times in the full one; normals drawn
@@ -144,7 +144,7 @@ def jax_scan(data: Data, form: str) -> Contestant:
 
 
 def control_steps(data: Data) -> Contestant:
-    """Return one path, tick by tick, through the systems of python-control."""
+    """Return one path, step by step, through the systems of python-control."""
     control: Any = importlib.import_module("control")
     noise = np.hstack([data.B, data.W, np.zeros((4, 2))])
     plant = control.ss(data.A, noise, data.C, np.hstack([np.zeros((2, 5)), data.V]), 0.1)

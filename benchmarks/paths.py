@@ -56,7 +56,7 @@ def timed(run: Callable[[int], Errors], rounds: int) -> Errors:
 
 
 def by_paths(chain: Chain) -> Callable[[int], Errors]:
-    """Return never-die paths to an accuracy that most need."""
+    """Return conditional sampling to an accuracy that most need."""
 
     def run(seed: int) -> Errors:
         found = solve_paths(chain, standard_error=3e-4, seed=seed, steps=20_000_000)

@@ -1,8 +1,8 @@
-"""Rules and the fair clock at equal rate on random plants: who costs less, how often.
+"""Rules and fair periodic control at equal rate on random plants: who costs less, how often.
 
     python benchmarks/random_plants.py [--json docs/random_plants.json] [--plants 20]
 
-Plants that are in the file already are kept: it can be interrupted, and goes on where it was.
+Plants that are in the file already are kept: it can be interrupted, and continues where it was.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, TaciturnError
 
-SHARES = (0.3, 0.6)  # of the ticks that send
+SHARES = (0.3, 0.6)  # of the steps that send
 PRECISION = 1e-3  # standard error of a cost, in all-time costs
 RULES: dict[str, tuple[str, dict[str, object]]] = {
     "excess": ("excess", {"theta": 0.1}),
@@ -41,7 +41,7 @@ def plant(seed: int) -> tuple[Plant, Cost]:
 
 
 def ranking(seed: int, actuation: str, share: float) -> dict[str, Any]:
-    """Return the cost of every rule that reaches the rate, with its standard error, over that of sending always."""
+    """Return the cost of every rule that reaches the rate, with its standard error, over that of every sample."""
     made, cost = plant(seed)
     rules = {
         name: Problem(made, cost, Network(), kind, {**settings, "actuation": actuation})

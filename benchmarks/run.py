@@ -59,7 +59,7 @@ def factories(loop: Loop) -> dict[str, Callable[[], Contestant]]:
         bench.REDUCED: lambda: compiled(loop, loop.reduced_program()),
         "full, float32": lambda: compiled(single, single.program()),
         bench.SINGLE: lambda: compiled(single, single.reduced_program()),
-        "innovations, parity build": lambda: compiled(loop, loop.reduced_program(), "parity"),
+        "innovations, bit-exact build": lambda: compiled(loop, loop.reduced_program(), "parity"),
         HAND_FULL: lambda: by_hand("full"),
         HAND_REDUCED: lambda: by_hand("innovations"),
         "C++ by hand, innovations, two blocks at once": lambda: by_hand("innovations_paired"),
@@ -161,7 +161,7 @@ def _drawing(program: Program) -> Contestant:
 
 
 def growth(loop: Loop) -> list[dict[str, float]]:
-    """Return compile time and operations per second of random loops of many states, beside the peak of one core."""
+    """Return compile time and operations per second of random loops of many states, next to the peak of one core."""
     peak: float | None = None
     try:
         code = Limit(loop)

@@ -1,4 +1,4 @@
-"""Processor time and memory against the number of states: designs beside python-control, evaluation, limits.
+"""Processor time and memory against the number of states: designs next to python-control, evaluation, limits.
 
     python benchmarks/scaling.py [--sizes 2 5 10 20 40 80 100 140 200] [--before FOLDER] [--json docs/scaling.json]
 
@@ -72,7 +72,7 @@ def stiff(n: int, draws: np.random.Generator) -> Plant:
 
 
 def hidden(n: int, draws: np.random.Generator) -> Plant:
-    """Return a stable random plant beside a mode of 1.1 that inputs move and outputs see by a thousandth."""
+    """Return a stable random plant next to a mode of 1.1 that inputs move and outputs see by a thousandth."""
     A, B, C = dense(n, draws)
     A *= 0.95 / 1.02
     A[-1], A[:, -1], A[-1, -1], B[-1], C[:, -1] = 0.0, 0.0, 1.1, 1e-3, 1e-3

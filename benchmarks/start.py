@@ -1,4 +1,4 @@
-"""How long a command takes from its start, beside the import of NumPy and SciPy's linear algebra.
+"""How long a command takes from its start, next to the import of NumPy and SciPy's linear algebra.
 
 Processes take turns; byte code and compiled programs are there, as in daily use. Processor and wall time, medians.
 """
@@ -22,7 +22,7 @@ COMMANDS = {
     IMPORT: ["-c", "import numpy, scipy.linalg"],
     "taciturn --help": ["-m", "taciturn.cli", "--help"],
     "taciturn evaluate two-mass --standard-error 1e-4": [
-        *("-m", "taciturn.cli", "evaluate", "two-mass", "--standard-error", "1e-4")
+        *("-m", "taciturn.cli", "evaluate", "two-mass-lqg", "--standard-error", "1e-4")
     ],
 }
 

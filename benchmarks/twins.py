@@ -1,8 +1,8 @@
-"""The experiments with the twins of both robots, in full: missions, prices, faults, real time, wheels.
+"""The experiments with the twins of both robots, in full: finite-horizon runs, prices, faults, real time, wheels.
 
     python benchmarks/twins.py [--runs 20] [--rounds 5] [--json docs/twins.json]
 
-What has been done is kept in the file, experiment by experiment: started again, it goes on with the rest.
+What has been done is kept in the file, experiment by experiment: started again, it continues with the rest.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def summary(run: TwinRun) -> dict[str, Any]:
 
 
 def path(run: TwinRun) -> dict[str, Any]:
-    """Return the first run tick by tick, for pictures."""
+    """Return the first run step by step, for pictures."""
     trial = run.trial
     return {
         "poses": np.round(trial.poses[0], 4).tolist(),
@@ -61,7 +61,7 @@ def path(run: TwinRun) -> dict[str, Any]:
 
 
 def rover(prepared: Prepared, runs: int) -> dict[str, Any]:
-    """Return the rover's missions, event-triggered and all-time."""
+    """Return the rover's finite-horizon runs, event-triggered and all-time."""
     run = run_twin(prepared, Setup(runs))
     always = run.always
     assert always is not None

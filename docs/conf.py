@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from html import unescape
@@ -16,6 +17,8 @@ sys.path.insert(0, str(Path(__file__).parent))  # where this manual's own direct
 
 if TYPE_CHECKING:
     from sphinx.application import Sphinx
+
+os.environ["TACITURN_PROGRESS"] = "0"  # no bars below the cells
 
 project = "Taciturn"
 author = "The Taciturn authors"

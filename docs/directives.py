@@ -19,6 +19,7 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.add_directive("names", Names)
     app.add_directive("figures", Figures)
     app.connect("env-updated", lambda app, env: ["gallery"])  # it shows what the other pages are
+    app.connect("doctree-read", _describe)
     app.connect("doctree-resolved", _collect)
     app.connect("autodoc-process-docstring", _plain, priority=600)  # after napoleon
     app.connect("autodoc-process-signature", _short)
@@ -51,6 +52,27 @@ class Figures(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         """Leave a place for them, until those pages are read."""
         return [nodes.container(classes=["gallery"])]
+
+
+def _describe(app: Sphinx, tree: nodes.document) -> None:
+    """Give every figure of a code cell a text for readers who cannot see it: its section and the sentence before."""
+    for image in tree.findall(nodes.image):
+        if image.get("alt"):
+            continue
+        section = image
+        while section.parent is not None and not isinstance(section, nodes.section):
+            section = section.parent
+        titles = [title.astext() for title in section.findall(nodes.title)][:1]
+        before = [text.astext() for text in section.findall(nodes.paragraph) if text.line and text.line <= _line(image)]
+        image["alt"] = " ".join(["Figure:", *titles, *(f"— {text}" for text in before[-1:])])[:300]
+
+
+def _line(node: nodes.Node) -> int:
+    """Return the line of a node, or of the next one around it that has one."""
+    around: nodes.Node | None = node
+    while around is not None and not around.line:
+        around = around.parent
+    return 0 if around is None or around.line is None else around.line
 
 
 def _collect(app: Sphinx, tree: nodes.document, name: str) -> None:

@@ -1,7 +1,7 @@
-"""From a design to a microcontroller: the nodes of a policy as C99, compiled here, and compared with the design.
+"""How does a policy get onto a microcontroller? Its nodes are exported as C99, compiled and checked against the design.
 
-The self-check lets the nodes exchange datagrams for 500 ticks of a simulated loop and compares every decision and every
-bit of the input. A gain that is off in its last digit is found.
+The self-check exchanges datagrams between the nodes for 500 steps of a simulated loop, and compares every decision and
+every bit of the input. It detects a gain that is wrong in its last digit.
 """
 
 import subprocess
@@ -15,10 +15,10 @@ with tempfile.TemporaryDirectory() as name:
     folder = Path(name)
     written = taciturn.export_c(problem, folder, name="two-mass")
     for node in written.nodes:
-        print(f"{node.role}: {node.operations} operations per tick, {node.constants} constants")
+        print(f"{node.role}: {node.operations} operations per step, {node.constants} constants")
 
     def compare() -> subprocess.CompletedProcess[str]:
-        """Compile the folder, and run its self-check."""
+        """Compile the files of the folder and run the self-check."""
         subprocess.run(f"cc -std=c99 -O2 {folder}/*.c -o {folder}/selfcheck", shell=True, check=True)
         return subprocess.run([folder / "selfcheck"], capture_output=True, text=True, check=False)
 
@@ -33,5 +33,5 @@ with tempfile.TemporaryDirectory() as name:
     print(wrong.stdout, end="")
 
 assert right.returncode == 0
-assert "500 ticks compared" in right.stdout
+assert "500 steps compared" in right.stdout
 assert wrong.returncode == 1

@@ -1,4 +1,4 @@
-"""Does a policy that was designed for the linear model balance the nonlinear pendulum, and with how many packets?"""
+"""Does a policy designed for the linear model balance the nonlinear pendulum, and with how many packets?"""
 
 import control
 import numpy as np
@@ -10,12 +10,12 @@ period, seconds = 0.02, 5.0
 
 
 def fall(t, x, u, params):
-    """Angle and angular velocity of the pendulum under a torque."""
+    """Return the time derivative of angle and angular velocity under a torque."""
     return np.array([x[1], GRAVITY * np.sin(x[0]) - FRICTION * x[1] + TORQUE * u[0]])
 
 
 def move(t, x, u, params):
-    """One tick of it, the torque held: four steps of Runge and Kutta."""
+    """Return the state one period later under a constant torque, by four Runge-Kutta steps."""
     h = period / 4
     for _ in range(4):
         a = fall(t, x, u, params)
@@ -26,7 +26,7 @@ def move(t, x, u, params):
 
 
 def measure(t, x, u, params):
-    """The angle, by an encoder of 1000 lines."""
+    """Return the angle that an encoder with 1000 lines measures."""
     return np.round(x[:1] * 1000 / (2 * np.pi)) / 1000 * (2 * np.pi)
 
 
@@ -43,7 +43,7 @@ diagram = control.interconnect(
 times = np.arange(0, seconds, period)
 angle, torque, sent = control.input_output_response(diagram, times, X0=[0.5, 0.0]).outputs
 print(
-    f"from {angle[0]:.2f} rad to {abs(angle[-50:]).max():.3f} rad with {sent.sum():.0f} packets in {len(times)} ticks"
+    f"from {angle[0]:.2f} to at most {abs(angle[-50:]).max():.3f} rad, {sent.sum():.0f} packets in {len(times)} steps"
 )
 assert abs(angle[-50:]).max() < 0.05
 assert sent.mean() < 0.5

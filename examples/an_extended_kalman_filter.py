@@ -1,7 +1,8 @@
-"""A mass on a spring that stiffens, watched by an extended Kalman filter: two steps of a policy that are functions.
+"""How much does an extended Kalman filter lower the cost on a stiffening spring? Two steps of a policy as functions.
 
-Its position is measured with noise. The filter of the linearisation knows the soft spring near rest alone; the extended
-one moves its estimate as the plant moves, and its covariance along the slope there. Gain and trigger are the same.
+The position is measured with noise. The filter of the linear design contains only the soft spring near rest. The
+extended filter predicts the estimate with the nonlinear plant and its covariance with the local slope. Gain and trigger
+are the same.
 """
 
 import numpy as np
@@ -9,25 +10,25 @@ import numpy as np
 import taciturn
 from taciturn.model.policy import Apply, Policy, Step
 
-DT, KEPT = 0.1, 1 - 0.1 * 0.2  # of a tick; what damping leaves of the speed
+DT, KEPT = 0.1, 1 - 0.1 * 0.2  # seconds per step; factor of the speed after damping
 C, V, W = np.array([[1.0, 0.0]]), np.array([[0.5]]), np.diag([1e-5, 0.1])
 Array = np.ndarray
 
 
 def swing(x: Array, u: Array, w: Array) -> Array:
-    """Return position and speed a tick later: a force that grows with the cube of the way, the input, and noise."""
+    """Return position and speed one step later, under a linear and cubic spring force, the input and noise."""
     speed = KEPT * x[1] + DT * (u[0] - x[0] - 3 * x[0] ** 3)
     return np.array([x[0] + DT * speed, speed]) + w
 
 
 def slope(x: Array) -> Array:
-    """Return the derivative of the next state by this one."""
+    """Return the derivative of the next state with respect to the present one."""
     pull = -DT * (1 + 9 * x[0] ** 2)
     return np.array([[1 + DT * pull, DT * KEPT], [pull, KEPT]])
 
 
 def correct(prior: Array, spread: Array, y: Array) -> tuple[Array, Array]:
-    """Return the estimate and its covariance, given the position."""
+    """Return the estimate and its covariance, given the measured position."""
     P = spread.reshape(2, 2)
     K = np.linalg.solve(C @ P @ C.T + V, C @ P).T
     kept = np.eye(2) - K @ C
@@ -35,7 +36,7 @@ def correct(prior: Array, spread: Array, y: Array) -> tuple[Array, Array]:
 
 
 def predict(estimate: Array, covariance: Array, held: Array) -> tuple[Array, Array]:
-    """Return what both become within a tick under the input that is held."""
+    """Return estimate and covariance one step later under the held input."""
     F = slope(estimate)
     return swing(estimate, held, np.zeros(2)), (F @ covariance.reshape(2, 2) @ F.T + W).ravel()
 
@@ -51,6 +52,6 @@ steps = tuple(new.get(getattr(step, "signal", ""), step) for step in fixed.steps
 extended = Policy("extended", steps, plant, fixed.cost_all_time, sites=fixed.sites, initial={"spread": W.ravel()},
                   tick=DT, settling=fixed.settling, cost=cost)  # fmt: skip
 before, after = (taciturn.close(plant, policy) for policy in (fixed, extended))
-saved = taciturn.difference(before, after, steps=1_000_000)  # on the same noise
-print(f"fixed gain: {taciturn.average(before, steps=500_000).cost}; the extended filter costs {saved.cost} less")
+saved = taciturn.difference(before, after, steps=1_000_000)  # with the same noise
+print(f"fixed gain: cost {taciturn.average(before, steps=500_000).cost}; extended filter: {saved.cost} less")
 assert saved.cost.value > 5 * saved.cost.standard_error

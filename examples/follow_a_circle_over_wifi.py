@@ -1,4 +1,4 @@
-"""How well does a robot follow a circle over Wi-Fi that loses packets, if it is told only what it must be told?"""
+"""How well does a robot follow a circle over Wi-Fi that drops packets, with event-triggered corrections?"""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -22,8 +22,8 @@ for price in (0.0, 0.0003, 0.001, 0.003):
     found = taciturn.average(loop, standard_error=5e-4)
     sends = found.rates["actuator"]
     bound = policy.guarantee.at_rate(sends.value)
-    print(f"λ = {price:g}: corrects at {sends.value:.1%} of the steps; deviations cost {found.cost}, ", end="")
-    print(f"always correcting {policy.cost_all_time:.4f}, at this rate at most {bound:.4f}")
+    print(f"λ = {price:g}: corrections in {sends.value:.1%} of the steps; deviations cost {found.cost}, ", end="")
+    print(f"at every sample {policy.cost_all_time:.4f}, at this rate at most {bound:.4f}")
     slack = 5 * (found.cost.standard_error + price * steps * sends.standard_error) + 1e-9
     assert policy.cost_all_time - slack <= found.cost.value <= bound + slack
     paths[price], rates = taciturn.simulate(loop, steps, seed=1), [*rates, sends.value]
@@ -33,14 +33,14 @@ axes = figure.subplots()
 axes.plot(*circle.T, "--", color="C7", label="reference")
 for index, price in enumerate((0.0, 0.003)):
     path = paths[price]
-    told = path.sends["actuator"]
-    axes.plot(*path.state.T, color=f"C{index}", linewidth=1, label=f"λ = {price:g}: {told.sum()} corrections")
-    axes.plot(*path.state[told].T, ".", color=f"C{index}", markersize=4)
+    sent = path.sends["actuator"]
+    axes.plot(*path.state.T, color=f"C{index}", linewidth=1, label=f"λ = {price:g}: {sent.sum()} corrections")
+    axes.plot(*path.state[sent].T, ".", color=f"C{index}", markersize=4)
 axes.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
 axes.legend()
 figure.savefig("follow_a_circle_over_wifi.svg")
 
 off = {price: np.linalg.norm(path.state - circle[:-1], axis=1)[20:] for price, path in paths.items()}
-print("after 2 s, farthest from where it should be:", {price: f"{100 * d.max():.0f} cm" for price, d in off.items()})
+print("largest distance from the reference after 2 s:", {price: f"{100 * d.max():.0f} cm" for price, d in off.items()})
 assert rates[-1] < 0.3 * rates[0]
 assert off[0.003].max() < 0.5

@@ -1,7 +1,7 @@
-"""How far from the best? A drone holds its place in gusts, over a radio that it should use as little as possible.
+"""How far from the best schedule is a threshold? A drone holds its position in gusts and uses its radio rarely.
 
-Its position is measured, its velocity is not, and its thrust lags behind the command. The drone runs a model of what
-the ground would command. How much more than the best schedule does a threshold cost, and what does none get below?
+The position is measured, the velocity is not, and the thrust lags behind the command. The drone predicts the commands
+of the ground station with a model. A lower bound for every schedule shows how far the threshold can be from the best.
 """
 
 from dataclasses import replace
@@ -28,16 +28,16 @@ for point in grid.points:
     assert found.cost_bound_at_rate is not None
     costs = found.cost.value, lower.cost, found.cost_bound_at_rate
     shares = [100 * (each / found.cost_all_time - 1) for each in costs]
-    print(f"{rate} sends per second instead of {found.base_rate:.0f} cost {shares[0]:.2f} % more than sending always;")
-    print(f"  no schedule costs less than {shares[1]:.2f} %, and this one is proved to cost {shares[2]:.1f} % at most")
+    print(f"{rate} sends per second instead of {found.base_rate:.0f} cost {shares[0]:.2f} % more than every sample;")
+    print(f"  lower bound for every schedule: {shares[1]:.2f} % more, upper bound for this one: {shares[2]:.1f} %")
     assert lower.cost < found.cost.value + 4 * found.cost.standard_error < found.cost_bound_at_rate
 
 last = grid.points[-1].evaluation
 assert last.lower_bound is not None
-price = last.lower_bound.price * 0.05  # per send: a price times ticks, in seconds
+price = last.lower_bound.price * 0.05  # per send: price of the bound times seconds per step
 best = replace(drone, kind="near-optimal", parameters={"price": price, "period": 0.05})
 near = taciturn.evaluate(best, standard_error=1e-3)
 limit = last.lower_bound.at_rate(near.rates["actuator"].value * 0.05)
-print(f"nearly the best: {near.rates['actuator']} sends per second cost {near.cost}, and none less than {limit:.4f}")
+print(f"near-optimal: {near.rates['actuator']} sends per second cost {near.cost}, lower bound at this rate {limit:.4f}")
 grid.plot().savefig("how_far_from_the_best.svg")
 assert limit < near.cost.value + 4 * near.cost.standard_error

@@ -78,10 +78,10 @@ def size_of(system: System) -> float:
 
 
 def dear(system: System) -> float:
-    """Return three times what the first tick of silence costs on average: a price at which sends are worth a while."""
+    """Return three times what the first step of silence costs on average: a price at which sends are worth a while."""
     reset = design.excess(system.plant, system.cost, delta=0.0, actuation="model").reset
     assert reset is not None
-    return 3 * float(np.trace(reset.square @ reset.covariance))
+    return 3 * float(np.trace(reset.weight @ reset.covariance))
 
 
 def steep(system: System) -> float:
@@ -167,7 +167,7 @@ VANISHING = tuple(name for name in STATIONARY if name.startswith("lqg") or name 
 
 
 def outputs(policy: Policy, seed: int, paths: int = 4, ticks: int = 60) -> dict[str, np.ndarray]:
-    """Return what a loop shows, (ticks, paths) of each output."""
+    """Return what a loop shows, (steps, paths) of each output."""
     loop = closed(policy)
     program = loop.program()
     return dict(run(program, loop.start(program, paths, seed), ticks).outputs)

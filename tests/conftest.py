@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Generator, Iterator
 
 import pytest
@@ -16,7 +17,14 @@ settings.load_profile("repeatable")
 NOT_SHOWN = "NOT SHOWN"  # begins the reason of a skipped test whose absence nobody may overlook
 SLOW = 5.0  # seconds of processor time that no quick test should need
 PROCESSOR = "processor seconds"
+TOO_LATE = "full counts that would have started after the time limit of this run"
 BEGAN = pytest.StashKey[float]()
+START = time.monotonic()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Let a run of the full counts end in time on a slow machine; the summary counts the tests left out."""
+    parser.addoption("--start-within", type=float, metavar="SECONDS", help="skip evidence that would start later")
 
 
 def processor_seconds() -> float:
@@ -29,6 +37,9 @@ def processor_seconds() -> float:
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Start the count of a test's processor time."""
     item.stash[BEGAN] = processor_seconds()
+    limit = item.config.getoption("--start-within")
+    if limit is not None and item.get_closest_marker("evidence") and time.monotonic() - START > limit:
+        pytest.skip(f"{NOT_SHOWN}: {TOO_LATE}")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -53,6 +64,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     reasons = {entry[2].removeprefix("Skipped: ") for entry in skipped if isinstance(entry, tuple)}
     for reason in sorted({reason.removeprefix(f"{NOT_SHOWN}: ") for reason in reasons}):
         terminalreporter.write_line(f"{NOT_SHOWN}: {reason}", red=True, bold=True)
+    late = [report.nodeid for report in terminalreporter.stats.get("skipped", []) if TOO_LATE in str(report.longrepr)]
+    for name in late:
+        terminalreporter.write_line(f"{NOT_SHOWN}: {name}", red=True)
 
 
 def is_last(report: object) -> bool:

@@ -14,9 +14,9 @@ import taciturn
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "src" / "taciturn"
 FLOORS = {
-    "errors": 0, "_arrays": 0, "_modes": 0, "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0, "_grid": 0,
-    "_files": 0, "_dask": 0, "_control": 0, "_mujoco": 0, "_cv2": 0, "_matlab": 0,
-    "_version": 0, "_progress": 0, "_blas": 0,
+    "errors": 0, "_arrays": 0, "_cycles": 0, "_modes": 0, "_scipy": 0, "_cvxpy": 0, "_figure": 0, "_table": 0,
+    "_grid": 0, "_files": 0, "_dask": 0, "_control": 0, "_mujoco": 0, "_cv2": 0, "_matlab": 0,
+    "_version": 0, "_progress": 0, "_blas": 0, "_ending": 0, "_text": 0, "_display": 0,
     "model": 1,
     "lqg": 2, "problems": 2,
     "program": 3, "renewal": 3,
@@ -30,11 +30,12 @@ FLOORS = {
 # siblings that may meet, in one direction; the command line uses the package as its users do
 MEETINGS = {
     ("_arrays", "errors"), ("_figure", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
+    ("_modes", "_cycles"), ("_cycles", "_arrays"),
     ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
-    ("_matlab", "errors"), ("_progress", "_arrays"),
+    ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_progress", "_arrays"),
     ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "_print"), ("cli", "twin"),
     ("renewal", "program"),
 }  # fmt: skip

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -47,14 +49,24 @@ def test_the_package_holds_every_file_of_the_sources(package: Path) -> None:
     assert {path.name for path in metadata.glob("licenses/**/*")} >= {"LICENSE", "THIRD_PARTY.md", "uPlot.LICENSE"}
 
 
+def test_the_citation_has_the_version_and_the_authors_of_the_package() -> None:
+    """CITATION.cff, which reference managers read, and pyproject.toml."""
+    cited = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    own = cited.partition("references:")[0]
+    assert f"\nversion: {taciturn.__version__}\n" in own
+    assert f"\nlicense: {project['license']}\n" in own
+    assert re.findall(r"- name: (.*)", own) == [author["name"] for author in project["authors"]]
+
+
 @pytest.mark.evidence
 def test_the_package_runs_without_the_repository(package: Path, tmp_path: Path) -> None:
-    """A number, a function from a file beside its problem, and C with the core that comes along."""
+    """A number, a function from a file next to its problem, and C with the core that comes along."""
     environment = {**os.environ, "PYTHONPATH": str(package)}
     for arguments in (
         ("evaluate", "remote-scalar", "--json"),
         ("evaluate", "omni-heading", "--steps", "20000"),
-        ("export", "two-mass", "--c", "device"),
+        ("export", "two-mass-lqg", "--c", "device"),
     ):
         done = subprocess.run(
             [sys.executable, "-P", "-m", "taciturn.cli", *arguments],

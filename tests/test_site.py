@@ -76,7 +76,7 @@ def test_a_docstring_becomes_markup_that_shows_what_it_says(names: ModuleType) -
 
 def test_the_page_of_benchmarks_names_every_file() -> None:
     """And the tables that they write are there."""
-    text = (DOCS / "benchmarks.md").read_text(encoding="utf-8")
+    text = (DOCS / "performance.md").read_text(encoding="utf-8")
     for path in (ROOT / "benchmarks").iterdir():
         assert path.is_dir() or f"{path.name}" in text
     written = re.findall(r"--json docs/(\w+\.json)", text)
@@ -95,6 +95,24 @@ def test_the_gallery_shows_every_chapter_that_is_reproduced() -> None:
     """By the chapters that ``reproduce`` knows."""
     shown = re.findall(r'reproduce\("(\w+)"\)', (DOCS / "gallery.md").read_text(encoding="utf-8"))
     assert sorted(shown) == sorted(CHAPTERS)
+
+
+@pytest.mark.parametrize(
+    ("words", "page"),
+    [("accuracy", "numerics"), ("own policy", "own-policy"), ("citation", "cite"), ("limitations", "limits")],
+)
+def test_the_search_finds_the_page(words: str, page: str) -> None:
+    """A title comes first if the words are at least half of it; common words such as *own* count in titles alone."""
+    text = (DOCS / f"{page}.md").read_text(encoding="utf-8").lower()
+    titles = re.findall(r"^# (.*)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE)
+    assert any(words in title and 2 * len(words) >= len(title) for title in titles) or f" {words} " in text
+
+
+def test_the_landing_page_is_the_readme() -> None:
+    """The list of all pages is in the menu alone."""
+    trees = re.findall(r"```\{toctree\}\n(.*?)\n\n", (DOCS / "index.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert trees
+    assert all(":hidden:" in tree for tree in trees)
 
 
 def test_a_figure_shows_itself_in_a_notebook() -> None:

@@ -30,7 +30,7 @@ SCALAR = Plant([[1.1]], [[1.0]], [[0.1]])
 JUMPING = ContinuousPlant([[-0.2]], [[1.0]], jumps=Jumps(2.0, [[0.1]]))
 DRIVEN = Cost([[1.0]], [[1.0]])
 IDEAL = Network()
-STEPS = 6  # of a mission
+STEPS = 6  # of a finite-horizon run
 
 
 def stated(
@@ -68,7 +68,7 @@ KINDS: Mapping[str, Problem] = {
     "periodic-schedule": stated(SEEN, "periodic-schedule", length=5, sends=3),
     "downsampled": stated(SEEN, "downsampled", fast=1, slow=2, threshold=0.5),
 }
-"""A problem of each kind; beside its full state nothing is given that it need not have."""
+"""A problem of each kind; next to its full state nothing is given that it need not have."""
 
 
 def rebuilt(plant: Plant | ContinuousPlant, **changes: Any) -> Any:
@@ -118,7 +118,7 @@ def crossed(problem: Problem) -> Problem:
 
 
 def followed(problem: Problem) -> Problem:
-    """Return a mission that follows a reference."""
+    """Return a finite-horizon run that follows a reference."""
     plant = problem.plant
     states = np.array([[0.0] * plant.states] * (STEPS + 1))
     inputs = np.zeros((STEPS, plant.inputs))
@@ -142,13 +142,13 @@ PROPERTIES: Mapping[str, Callable[[Problem], Problem]] = {
     "plant.actual.initial.mean": lambda problem: replace(problem, actual=moved(problem.plant)),
     "plant.actual.initial.covariance": lambda problem: replace(problem, actual=spread(problem.plant)),
     "plant.actual.input_limit": lambda problem: replace(problem, actual=limited(problem.plant)),
-    "plant.initial.mean beside plant.actual": lambda problem: replace(
+    "plant.initial.mean with plant.actual": lambda problem: replace(
         problem, plant=moved(problem.plant), actual=problem.plant
     ),
-    "plant.initial.covariance beside plant.actual": lambda problem: replace(
+    "plant.initial.covariance with plant.actual": lambda problem: replace(
         problem, plant=spread(problem.plant), actual=problem.plant
     ),
-    "plant.input_limit beside plant.actual": lambda problem: replace(
+    "plant.input_limit with plant.actual": lambda problem: replace(
         problem, plant=limited(problem.plant), actual=problem.plant
     ),
     "cost.N": crossed,
@@ -157,7 +157,7 @@ PROPERTIES: Mapping[str, Callable[[Problem], Problem]] = {
     "cost.discount": in_cost(discount=0.9),
     "reference": lambda problem: followed(mission(problem)),
 }
-"""Changes of a problem by one property; what needs a mission, or another plant, is compared with a problem with it."""
+"""Changes of a problem by one property; one that needs a horizon or another plant is compared with such a problem."""
 
 
 def lossy(**changes: Any) -> Callable[[Network], Network]:
@@ -235,7 +235,7 @@ def of_problem(problem: Problem, name: str) -> Use:
         changed = PROPERTIES[name](problem)
     except ProblemError as error:
         return Use(False, str(error))
-    base = replace(problem, actual=problem.plant) if name.endswith("beside plant.actual") else problem
+    base = replace(problem, actual=problem.plant) if name.endswith("with plant.actual") else problem
     if name in ("cost.terminal", "reference"):
         base = mission(problem)
     found = law(base)

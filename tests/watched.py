@@ -24,7 +24,7 @@ def semidefinite(rng: np.random.Generator, size: int, rank: int | None = None) -
 
 
 def random_plant(seed: int, kind: str = "output", largest: int = 3) -> Plant:
-    """Return a plant whose steady filter forgets within a few dozen ticks; the noises of its outputs are separate."""
+    """Return a plant whose steady filter forgets within a few dozen steps; the noises of its outputs are separate."""
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, largest + 1))
     m, p = int(rng.integers(1, n + 1)), int(rng.integers(1, n + 1))
@@ -54,7 +54,7 @@ def sixty_digits(plant: Plant, Sigma, P, discount: float = 1.0, terms: int | Non
     """Return Σ_s α^{s+1} tr(P_s (Ric^s(AΣA' + W) − Ric^{s+1}(Σ))), subtracting what was iterated, as it is written.
 
     Outputs are taken one after the other, which is the same where their noises are separate. Rounding errors of what is
-    known exactly grow from tick to tick, so noise-free outputs take more digits.
+    known exactly grow from step to step, so noise-free outputs take more digits.
     """
     size, usual = (60, 300) if (np.diag(plant.V) > 0).all() else (600, 80)
     A, C, W = (exactly(getattr(plant, name)) for name in "ACW")

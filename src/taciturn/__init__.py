@@ -1,4 +1,4 @@
-"""Event-triggered control for linear systems, with guarantees on performance and on the transmission rate."""
+"""Event-triggered control for linear systems, with guarantees on performance and transmission rate."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from taciturn.study.tradeoff import tradeoff as tradeoff
     from taciturn.study.tune import tune as tune
 
-# Where each public name lives; it is imported when it is first asked for, so that `taciturn --help` is quick.
+# Module of each public name; it is imported at the first access, so that `taciturn --help` starts quickly.
 _HOME = {
     "Burst": "model.network",
     "ContinuousPlant": "model.plant",
@@ -89,7 +89,7 @@ _HOME = {
     "tradeoff": "study.tradeoff",
     "tune": "study.tune",
 }
-__all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above, kept in one place
+__all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above
 
 
 def __getattr__(name: str) -> object:

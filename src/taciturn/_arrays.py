@@ -1,4 +1,4 @@
-"""Arrays checked when they are made: shapes, finiteness, symmetry, definiteness; the results are read-only."""
+"""Checks of arguments: shape, finiteness, symmetry and definiteness of arrays; checked arrays are read-only."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ Bits: TypeAlias = npt.NDArray[np.bool_]
 Shape: TypeAlias = tuple[int | None, ...]
 Word = TypeVar("Word", bound=str)
 
-TINY = 1e-290  # a variance or weight below this is zero: its inverse could not be computed with
-DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue of a matrix of unit diagonal: what rounding leaves of an exact zero
-ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative, per row: what products leave of an exact zero
+TINY = 1e-290  # a variance or weight below this counts as zero, since its inverse could overflow
+DEFINITENESS_TOLERANCE = 1e-10  # eigenvalue, at unit diagonal, that rounding can make of an exact zero
+ROUNDING = 8 * float(np.finfo(np.float64).eps)  # relative error per row that products can make of an exact zero
 
 
 def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array:
     """Return ``value`` as a read-only finite float array of ``shape`` (None: any size).
 
     Raises:
-        ProblemError: not numeric, not finite, or of another shape.
+        ProblemError: the value is not numeric, not finite, or of another shape.
     """
     result = _numbers(name, value, shape, meaning)
     if result.shape != shape and not _fits(result.shape, shape):
@@ -37,7 +37,7 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
         raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
     if not math.isfinite(np.vdot(result, result)) and not np.isfinite(result).all():  # a square may overflow
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
-        raise ProblemError(f"{name} holds {result[where]} at index {where}; expected finite numbers")
+        raise ProblemError(f"{name} contains {result[where]} at index {where}; expected finite numbers")
     result.setflags(write=False)
     return result
 
@@ -46,7 +46,7 @@ def square(name: str, value: ArrayLike, meaning: str = "") -> Array:
     """Return ``value`` as a read-only finite square matrix.
 
     Raises:
-        ProblemError: not numeric, not finite, or not square.
+        ProblemError: the value is not numeric, not finite, or not square.
     """
     result = array(name, value, (None, None), meaning)
     rows, columns = result.shape
@@ -57,20 +57,20 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
     """Return ``value`` as a read-only symmetric matrix.
 
     Raises:
-        ProblemError: not symmetric to 1e-9 of its entries, or of what its diagonal lets them be.
+        ProblemError: the asymmetry exceeds 1e-9 of the entries, or of the largest entries that the diagonal allows.
     """
     result = array(name, value, (size, size), meaning)
     if np.array_equal(result, result.T):
         return result
     difference, spread = np.abs(result - result.T), np.sqrt(np.abs(np.diag(result)))
-    # Each entry in the units of its row and column; but what rounding leaves of the largest is no asymmetry.
+    # Tolerance in the units of each row and column, but at least the rounding error of the largest entry.
     allowed = np.maximum(np.maximum(np.abs(result), np.abs(result.T)), spread * spread[:, None])
     allowed = np.maximum(1e-9 * allowed, ROUNDING * size * np.abs(result).max(initial=0.0))
     if (difference > allowed).any():
         i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
             f"{name} is not symmetric: entry ({i}, {j}) is {result[i, j]:g} and ({j}, {i}) is {result[j, i]:g}; "
-            f"expected a symmetric matrix; use ({name} + {name}')/2 if that is what you mean"
+            f"expected a symmetric matrix; if only its symmetric part is meant, use ({name} + {name}')/2"
         )
     return frozen((result + result.T) / 2)
 
@@ -114,12 +114,12 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 
 def is_definite(matrix: Array) -> bool:
-    """Say whether a symmetric matrix is positive definite and can be inverted, whatever the units of the variables."""
+    """Return whether a symmetric matrix is positive definite and invertible, for any units of the variables."""
     return bool((matrix.diagonal() > TINY).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
 
 
 def exceeds(matrix: Array, bound: float) -> bool:
-    """Say whether all eigenvalues of a symmetric matrix are above a bound: then the rest has Cholesky's factor."""
+    """Return whether all eigenvalues of a symmetric matrix are above a bound, by a Cholesky factorisation."""
     rest = matrix.copy()
     rest.flat[:: len(rest) + 1] -= bound
     try:
@@ -133,11 +133,11 @@ def number(name: str, value: object, low: float = -np.inf, high: float = np.inf,
     """Return ``value`` as a finite float in the open (or, on request, closed) interval from ``low`` to ``high``.
 
     Raises:
-        ProblemError: not a number, not finite, or outside.
+        ProblemError: the value is not a number, not finite, or outside the interval.
     """
     try:
         found = np.nan if isinstance(value, bool) or not isinstance(value, Real) else float(value)
-    except OverflowError:  # a whole number of more than 308 digits
+    except OverflowError:  # an integer with more than 308 digits
         found = np.inf
     if not np.isfinite(found):
         raise ProblemError(f"{name} is {quoted(value)}; expected a finite number")
@@ -150,10 +150,10 @@ def number(name: str, value: object, low: float = -np.inf, high: float = np.inf,
 
 
 def count(name: str, value: object, least: int = 1) -> int:
-    """Return ``value`` as an integer of at least ``least``.
+    """Return ``value`` as an integer that is at least ``least``.
 
     Raises:
-        ProblemError: not a whole number, or too small.
+        ProblemError: the value is not an integer, or is too small.
     """
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
         raise ProblemError(f"{name} is {quoted(value)}; expected a whole number, at least {least}")
@@ -164,7 +164,7 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
     """Return ``value`` if it is one of the allowed words.
 
     Raises:
-        ProblemError: another word.
+        ProblemError: the value is another word.
     """
     if value not in allowed:
         raise ProblemError(f"{name} is {quoted(value)}; expected one of {', '.join(repr(word) for word in allowed)}")
@@ -172,10 +172,10 @@ def choice(name: str, value: Word, allowed: Collection[Word]) -> Word:
 
 
 def instance(name: str, value: object, *kinds: type) -> None:
-    """Refuse a value that is none of these types.
+    """Check that a value is an instance of one of the types.
 
     Raises:
-        ProblemError: it is not.
+        ProblemError: the value is not an instance of any of the types.
     """
     if not isinstance(value, kinds):
         nouns = " or ".join(f"{'an' if kind.__name__[0] in 'AEIOaeio' else 'a'} {kind.__name__}" for kind in kinds)
@@ -183,19 +183,19 @@ def instance(name: str, value: object, *kinds: type) -> None:
 
 
 def frozen(value: Array) -> Array:
-    """Return a read-only copy."""
+    """Return a read-only copy of an array."""
     result = np.array(value, dtype=np.float64)
     result.setflags(write=False)
     return result
 
 
 def symmetrised(matrix: Array) -> Array:
-    """Return the symmetric part, which rounding has blurred; of one matrix or of a stack of them."""
+    """Return the symmetric part of a matrix, or of each matrix in a stack, to remove rounding errors."""
     return (matrix + matrix.swapaxes(-1, -2)) / 2
 
 
 def block_diagonal(*blocks: Array) -> Array:
-    """Return a matrix with these blocks on its diagonal, and zeros elsewhere."""
+    """Return the block-diagonal matrix of these blocks."""
     result = np.zeros((sum(len(block) for block in blocks), sum(block.shape[1] for block in blocks)))
     row, column = 0, 0
     for block in blocks:
@@ -206,11 +206,11 @@ def block_diagonal(*blocks: Array) -> Array:
 
 
 def quoted(value: object) -> str:
-    """Return a value as a sentence shows what it got: as it would be typed, and no longer than a line."""
+    """Return the representation of a value for an error message, shortened to 60 characters."""
     try:
         text = " ".join(repr(value).split())
-    except ValueError:  # a whole number of more than 4300 digits
-        return "a number too long to be shown"
+    except ValueError:  # an integer with more than 4300 digits
+        return "a number that is too long to be shown"
     return text if len(text) <= 60 else f"{text[:57]}…"
 
 
@@ -221,8 +221,8 @@ def _fits(got: tuple[int, ...], shape: Shape) -> bool:
 def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
     try:
         given = np.asarray(value)
-        if given.dtype.kind not in "biufO":  # text would be parsed, and an imaginary part dropped
-            raise TypeError(f"it holds {given.dtype.type.__name__.strip('_')} values")
+        if given.dtype.kind not in "biufO":  # NumPy would parse text and drop imaginary parts
+            raise TypeError(f"it contains {given.dtype.type.__name__.strip('_')} values")
         return np.array(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         expected = _shape_text(shape, meaning)
@@ -232,16 +232,16 @@ def _numbers(name: str, value: ArrayLike, shape: Shape, meaning: str) -> Array:
 
 
 def _in_units(matrix: Array) -> Array:
-    """Return a symmetric matrix where each variable has the unit that makes its diagonal 1, 0 or −1."""
+    """Return a symmetric matrix in units in which its diagonal entries are 1, 0 or −1."""
     scale = 1 / np.sqrt(np.maximum(np.abs(matrix.diagonal()), TINY))
     with np.errstate(over="ignore", invalid="ignore"):
         scaled = matrix * scale * scale[:, None]
-    # An entry beyond 1 proves an eigenvalue below 0; how large it is decides nothing.
+    # An entry beyond 1 proves an eigenvalue below 0; its size is irrelevant.
     return np.minimum(np.maximum(scaled, -1e6), 1e6)
 
 
 def _is_rounding(matrix: Array) -> bool:
-    """Say whether what makes a matrix indefinite is no more than the rounding of its products."""
+    """Return whether the negative eigenvalues of a matrix are explained by the rounding of its products."""
     others = np.abs(matrix).max(axis=1, initial=0.0)
     if (matrix.diagonal() < -ROUNDING * len(matrix) * others).any():
         return False
@@ -250,7 +250,7 @@ def _is_rounding(matrix: Array) -> bool:
 
 
 def _named(matrix: Array, smallest: float) -> str:
-    """Return an eigenvalue as a reader can find it again, or in what units it is one."""
+    """Return an eigenvalue as text; if it holds only in scaled units, the text names them."""
     found = float(np.linalg.eigvalsh(matrix)[0])
     if found <= 0 or smallest > 0:
         return f"{found:g}"

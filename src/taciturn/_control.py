@@ -1,4 +1,4 @@
-"""The one door to python-control, with types; it is an extra."""
+"""Typed interface to python-control, an optional dependency; no other module imports it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from taciturn._arrays import Array
 from taciturn.errors import ProblemError
 
 Function: TypeAlias = Callable[[float, Array, Array, object], Array]
-"""Time, state, input and parameters → the next state, or the output."""
+"""Function from time, state, input and parameters to the next state, or to the output."""
 
 
 def state_space(A: Array, B: Array, C: Array, dt: float | bool, name: str) -> Any:
@@ -42,7 +42,7 @@ def nonlinear_system(
 
 
 def is_linear(system: object) -> bool:
-    """Tell whether something is a `control.StateSpace` or a `control.TransferFunction`.
+    """Return whether an object is a `control.StateSpace` or a `control.TransferFunction`.
 
     Raises:
         ProblemError: python-control is missing.
@@ -56,6 +56,6 @@ def _control() -> Any:
         return import_module("control")
     except ImportError:
         raise ProblemError(
-            "python-control is not installed; expected it for to_control and from_control: "
+            "python-control is not installed, but to_control and from_control require it: "
             "pip install 'taciturn[control]'"
         ) from None

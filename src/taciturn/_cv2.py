@@ -1,4 +1,4 @@
-"""The one door to OpenCV, with types: colours, outlines, tags, lenses, JPEG. It is an extra."""
+"""Typed interface to OpenCV, an optional dependency: colours, outlines, tags, lenses and image files."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from taciturn.errors import ProblemError
 Pixels = npt.NDArray[np.uint8]
 """A picture (height, width, 3) in blue, green, red; a mask is (height, width)."""
 Colour = tuple[tuple[int, int, int], tuple[int, int, int]]
-"""From and to: hue in [0, 180), saturation and value in [0, 255]."""
+"""Lower and upper limit of hue in [0, 180), saturation and value in [0, 255]."""
 
 
 def write_jpeg(picture: Pixels, quality: int) -> bytes:
-    """Return a picture as JPEG, of a quality in 1..100."""
+    """Return a picture as JPEG with a quality in 1..100."""
     cv2 = _cv2()
     return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
 
@@ -31,16 +31,16 @@ def write_png(picture: Pixels) -> bytes:
 
 
 def read_picture(coded: bytes) -> Pixels | None:
-    """Return the picture that a JPEG or PNG holds, or None where it holds none."""
+    """Return the picture in a JPEG or PNG file, or None if the bytes are not a picture."""
     cv2 = _cv2()
     try:
         return cv2.imdecode(np.frombuffer(coded, np.uint8), cv2.IMREAD_COLOR)
-    except cv2.error:  # nothing at all, for one
+    except cv2.error:  # for example, for empty input
         return None
 
 
 def write_animation(pictures: Sequence[bytes], milliseconds: int) -> bytes:
-    """Return pictures as one that moves, as WebP, each shown for so long."""
+    """Return an animated WebP of pictures, each shown for the given time."""
     cv2 = _cv2()
     animation = cv2.Animation()
     animation.frames = [read_picture(one) for one in pictures]
@@ -50,32 +50,32 @@ def write_animation(pictures: Sequence[bytes], milliseconds: int) -> bytes:
 
 
 def find_colour(picture: Pixels, colour: Colour) -> Pixels:
-    """Return the mask of a colour, without its single pixels."""
+    """Return the mask of a colour, without isolated pixels."""
     cv2 = _cv2()
     mask = cv2.inRange(cv2.cvtColor(picture, cv2.COLOR_BGR2HSV), *colour)
     return cv2.morphologyEx(mask, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
 
 
 def find_outlines(mask: Pixels) -> list[Array]:
-    """Return the outlines of what a mask shows, each (points, 2), with every pixel of the border."""
+    """Return the outlines of the regions in a mask, each (points, 2), with every pixel of the border."""
     cv2 = _cv2()
     found, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     return [np.asarray(one, dtype=np.float64).reshape(-1, 2) for one in found]
 
 
 def convex_hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (points, 2), in their order around it."""
-    around = _cv2().convexHull(points.astype(np.float32), returnPoints=False)  # which knows no double precision
+    """Return the corners of the convex hull of points (points, 2), in order along the hull."""
+    around = _cv2().convexHull(points.astype(np.float32), returnPoints=False)  # it supports single precision only
     return points[np.asarray(around).ravel()]
 
 
 def draw_tag(number: int, size: int) -> Pixels:
-    """Return the ArUco tag of a number in 0..49 (4×4), (size, size), with its black border."""
+    """Return the picture of an ArUco tag (4×4) with a number in 0..49 and a black border, (size, size)."""
     return _cv2().aruco.generateImageMarker(_dictionary(), number, size)
 
 
 def find_tags(picture: Pixels) -> dict[int, Array]:
-    """Return the corners (4, 2) of each tag in a picture, clockwise from the one that is its upper left."""
+    """Return the corners (4, 2) of each tag in a picture, clockwise from the upper left corner of the tag."""
     cv2 = _cv2()
     corners, numbers, _ = _tag_detector().detectMarkers(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
     if numbers is None:
@@ -95,17 +95,17 @@ class Board:
     SHAPE = (7, 5)
 
     def __init__(self, square: float) -> None:
-        """Make it."""
+        """Create the board and its detector."""
         aruco = _cv2().aruco
         self._board: Any = aruco.CharucoBoard(self.SHAPE, square, 0.75 * square, _dictionary())
         self._detector: Any = aruco.CharucoDetector(self._board)
 
     def draw(self, square: int) -> Pixels:
-        """Return its picture, with ``square`` pixels to a square."""
+        """Return a picture of the board with ``square`` pixels per square."""
         return self._board.generateImage((self.SHAPE[0] * square, self.SHAPE[1] * square), None, 0, 1)
 
     def find(self, picture: Pixels) -> tuple[Array, Array] | None:
-        """Return where corners are on the board (corners, 3) and in a picture (corners, 2); None: fewer than 8."""
+        """Return the corners on the board (corners, 3) and in a picture (corners, 2); None if fewer than 8."""
         corners, numbers, _, _ = self._detector.detectBoard(picture)
         if numbers is None or len(numbers) < 8:
             return None
@@ -116,13 +116,13 @@ class Board:
 def calibrate_lens(
     points: Sequence[Array], seen: Sequence[Array], width: int, height: int
 ) -> tuple[Array, Array, float]:
-    """Return the camera matrix (3, 3), the distortion (k1, k2, p1, p2) and the rms error in pixels of many views.
+    """Return the camera matrix (3, 3), the distortion (k1, k2, p1, p2) and the rms error in pixels from several views.
 
     Args:
-        points: of each view, on the board, (corners, 3) in metres.
-        seen: where they are in the picture, (corners, 2) in pixels.
-        width: of the pictures, in pixels.
-        height: of the pictures, in pixels.
+        points: corners on the board in each view, (corners, 3) in metres.
+        seen: the same corners in each picture, (corners, 2) in pixels.
+        width: width of the pictures in pixels.
+        height: height of the pictures in pixels.
     """
     cv2 = _cv2()
     rms, K, distortion, _, _ = cv2.calibrateCamera(
@@ -137,19 +137,19 @@ def calibrate_lens(
 
 
 def solve_pose(points: Array, seen: Array, K: Array, distortion: Array) -> tuple[Array, Array]:
-    """Return rotation vector and translation of the world as a camera sees it, from points on a plane or off it."""
+    """Return the rotation vector and translation from world to camera coordinates, from planar or spatial points."""
     _, rotation, translation = _cv2().solvePnP(points, seen, K, distortion)
     return np.asarray(rotation, np.float64).ravel(), np.asarray(translation, np.float64).ravel()
 
 
 def project(points: Array, rotation: Array, translation: Array, K: Array, distortion: Array) -> Array:
-    """Return where points of the world (points, 3) are in the picture, (points, 2) in pixels."""
+    """Return the pixels (points, 2) to which a camera projects points of the world (points, 3)."""
     found, _ = _cv2().projectPoints(np.ascontiguousarray(points), rotation, translation, K, distortion)
     return np.asarray(found, np.float64).reshape(-1, 2)
 
 
 def unproject(seen: Array, K: Array, distortion: Array) -> Array:
-    """Return the directions (points, 3) in which a camera sees pixels (points, 2); each has depth 1."""
+    """Return the viewing directions (points, 3) of pixels (points, 2), with depth 1."""
     flat = _cv2().undistortPoints(np.ascontiguousarray(seen).reshape(-1, 1, 2), K, distortion).reshape(-1, 2)
     return np.column_stack([flat, np.ones(len(flat))])
 
@@ -160,24 +160,24 @@ def rotation_matrix(rotation: Array) -> Array:
 
 
 def rotation_vector(matrix: Array) -> Array:
-    """Return the vector (3,) of a rotation matrix (3, 3), or of the one that is nearest."""
+    """Return the rotation vector (3,) of a rotation matrix (3, 3), or of the rotation matrix nearest to a matrix."""
     return np.asarray(_cv2().Rodrigues(matrix)[0], np.float64).ravel()
 
 
 class Bend:
-    """Redraws a picture by where each of its pixels comes from.
+    """A mapping that resamples a picture: for each pixel, its position in the source picture.
 
     Args:
-        source: (height, width, 2): x and y in the picture that is given.
+        source: x and y of each pixel in the original picture, (height, width, 2).
     """
 
     def __init__(self, source: Array) -> None:
-        """Prepare the tables."""
+        """Prepare the lookup tables."""
         cv2 = self._cv2 = _cv2()
         self._maps = cv2.convertMaps(source.astype(np.float32), None, cv2.CV_16SC2)
 
     def apply(self, picture: Pixels) -> Pixels:
-        """Return the picture as it is seen through the lens."""
+        """Return the picture as seen through the lens."""
         cv2 = self._cv2
         return cv2.remap(picture, *self._maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
@@ -188,13 +188,13 @@ def add_noise(picture: Pixels, noise: npt.NDArray[np.int16]) -> Pixels:
 
 
 def draw_lines(picture: Pixels, points: Array, colour: tuple[int, int, int]) -> None:
-    """Draw the closed line through points (points, 2) into a picture."""
+    """Draw a closed line through points (points, 2) into a picture."""
     cv2 = _cv2()
     cv2.polylines(picture, [np.rint(points).astype(np.int32).reshape(-1, 1, 2)], True, colour, 1, cv2.LINE_AA)
 
 
 def draw_text(picture: Pixels, text: str, place: tuple[int, int], colour: tuple[int, int, int]) -> None:
-    """Write a line of ASCII text into a picture, its lower left corner at a place."""
+    """Write a line of ASCII text into a picture, with its lower left corner at a position."""
     cv2 = _cv2()
     cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.6, colour, 2, cv2.LINE_AA)
 
@@ -205,9 +205,9 @@ def _cv2() -> Any:
         cv2 = import_module("cv2")
     except ImportError:
         raise ProblemError(
-            "OpenCV is not installed; expected it for the eyes of the digital twins: pip install 'taciturn[twin]'"
+            "OpenCV is not installed, but the cameras of the digital twins require it: pip install 'taciturn[twin]'"
         ) from None
-    cv2.setNumThreads(1)  # more would not be faster at this size, and take the processors of the other nodes
+    cv2.setNumThreads(1)  # more threads are not faster at this size, and would slow the other nodes
     return cv2
 
 
@@ -222,5 +222,5 @@ def _tag_detector() -> Any:
     aruco = _cv2().aruco
     wanted = aruco.DetectorParameters()
     wanted.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
-    wanted.relativeCornerRefinmentWinSize = 0.6  # of a cell: within 1 pixel, as by default, noise decides
+    wanted.relativeCornerRefinmentWinSize = 0.6  # share of a cell; with the default of 1 pixel, noise dominates
     return aruco.ArucoDetector(_dictionary(), wanted)

@@ -1,4 +1,4 @@
-"""The one door to cvxpy, with types: linear matrix inequalities, solved by Clarabel. Both are an extra."""
+"""Typed interface to cvxpy and Clarabel, optional dependencies that solve linear matrix inequalities."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from taciturn.errors import ProblemError
 
 
 def expect_solver() -> None:
-    """Refuse to go on where what solves the inequalities is not installed.
+    """Check that the solver for matrix inequalities is installed.
 
     Raises:
         ProblemError: cvxpy or clarabel is missing.
@@ -23,14 +23,14 @@ def expect_solver() -> None:
 
 
 class Minimum:
-    """The x that minimises objective'x where every block mat((A + share·S) x + b) ⪰ 0, for one share after another.
+    """The problem to minimise objective'x subject to mat((A + share·S) x + b) ⪰ 0 for all blocks, at several shares.
 
-    cvxpy takes ten times as long to write such a problem down as Clarabel to solve it: it does so once for all shares.
+    cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
 
     Args:
-        objective: (unknowns,).
-        blocks: (A, S, b) of each inequality, A and S (n², unknowns), b (n, n) symmetric.
-        nonnegative: the unknowns that must not be negative.
+        objective: coefficients of the objective, (unknowns,).
+        blocks: (A, S, b) of each inequality, with A and S (n², unknowns) and b (n, n) symmetric.
+        nonnegative: indices of the unknowns that must be nonnegative.
 
     Raises:
         ProblemError: cvxpy or clarabel is missing.
@@ -39,7 +39,7 @@ class Minimum:
     def __init__(
         self, objective: Array, blocks: Sequence[tuple[Array, Array, Array]], nonnegative: Sequence[int]
     ) -> None:
-        """Write the problem down."""
+        """Build the problem."""
         cp = self._cp = _solver()
         self._x, self._share = cp.Variable(len(objective)), cp.Parameter(nonneg=True)
         listed: list[Any] = [self._x[list(nonnegative)] >= 0] if len(nonnegative) else []
@@ -50,13 +50,13 @@ class Minimum:
         self._problem = cp.Problem(cp.Minimize(objective @ self._x), listed)
 
     def at(self, share: float) -> Array | None:
-        """Return the x of a share, or None where the solver finds none.
+        """Return the solution x for a share, or None if the solver finds none.
 
-        It satisfies the inequalities only to the precision of the solver: the callers verify it.
+        The solution satisfies the inequalities only to the precision of the solver, so the caller must verify it.
         """
         self._share.value = share
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the callers verify what they get
+            warnings.simplefilter("ignore")  # the caller verifies the solution
             try:
                 self._problem.solve(solver=self._cp.CLARABEL, max_threads=1)
             except (self._cp.error.SolverError, ValueError, ArithmeticError):
@@ -75,5 +75,5 @@ def _solver() -> Any:
             return import_module("cvxpy")
     except ImportError as error:
         raise ProblemError(
-            f"{error.name or 'cvxpy'} is not installed; expected it for certificates: pip install 'taciturn[certify]'"
+            f"{error.name or 'cvxpy'} is not installed, but certificates require it: pip install 'taciturn[certify]'"
         ) from None

@@ -1,4 +1,4 @@
-"""The one door to dask.distributed, with types; it is an extra."""
+"""Typed interface to dask.distributed, an optional dependency."""
 
 from __future__ import annotations
 
@@ -16,34 +16,37 @@ PATIENCE = 5.0  # seconds
 
 @contextmanager
 def dask_workers(address: str) -> Generator[Executor]:
-    """Give an executor on the workers of a dask scheduler; they need taciturn installed.
+    """Provide an executor on the workers of a dask scheduler; the workers need taciturn installed.
 
     Args:
-        address: of the scheduler, as ``tcp://host:8786``.
+        address: address of the scheduler, such as ``tcp://host:8786``.
 
     Raises:
-        ProblemError: dask.distributed is missing, or no scheduler with workers answers there.
+        ProblemError: dask.distributed is missing, or no scheduler with workers answers at the address.
     """
     try:
         distributed: Any = import_module("distributed")
     except ImportError:
         raise ProblemError(
-            "dask.distributed is not installed; expected it for --dask: pip install 'taciturn[dask]'"
+            "dask.distributed is not installed, but --dask requires it: pip install 'taciturn[dask]'"
         ) from None
-    expected = "expected the address of a running one, as tcp://host:8786"
-    for name in ["distributed", *filter(_is_dasks, logging.root.manager.loggerDict)]:  # some have levels of their own
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # what goes wrong is told in one sentence
+    expected = "expected the address of a running scheduler, such as tcp://host:8786"
+    for name in [
+        "distributed",
+        *filter(_is_dasks, logging.root.manager.loggerDict),
+    ]:  # some set their own level
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # failures are reported by a single exception
     try:
         addressing: Any = import_module("distributed.comm.addressing")
         scheme, place = addressing.parse_address(address)
         import_module("distributed.comm.registry").get_backend(scheme)
-        addressing.parse_host_port(place)  # a client that was never made is closed with noise
+        addressing.parse_host_port(place)  # dask logs an error when a failed client is closed
         client: Any = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
     except (OSError, TimeoutError, ValueError) as error:
         raise ProblemError(f"no dask scheduler answers at {address!r} ({type(error).__name__}); {expected}") from None
     with client:
         if not client.nthreads():
-            raise ProblemError(f"the dask scheduler at {address!r} has no workers; expected at least one: start it")
+            raise ProblemError(f"the dask scheduler at {address!r} has no workers; expected at least one worker")
         yield client.get_executor()
 
 

@@ -1,14 +1,15 @@
-"""Pictures: the one door to matplotlib. A picture is panels of series; the file name's ending picks the format."""
+"""Figures, and the only interface to matplotlib; a figure consists of panels, and a panel of series."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from taciturn.errors import ProblemError
 
@@ -16,12 +17,20 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FORMATS = (".svg", ".png", ".pdf")
+COLORS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#8A6D00", "#555555")
+"""Palette of Okabe and Ito for colour-blind readers; the yellow is darker here, since it is pale on white."""
+MARKERS = "os^DvPX*"
+EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
+"""Settings for reproducible files with embedded TrueType fonts, which publishers require."""
+WIDTH, HEIGHT = 7.0, 4.2  # inches
+Size: TypeAlias = tuple[float, float]
+BARS = "bars: ± 1 standard error"
 Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
 
 
 @dataclass(frozen=True)
 class Series:
-    """One curve: points (x, y), drawn in a style, with an error bar of ±``error`` where given: of x in ``"bars"``."""
+    """One curve of points (x, y) in a style, with optional error bars of ±``error`` (in x for the style ``"bars"``)."""
 
     x: Sequence[float]
     y: Sequence[float]
@@ -33,25 +42,43 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes; with ``names``, those of y = 0, 1, …"""
+    """One pair of axes with its series; ``names`` are the labels at y = 0, 1, …"""
 
     series: Sequence[Series]
     xlabel: str = ""
     ylabel: str = ""
     title: str = ""
     names: Sequence[str] = ()
+    ylim: tuple[float, float] | None = None
 
 
-def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Figure:
-    """Return a figure of panels under one another, over one axis unless more than the last name their own."""
-    from matplotlib.figure import Figure  # imported late: it takes longer than most evaluations
+def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, height: float = HEIGHT) -> Figure:
+    """Draw panels one below the other; they share the x axis if only the last panel has an x label.
 
-    figure: Any = Figure(figsize=(width, height), layout="constrained")
-    shared = not any(panel.xlabel for panel in panels[:-1])
-    axes: Any = figure.subplots(len(panels), 1, squeeze=False, sharex=shared)
-    for axis, panel in zip(axes[:, 0], panels, strict=True):
+    Args:
+        panels: the panels.
+        ax: matplotlib axes to draw in instead of a new figure: one, or a sequence with one for each panel.
+        figsize: width and height of a new figure, in inches.
+        height: height of a new figure in inches, if no ``figsize`` is given.
+
+    Raises:
+        ProblemError: the number of axes differs from the number of panels.
+    """
+    if ax is None:
+        figure: Any = _figure_class()(figsize=figsize or (WIDTH, height), layout="constrained")
+        shared = not any(panel.xlabel for panel in panels[:-1])
+        axes: Any = list(figure.subplots(len(panels), 1, squeeze=False, sharex=shared)[:, 0])
+    else:
+        axes = list(ax) if hasattr(ax, "__iter__") else [ax]
+        if len(axes) != len(panels):
+            raise ProblemError(f"ax has {len(axes)} axes; expected {len(panels)}, one for each panel of this figure")
+        figure = axes[0].figure
+    for axis, panel in zip(axes, panels, strict=True):
+        axis.set_prop_cycle(color=COLORS)
         for series in panel.series:
             _plot(axis, series)
+        if panel.ylim is not None:
+            axis.set_ylim(*panel.ylim)
         axis.set_xlabel(panel.xlabel)
         axis.set_ylabel(panel.ylabel)
         axis.set_title(panel.title, fontsize="medium")
@@ -59,14 +86,45 @@ def draw(panels: Sequence[Panel], width: float = 7.0, height: float = 4.2) -> Fi
         if panel.names:
             axis.set_yticks(range(len(panel.names)), panel.names)
         if any(series.label for series in panel.series):
-            axis.legend(fontsize="small", framealpha=0.8)
-    figure._repr_png_ = partial(_png, figure)  # what a notebook shows; it knows figures of pyplot only
+            bars = any(series.error is not None and any(series.error) for series in panel.series)
+            axis.legend(fontsize="small", framealpha=0.8, title=BARS if bars else None, title_fontsize="x-small")
     return figure
+
+
+def __getattr__(name: str) -> Any:
+    """Return the class of the figures by its name, so that figures can be pickled."""
+    if name == "Drawn":
+        return _figure_class()
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+@cache
+def _figure_class() -> Any:
+    """Return the class of the figures; matplotlib is imported here, because its import is slow."""
+    from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]  # its stubs are partial
+    from matplotlib.figure import Figure
+
+    plain: Any = Figure
+    settings: Any = EMBEDDED
+    embedding: Any = rc_context(settings)
+
+    class Drawn(Figure):
+        """A figure that notebooks show without pyplot and that embeds its fonts when it is saved."""
+
+        savefig: Any = embedding(plain.savefig)
+
+        def _repr_png_(self) -> bytes:
+            written = BytesIO()
+            self.savefig(written, format="png", dpi=110)
+            return written.getvalue()
+
+    Drawn.__qualname__ = "Drawn"
+    return Drawn
 
 
 @dataclass(frozen=True)
 class Arrow:
-    """From one lane to another, by index, with a label in its middle."""
+    """An arrow from one lane to another, by index, with a label in the middle."""
 
     start: int
     end: int
@@ -74,14 +132,15 @@ class Arrow:
     dashed: bool = False
 
 
-def draw_lanes(boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow]) -> Figure:
-    """Return a figure of boxes side by side, a line under each, and arrows from line to line, one under the other."""
-    from matplotlib.figure import Figure
-
+def draw_lanes(
+    boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow], ax: Any = None, figsize: Size | None = None
+) -> Figure:
+    """Draw boxes side by side, with a vertical line below each box and arrows between the lines, from top to bottom."""
     apart = max(2.2, 0.6 + 0.085 * max((len(arrow.label) for arrow in arrows), default=0))  # inches
     height = 0.2 * max(map(len, boxes)) + 0.5 * len(arrows) + 0.6
-    figure: Any = Figure(figsize=(apart * (len(boxes) - 1) + 2.4, height), layout="constrained")
-    axis: Any = figure.subplots()
+    size = figsize or (apart * (len(boxes) - 1) + 2.4, height)
+    figure: Any = _figure_class()(figsize=size, layout="constrained") if ax is None else ax.figure
+    axis: Any = figure.subplots() if ax is None else ax
     axis.set_axis_off()
     axis.set_xlim(-1.2, apart * (len(boxes) - 1) + 1.2)
     axis.set_ylim(-0.5 * len(arrows) - 0.4, height - 0.5 * len(arrows) - 0.4)
@@ -91,18 +150,17 @@ def draw_lanes(boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow]) -> Figur
         axis.text(apart * i, 0.1, "\n".join(lines), ha="center", va="bottom", fontsize="small", bbox=framed)
     for k, arrow in enumerate(arrows):
         y, start, end = -0.5 * (k + 1), apart * arrow.start, apart * arrow.end
-        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": "C0"}
+        look = {"arrowstyle": "-|>", "linestyle": "--" if arrow.dashed else "-", "color": COLORS[0]}
         axis.annotate("", xy=(end, y), xytext=(start, y), arrowprops=look)
         axis.text((start + end) / 2, y + 0.06, arrow.label, ha="center", va="bottom", fontsize="small")
-    figure._repr_png_ = partial(_png, figure)
     return figure
 
 
 def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str = "picture") -> Path:
-    """Return the path if its ending is one of ours.
+    """Return the path if its ending is a supported format and the file can be written.
 
     Raises:
-        ProblemError: another ending, or a folder that does not exist.
+        ProblemError: the ending is not supported, or the folder does not exist or cannot be written to.
     """
     path = Path(path)
     if path.suffix.lower() not in formats:
@@ -112,35 +170,34 @@ def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str =
     if not path.parent.is_dir():
         raise ProblemError(f"the folder {str(path.parent)!r} does not exist; expected a folder to write the {what} to")
     if not os.access(path.parent, os.W_OK):
-        raise ProblemError(f"the folder {str(path.parent)!r} cannot be written to; expected one that can")
+        raise ProblemError(f"the folder {str(path.parent)!r} cannot be written to; expected a writable folder")
     return path
 
 
-def save(figure: Figure, path: str | Path) -> None:
-    """Write a figure as SVG, PNG or PDF, by the ending of the name.
+def save(figure: Figure, path: str | Path, origin: Mapping[str, object] | None = None) -> None:
+    """Write a figure as SVG, PNG or PDF, according to the ending of the name.
+
+    Args:
+        figure: the figure.
+        path: path of the file.
+        origin: description of the data of the figure, which is stored in the file's metadata; default: none.
 
     Raises:
-        ProblemError: another ending, or the file cannot be written.
+        ProblemError: the ending is not supported, or the file cannot be written.
     """
     target = check_format(path)
-    from matplotlib import rc_context  # pyright: ignore[reportUnknownVariableType]  # its stubs are partial
-
     drawn: Any = figure
     try:
-        with rc_context({"svg.hashsalt": "taciturn"}):  # equal pictures are equal files
-            drawn.savefig(target, dpi=150, metadata={"Date": None} if target.suffix.lower() == ".svg" else None)
+        form = target.suffix.lower()
+        told = {} if origin is None else {"Subject" if form == ".pdf" else "Description": json.dumps(dict(origin))}
+        drawn.savefig(target, dpi=150, metadata=told | ({"Date": None} if form == ".svg" else {}))
     except OSError as error:
-        raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a file that can") from None
-
-
-def _png(figure: Any) -> bytes:
-    written = BytesIO()
-    figure.savefig(written, format="png", dpi=110)
-    return written.getvalue()
+        raise ProblemError(f"the picture {str(path)!r} cannot be written ({error}); expected a writable file") from None
 
 
 def _plot(axis: Any, series: Series) -> None:
-    color = None if series.color is None else f"C{series.color}"
+    color = None if series.color is None else COLORS[series.color % len(COLORS)]
+    marker = MARKERS[(series.color or 0) % len(MARKERS)]
     lines = {"line": "-", "dashed": "--", "dotted": ":"}
     if series.style == "steps":
         axis.step(series.x, series.y, where="post", label=series.label, color=color)
@@ -153,10 +210,17 @@ def _plot(axis: Any, series: Series) -> None:
         axis.fill_between(series.x, series.y, low, label=series.label, color=color or "0.85", zorder=0)
         axis.set_ylim(bottom=low)
     elif series.style == "bars":
-        axis.errorbar(series.x, series.y, xerr=series.error, fmt="o", markersize=4, label=series.label, color=color)
+        axis.errorbar(series.x, series.y, xerr=series.error, fmt=marker, markersize=4, label=series.label, color=color)
     elif series.error is not None:
         axis.errorbar(
-            series.x, series.y, yerr=series.error, fmt="o-", markersize=4, capsize=2, label=series.label, color=color
+            series.x,
+            series.y,
+            yerr=series.error,
+            fmt=marker + "-",
+            markersize=4,
+            capsize=2,
+            label=series.label,
+            color=color,
         )
     else:
         axis.plot(series.x, series.y, lines[series.style], markersize=4, label=series.label, color=color)

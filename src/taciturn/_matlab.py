@@ -1,26 +1,34 @@
-"""Files of matrices: MATLAB's (through scipy, and h5py from version 7.3 on) and NumPy's, with types."""
+"""Reading of matrix files: MATLAB's with scipy (version 7.3 with h5py), and NumPy's."""
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
-from zipfile import is_zipfile
+from typing import IO, Any, TypeAlias
+from zipfile import ZipFile, is_zipfile
 
 import numpy as np
 import numpy.typing as npt
 
+from taciturn._files import check_regular
 from taciturn.errors import ProblemError
 
 ENDINGS = (".mat", ".npz")
 NUMERIC = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
+ARRAYS = range(5, 16)  # numbers of the MATLAB classes that become dense arrays: sparse, double, single, int8 … uint64
+MAGIC = b"\x93NUMPY"  # first bytes of an array in a NumPy file
+PACKED = 15  # type of a compressed element in a MATLAB file
+LARGEST = 2**27  # bytes of all variables of a file: a matrix of 4096 states
+CHUNK = 2**16  # bytes that are expanded at a time in order to count them
 
 
 @dataclass(frozen=True)
 class Foreign:
-    """A variable that is no array: of a class of MATLAB's, a structure, a text."""
+    """A variable that is not an array, such as a MATLAB object, a structure or text."""
 
     kind: str
 
@@ -28,42 +36,99 @@ class Foreign:
 Variable: TypeAlias = npt.NDArray[Any] | Foreign
 
 
+class _Sizes:
+    """The bytes of the variables of a file, which are counted before any of them is read.
+
+    Args:
+        path: the file, for messages.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Start at zero."""
+        self._path, self._sum = path, 0
+
+    def add(self, name: str, size: int) -> None:
+        """Add the bytes of a variable, or of a part of the file.
+
+        Raises:
+            ProblemError: the sum is too large.
+        """
+        self._sum += size
+        if self._sum > LARGEST:
+            raise ProblemError(
+                f"{str(self._path)!r} expands to {self._sum:,} bytes or more (at {name}); expected at most {LARGEST:,} "
+                "bytes: save only the matrices A, B, C, W, V, Q, R, N and dt"
+            )
+
+    def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:
+        """Add an array with a given shape and bytes per entry.
+
+        Raises:
+            ProblemError: the sum is too large.
+        """
+        self.add(name, math.prod(map(int, shape)) * itemsize)
+
+
 def read_variables(path: Path) -> dict[str, Variable]:
-    """Return the variables of a ``.mat`` or ``.npz`` file, by name; matrices as MATLAB shows them.
+    """Return the variables of a ``.mat`` or ``.npz`` file by name, with matrices oriented as in MATLAB.
 
     Raises:
-        ProblemError: another ending, or a file that cannot be read.
+        ProblemError: the file has another ending, or cannot be read.
     """
     if path.suffix.lower() not in ENDINGS:
         raise ProblemError(
-            f"{str(path)!r} ends in {path.suffix!r}; expected a file of matrices, {' or '.join(ENDINGS)}"
+            f"{str(path)!r} ends in {path.suffix!r}; expected a matrix file that ends in {' or '.join(ENDINGS)}"
         )
     try:
-        path.open("rb").close()  # what is not there is told so by any reader
+        check_regular(path)  # the same error for a missing file in both formats
         return _numpy(path) if path.suffix.lower() == ".npz" else _matlab(path)
+    except ProblemError:
+        raise
     except OSError as error:
         why = error.strerror or "it is damaged"
-        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a file of matrices") from None
-    except Exception as error:  # what is damaged fails in many ways
+        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a matrix file") from None
+    except Exception as error:  # damaged files raise many kinds of exceptions
         why = " ".join(str(error).split()) or type(error).__name__
-        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a file of matrices") from None
+        raise ProblemError(f"{str(path)!r} cannot be read ({why}); expected a matrix file") from None
 
 
 def _numpy(path: Path) -> dict[str, Variable]:
     if not is_zipfile(path):
         raise OSError
+    objects = _check_numpy(path)
     with np.load(path, allow_pickle=False) as held:
         found: Mapping[str, npt.NDArray[Any]] = held
-        return {name: _numbers(found, name) for name in found}
+        return {name: Foreign("pickled object") if name in objects else _numbers(found[name]) for name in found}
 
 
-def _numbers(held: Mapping[str, npt.NDArray[Any]], name: str) -> Variable:
-    """Return an array of a file; objects of Python are not opened."""
-    try:
-        value = held[name]
-    except ValueError:
-        return Foreign("pickled object")
-    return value if value.dtype.kind in "biufc" else Foreign("text or structure")
+def _check_numpy(path: Path) -> set[str]:
+    """Return the names of the pickled Python objects in a file, which are not loaded.
+
+    Raises:
+        ProblemError: the arrays are too large, by their headers or by the sizes in the directory of the file.
+    """
+    expanded, declared, objects = _Sizes(path), _Sizes(path), set[str]()
+    with ZipFile(path) as packed:
+        for one in packed.infolist():
+            expanded.add(one.filename, one.file_size)  # more bytes than these are never expanded
+        for one in packed.infolist():
+            name = one.filename.removesuffix(".npy")
+            with packed.open(one) as file:
+                if file.read(len(MAGIC)) != MAGIC:
+                    continue  # np.load returns its bytes
+                first = file.read(2) == b"\x01\x00"  # version of the header
+                read: Any = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
+                shape, _, kind = read(file)
+            declared.add_array(name, shape, kind.itemsize)
+            if kind.hasobject:
+                objects.add(name)
+    return objects
+
+
+def _numbers(value: Any) -> Variable:
+    """Return an array of a file, unless it contains something other than numbers."""
+    held: npt.NDArray[Any] = np.asarray(value)
+    return held if held.dtype.kind in "biufc" else Foreign("text or structure")
 
 
 def _matlab(path: Path) -> dict[str, Variable]:
@@ -71,18 +136,69 @@ def _matlab(path: Path) -> dict[str, Variable]:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of objects, which are told by name
+            warnings.simplefilter("ignore")  # warnings about objects, which are returned as Foreign
+            _check_matlab(path)
             held: dict[str, Any] = scipy.io.loadmat(path)
-    except NotImplementedError:  # of version 7.3, which is HDF5
+    except NotImplementedError:  # version 7.3 is HDF5
         return _hdf5(path)
     return dict(_plain(name, value) for name, value in held.items() if not name.startswith("__"))
 
 
+def _check_matlab(path: Path) -> None:
+    """Count the bytes of the variables of a MATLAB file as dense arrays; compressed variables are expanded in parts.
+
+    Raises:
+        ProblemError: the variables are too large.
+    """
+    import scipy.io
+
+    expanded, declared = _Sizes(path), _Sizes(path)
+    with path.open("rb") as file:
+        order: Any = {b"IM": "little", b"MI": "big"}.get(file.read(128)[126:])
+        if order is None:  # version 4, which has no compression
+            listed: Any = scipy.io.whosmat(path)
+            for name, shape, _ in listed:
+                declared.add_array(name, shape, 8)
+        while order is not None and len(tag := file.read(8)) == 8:
+            kind, count = int.from_bytes(tag[:4], order), int.from_bytes(tag[4:], order)
+            end = file.tell() + count
+            head = tag + file.read(min(CHUNK, count))
+            if kind == PACKED:
+                file.seek(end - count)
+                head = b""
+                for part in _expanded(file, count):
+                    head = head or part
+                    expanded.add("a compressed variable", len(part))
+            declared.add_array("a variable", _shape(head, order), 8)
+            file.seek(end)
+
+
+def _expanded(file: IO[bytes], count: int) -> Iterator[bytes]:
+    """Yield the expanded content of the next ``count`` bytes in small parts."""
+    expand = zlib.decompressobj()
+    while count and (packed := file.read(min(CHUNK, count))):
+        count -= len(packed)
+        while packed:
+            yield expand.decompress(packed, CHUNK)
+            packed = expand.unconsumed_tail
+
+
+def _shape(head: bytes, order: Any) -> tuple[int, ...]:
+    """Return the shape of a variable of a MATLAB file from its first bytes, or (0,) if it is not an array of numbers.
+
+    The first bytes are tags of 8 bytes, each with its data: that of the variable, its flags (8 bytes) and its shape.
+    """
+    words = [int.from_bytes(head[i : i + 4], order) for i in range(0, min(len(head), 256) & ~3, 4)]
+    if len(words) < 10 or words[4] & 0xFF not in ARRAYS:
+        return (0,)
+    return tuple(words[8 : 8 + words[7] // 4])
+
+
 def _plain(name: str, value: Any) -> tuple[str, Variable]:
-    """Return a variable as an array, or as what else it is."""
+    """Return a variable with its name, as an array or as a ``Foreign`` value."""
     import scipy.io.matlab
 
-    if isinstance(value, scipy.io.matlab.MatlabOpaque):  # which scipy calls None
+    if isinstance(value, scipy.io.matlab.MatlabOpaque):  # scipy gives its name as None
         named: Any = value[0]
         return str(named["s0"].decode()), Foreign(str(named["s2"].decode()))
     if hasattr(value, "toarray"):  # sparse
@@ -94,17 +210,43 @@ def _plain(name: str, value: Any) -> tuple[str, Variable]:
 
 
 def _hdf5(path: Path) -> dict[str, Variable]:
-    """Return the variables of a file of version 7.3, whose matrices lie transposed."""
+    """Return the variables of a file of version 7.3, in which matrices are stored transposed."""
     import h5py
 
     with h5py.File(path, "r") as file:
         opened: Any = file
+        sizes = _Sizes(path)
+        for name, item in opened.items():
+            _check_hdf5(str(name), item, sizes)
         return {str(name): _hdf5_variable(item) for name, item in opened.items() if not name.startswith("#")}
 
 
-def _hdf5_variable(item: Any) -> Variable:
+def _check_hdf5(name: str, item: Any, sizes: _Sizes) -> None:
+    """Add the bytes of a variable as a dense array, by its declared shape.
+
+    Raises:
+        ProblemError: the sum is too large.
+    """
+    if name.startswith("#") or _class_of(item) not in NUMERIC:
+        return
+    if "MATLAB_sparse" in item.attrs:
+        sizes.add_array(name, (item.attrs["MATLAB_sparse"], item["jc"].size), 8)
+        for part in item.values():
+            sizes.add_array(name, part.shape, 8)
+        return
+    sizes.add_array(name, item.shape, item.dtype.itemsize)
+    if "MATLAB_empty" in item.attrs:  # its values are its shape
+        sizes.add_array(name, np.asarray(item).ravel().tolist(), 8)
+
+
+def _class_of(item: Any) -> str:
+    """Return the MATLAB class of a variable of a file of version 7.3."""
     kind = item.attrs.get("MATLAB_class", b"struct")
-    kind = kind.decode() if isinstance(kind, bytes) else str(kind)
+    return kind.decode() if isinstance(kind, bytes) else str(kind)
+
+
+def _hdf5_variable(item: Any) -> Variable:
+    kind = _class_of(item)
     if "MATLAB_object_decode" in item.attrs or kind not in NUMERIC:
         return Foreign(kind)
     if "MATLAB_sparse" in item.attrs:
@@ -118,9 +260,9 @@ def _hdf5_variable(item: Any) -> Variable:
 
 
 def _sparse(item: Any) -> npt.NDArray[Any]:
-    """Return a sparse matrix, which is kept by columns, with its zeros."""
+    """Return a sparse matrix, which is stored by columns, as a dense array."""
     starts: npt.NDArray[Any] = np.asarray(item["jc"]).astype(np.int64)
     found = np.zeros((int(item.attrs["MATLAB_sparse"]), len(starts) - 1))
-    if "data" in item:  # not of a matrix of zeros
+    if "data" in item:  # missing for a matrix of zeros
         found[np.asarray(item["ir"]), np.repeat(np.arange(len(starts) - 1), np.diff(starts))] = np.asarray(item["data"])
     return found

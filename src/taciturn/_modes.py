@@ -1,4 +1,4 @@
-"""Eigenvalues, modes that no input moves or no output shows, factors of covariances, stationary sums."""
+"""Eigenvalues, uncontrollable and unobservable modes, factors of covariances, and stationary sums."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ import numpy.typing as npt
 
 from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike
+from taciturn._cycles import largest_cycle
 from taciturn.errors import UnstableError
 
 Modes: TypeAlias = npt.NDArray[np.complex128]
 
 ROUNDOFF = float(np.finfo(np.float64).eps) / 2
-TOLERANCE = 1e-6  # relative error of a cost that is still told; rounding alone leaves 1e-14 to 1e-9
-EDGE = 1e-13  # relative: a computed mode this near to the edge may lie on it
+TOLERANCE = 1e-6  # largest relative error of a returned cost; rounding alone causes 1e-14 to 1e-9
+EDGE = 1e-13  # relative distance to the stability limit within which a computed mode may lie on it
 SCATTER = 1e-7  # computed eigenvalues of a defective matrix scatter by the root of the rounding error
-LARGEST = 1e140  # of a power of a stable map: its square is still a number
-FADED = 1e-4  # square of a power of a stable map from which on its sum may have settled
-LOOSE = 1e-2  # distance to the edge, beyond which a computed mode decays
-SIMPLE = 1e3  # by how much a mode moves with the matrix at most, whose own rank is a test
-SPREAD = 100  # times the rounding of a mode to first order: what it is allowed
+LARGEST = 1e140  # limit on a power of a stable map: its square is still finite
+FADED = 1e-4  # squared norm of a power of a stable map below which its sum may have converged
+LOOSE = 1e-2  # distance to the stability limit beyond which a computed mode surely decays
+SIMPLE = 1e3  # largest sensitivity of a mode for which the rank at this mode is a valid test
+SPREAD = 100  # allowance for the rounding error of a mode, as a multiple of its first-order estimate
 FAR = 1e-5  # relative least singular value that proves a rank; its square is far above rounding
-SMALL = 40  # states up to which eigenvectors cost less than a staircase
-RANK_TOLERANCE = 1e-11  # relative: a coupling this much smaller than its matrix is taken for rounding
+SMALL = 40  # largest number of states for which eigenvectors cost less than a staircase
+RANK_TOLERANCE = 1e-11  # relative size below which a coupling counts as rounding
 
 
 def eigenvalues(A: Array) -> Modes:
@@ -42,9 +43,9 @@ def radius(A: Array) -> float:
 
 
 def balancing(A: Array) -> Array:
-    """Return the powers of two d for which D^{-1}AD has rows and columns of like size, (n,).
+    """Return the powers of two d for which D^{-1}AD has rows and columns of similar norm, (n,).
 
-    Each state in turn gets the unit in which its row and its column are most alike, until none gains 5 %.
+    Each state in turn is scaled so that the norms of its row and column are most similar, until no scaling gains 5 %.
     """
     balanced, scale = A / max(float(np.abs(A).max(initial=0.0)), TINY), np.ones(len(A))
     while _may_gain(balanced):
@@ -65,25 +66,25 @@ def balancing(A: Array) -> Array:
 
 
 def _may_gain(A: Array) -> bool:
-    """Say whether some state's row and column differ by so much, a factor of two, that another unit may fit better."""
+    """Return whether the row and column of a state differ so much (a factor of two) that scaling may help."""
     squares = A * A
     rows, columns = squares.sum(axis=1), squares.sum(axis=0)
     return bool(((rows > 1.9 * columns) & (columns > 0) | (columns > 1.9 * rows) & (rows > 0)).any())
 
 
 def pace(A: Array) -> float:
-    """Return the largest entry of ``A`` where its states are balanced; rounding of its modes is relative to it."""
+    """Return the largest entry of the balanced matrix ``A``, the reference for rounding errors of its modes."""
     scale = balancing(A)
     return float(np.abs(A / scale[:, None] * scale).max(initial=0.0))
 
 
 def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
-    """Return those of the modes of ``A`` that do not decay, or that rounding does not tell from such.
+    """Return the modes of ``A`` that do not decay, within rounding errors.
 
     Args:
         modes: some eigenvalues of A.
         A: (n, n) dynamics.
-        continuous: whether time is.
+        continuous: whether time is continuous.
     """
     if not modes.size:
         return modes
@@ -93,17 +94,17 @@ def persistent(modes: Modes, A: Array, continuous: bool) -> Modes:
 
 
 def mode_text(mode: complex) -> str:
-    """Return an eigenvalue as a reader expects it in a sentence."""
+    """Return an eigenvalue as text for a message."""
     if abs(mode.imag) <= 1e-12 * max(abs(mode), 1e-300):
         return f"{mode.real:.6g}"
     return f"{mode.real:.6g}{mode.imag:+.6g}i"
 
 
 def least_eigenvalue(matrix: Array) -> float:
-    """Return the least eigenvalue of a definite matrix, with its digits in any units; at most 0 of another matrix.
+    """Return the least eigenvalue of a definite matrix, accurate in any units; at most 0 for any other matrix.
 
-    A matrix counts as definite by its eigenvalues with a unit diagonal. Then its least eigenvalue is the inverse of the
-    largest one of its inverse, which, unlike the least, rounding of large entries does not cover.
+    Definiteness is decided by the eigenvalues after scaling to a unit diagonal. The least eigenvalue is then computed
+    as the inverse of the largest eigenvalue of the inverse, which the rounding of large entries does not affect.
     """
     diagonal = np.diag(matrix)
     if not (diagonal > TINY).all():
@@ -118,23 +119,23 @@ def least_eigenvalue(matrix: Array) -> float:
 
 
 def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
-    """Return the eigenvalues of A that the input through B cannot move.
+    """Return the eigenvalues of A that the input through B cannot influence.
 
-    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0. An orthogonal staircase splits off what B
-    reaches, then what A reaches from there, and so on; the modes are the eigenvalues of the block that is
-    never reached. Unlike a rank test at each computed eigenvalue this stays right where eigenvalues coincide.
-    By duality ``uncontrollable_modes(A.T, C.T)`` are the modes the output y = Cx cannot see.
+    They are the λ for which v'[A − λI, B] = 0 for some v ≠ 0. An orthogonal staircase separates the subspace that B
+    reaches, then the subspace that A reaches from there, and so on; the modes are the eigenvalues of the remaining
+    block. Unlike a rank test at each computed eigenvalue, this is correct for repeated eigenvalues. By duality,
+    ``uncontrollable_modes(A.T, C.T)`` are the unobservable modes of the output y = Cx.
 
     Args:
         A: (n, n) dynamics, discrete or continuous.
         B: (n, m) input matrix.
 
     Returns:
-        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller decides
-        which of them matter: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
+        The complex eigenvalues, largest modulus first; empty if (A, B) is controllable. The caller selects the relevant
+        ones: |λ| ≥ 1 in discrete time, Re λ ≥ 0 in continuous time.
 
     Raises:
-        ProblemError: a matrix of the wrong shape, or not finite.
+        ProblemError: a matrix has the wrong shape, or is not finite.
 
     Source: anderson1990optimal
 
@@ -144,7 +145,7 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
     """
     A = _arrays.square("A", A, "states × states")
     B = _arrays.array("B", B, (A.shape[0], None), "states × inputs")
-    state, inputs = reach(A, B)  # the units of states and inputs decide nothing
+    state, inputs = reach(A, B)  # the result does not depend on the units
     rest, pushed = A / state[:, None] * state, B / state[:, None] * inputs
     lengths = np.sqrt(np.einsum("ij,ij->j", pushed, pushed))
     pushed = pushed[:, lengths > 0] / lengths[lengths > 0]
@@ -162,11 +163,11 @@ def uncontrollable_modes(A: ArrayLike, B: ArrayLike) -> Modes:
 
 @dataclass(frozen=True, eq=False)
 class Slow:
-    """The modes of a matrix, or of its transpose, that may not decay, one of each pair; found when first asked for.
+    """The modes of a matrix that may not decay, one of each conjugate pair, computed at the first access.
 
     Args:
         A: (n, n) dynamics.
-        continuous: whether time is.
+        continuous: whether time is continuous.
     """
 
     A: Array
@@ -174,7 +175,7 @@ class Slow:
 
     @cached_property
     def found(self) -> tuple[Modes, Array]:
-        """Return the modes, (k,), and by how much each moves with the matrix, to first order, (k,)."""
+        """The modes, (k,), and their first-order sensitivities to changes of the matrix, (k,)."""
         modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(self.A))
         size = float(np.sqrt(np.sum(self.A * self.A)))
         may = (modes.real > -LOOSE * size) if self.continuous else (np.abs(modes) > 1 - LOOSE)
@@ -182,15 +183,15 @@ class Slow:
         if not len(may):
             return modes[may], np.zeros(0)
         try:
-            with np.errstate(over="ignore"):  # of a mode that is defective
+            with np.errstate(over="ignore"):  # for a defective mode
                 return modes[may], np.linalg.norm(np.linalg.inv(vectors)[may], axis=1)
         except np.linalg.LinAlgError:
             return modes[may], np.full(len(may), np.inf)
 
     def clear(self, A: Array, B: Array) -> bool:
-        """Say whether M = [A − λI, B] is far from losing rank at all of them, farther than rounding may move them.
+        """Return whether M = [A − λI, B] is farther from losing rank at all these modes than rounding could explain.
 
-        Cholesky's factor of MM' − (distance)²I proves it.
+        A Cholesky factorisation of MM' − (distance)²I proves it.
 
         Args:
             A: the matrix, or its transpose.
@@ -200,7 +201,7 @@ class Slow:
         if not len(modes):
             return True
         n, size = len(A), float(np.sum(A * A))
-        norms = np.sqrt(size + float(np.sum(B * B)) + n * np.abs(modes) ** 2)  # of M, or more
+        norms = np.sqrt(size + float(np.sum(B * B)) + n * np.abs(modes) ** 2)  # of M, or an upper bound
         distance = np.maximum(FAR * norms, SPREAD * n * ROUNDOFF * np.sqrt(size) * sensitivity)
         if not (distance < norms).all():
             return False
@@ -213,10 +214,10 @@ class Slow:
         return True
 
     def hidden(self, A: Array, B: Array) -> Modes:
-        """Return those that do not decay and that the input moves by no more than rounding.
+        """Return the modes that do not decay and that the input influences by no more than rounding.
 
-        By the rank of [A − λI, B], where λ is well conditioned. The staircase loses such a mode among many others that
-        one input hardly reaches.
+        The test is the rank of [A − λI, B] at well-conditioned λ. The staircase may miss such a mode among many modes
+        that one input hardly reaches.
 
         Args:
             A: the matrix, or its transpose.
@@ -232,16 +233,16 @@ class Slow:
 
 
 def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -> Modes:
-    """Return the modes that do not decay and that the input through B cannot move, the largest modulus first.
+    """Return the modes that do not decay and that the input through B cannot influence, the largest modulus first.
 
-    They are those that ``uncontrollable_modes`` finds, unless the plant is clear of losing any (:meth:`Slow.clear`), or
-    else those that are hidden (:meth:`Slow.hidden`). What is cheaper is asked first.
+    There are none if :meth:`Slow.clear` proves it. Otherwise they are the modes that ``uncontrollable_modes`` finds or,
+    if it finds none, those of :meth:`Slow.hidden`. The cheaper test comes first.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
-        continuous: whether time is.
-        slow: the modes of A, or of A', that may not decay; omitted: found here, and each looked at in any case.
+        continuous: whether time is continuous.
+        slow: the modes of A, or of A', that may not decay; default: they are computed here, and all are tested.
     """
     thorough, slow = slow is None, slow or Slow(A, continuous)
     none, small = np.zeros(0, dtype=np.complex128), len(A) <= SMALL
@@ -254,23 +255,23 @@ def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:
-    """Return units of the states and of the inputs in which each state that is reached at all is moved by about 1.
+    """Return units of the states and of the inputs in which an input changes each state that it reaches by about 1.
 
-    A state moved by an input directly has the size of that for its unit, another one the largest of what states that
-    have theirs bring it, by the pace of A. So a change of units is undone, also where the states are not coupled.
+    The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
+    with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
 
     Returns:
-        Powers of two, (n,) and (m,): A/s·s' has no entry much above those of A where A is balanced.
+        Powers of two, (n,) and (m,); no entry of A/s·s' is much larger than the largest mean of A along a cycle.
     """
     balanced = balancing(A)
     off = np.abs(A - np.diag(np.diag(A)))
-    largest = max(float((off / balanced[:, None] * balanced).max(initial=0.0)), TINY)  # no cycle gains by it
+    largest = largest_cycle(off) or 1.0  # so that no cycle increases a unit
     state, inputs = balanced, np.ones(B.shape[1])
-    for _ in range(3):  # either unit rests on the other
+    for _ in range(3):  # each unit depends on the other
         moved = (np.abs(B) / state[:, None]).max(axis=0, initial=0.0)
         inputs = 1 / np.where(moved > TINY, moved, 1.0)
         found = np.max(np.abs(B) * inputs, axis=1, initial=0.0)
@@ -279,19 +280,19 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
             if (found <= before).all():
                 break
         state = np.where(found > TINY, found, 0.0)
-        if not state.all():  # states beyond reach: as large as balancing makes them beside the rest
+        if not state.all():  # unreached states: the size that balancing gives them
             beside = np.max(state / balanced, initial=0.0)
             state = np.where(state > 0, state, balanced * (beside if beside > 0 else 1.0))
     return np.exp2(np.round(np.log2(state))), np.exp2(np.round(np.log2(inputs)))
 
 
 def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
-    """Return G with G G' = matrix, one column per direction; the units of the variables decide nothing.
+    """Return G with G G' = matrix and one column per direction; the result does not depend on the units.
 
     Args:
-        matrix: (n, n), semidefinite but for rounding.
-        beside: a covariance whose rounding it may hold, (n, n); omitted: itself.
-        crumb: eigenvalue per row, relative to that covariance, below which a direction is rounding.
+        matrix: (n, n), semidefinite up to rounding.
+        beside: a covariance whose rounding errors the matrix may contain, (n, n); default: the matrix itself.
+        crumb: eigenvalue per row, relative to this covariance, below which a direction counts as rounding.
     """
     spread = np.diag(matrix if beside is None else beside)
     scale = np.sqrt(np.where(spread > TINY, spread, 0.0))
@@ -302,7 +303,7 @@ def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Ar
 
 
 def factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance: the Cholesky factor, which is cheaper to apply, where there is one."""
+    """Return G with G G' = covariance: the Cholesky factor, which is cheaper to apply, if it exists."""
     found = root(covariance)
     if found.shape[1] == len(covariance):
         found[:] = np.linalg.cholesky(covariance)
@@ -322,8 +323,8 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
         X, (n, n), symmetric.
 
     Raises:
-        ProblemError: a matrix of the wrong shape, not finite, or not symmetric.
-        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum has few digits.
+        ProblemError: a matrix has the wrong shape, is not finite, or is not symmetric.
+        UnstableError: F has an eigenvalue on or outside the unit circle, or so near to it that the sum is inaccurate.
 
     Source: anderson1990optimal
 
@@ -335,22 +336,22 @@ def accumulate(F: ArrayLike, W: ArrayLike) -> Array:
     W = _arrays.symmetric("W", W, F.shape[0])
     if radius(F) >= 1:
         raise UnstableError(
-            f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}; the sum Σ F^k W F'^k needs all "
-            "of them inside the unit circle; stabilise the loop first"
+            f"F has the eigenvalue {mode_text(complex(eigenvalues(F)[0]))}, so the sum Σ F^k W F'^k diverges; expected "
+            "all eigenvalues inside the unit circle: stabilise the loop first"
         )
     return _arrays.frozen(stationary(F, W))
 
 
 def stationary(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for a semidefinite W and an F already known to be stable, its digits checked.
+    """Return Σ_k F^k W F'^k for a semidefinite W and an F that is known to be stable, with a check of its accuracy.
 
     Raises:
-        UnstableError: it overflows, or its residual and rounding make it uncertain.
+        UnstableError: the sum overflows, or its residual and rounding make it inaccurate.
     """
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
-            "the sum Σ F^k W F'^k overflows: F is stable but its powers grow too far first; scale the states"
+            "the sum Σ F^k W F'^k overflows: F is stable, but its powers grow too large first; scale the states"
         )
     spread = np.sqrt(np.maximum(np.diag(X), 0.0))
     unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
@@ -362,31 +363,31 @@ def stationary(F: Array, W: Array) -> Array:
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
     if not doubt <= TOLERANCE:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k is uncertain by {doubt:.1e} of its size (at most {TOLERANCE:.0e}): F has an "
-            f"eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers fade too slowly, or grow too far "
-            "first; expected a loop that is more clearly stable"
+            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has "
+            f"an eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers decay too slowly or first grow "
+            "too large; expected a larger stability margin"
         )
     return X
 
 
 def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
-    """Return a matrix above ± what an equation misses, and above ± the rounding of its terms, in units that fit.
+    """Return a diagonal matrix that bounds ± the residual of an equation, including the rounding of its terms.
 
-    Rounding errors of sums are as good as independent: they add as roots of sums of squares.
+    Rounding errors of sums are treated as independent, so they add as roots of sums of squares.
 
     Args:
-        missed: residual that was computed, (n, n), symmetric.
-        terms: sizes of what was summed for it, (n, n).
-        summands: how many of them.
+        missed: computed residual, (n, n), symmetric.
+        terms: absolute values of the terms of the residual, (n, n).
+        summands: number of terms.
     """
     rounding = 2 * np.sqrt(summands) * ROUNDOFF * np.sqrt(np.einsum("ij,ij->i", terms, terms))
     return np.diag(rounding + float(np.abs(np.linalg.eigvalsh(missed)).max(initial=0.0)))
 
 
 def summed(F: Array, W: Array) -> Array:
-    """Return Σ_k F^k W F'^k for an F already known to be stable (:func:`accumulate` without its checks)."""
+    """Return Σ_k F^k W F'^k for an F that is known to be stable (:func:`accumulate` without its checks)."""
     X, power = np.array(W), np.array(F)
-    with np.errstate(over="ignore", invalid="ignore"):  # the callers look for overflow
+    with np.errstate(over="ignore", invalid="ignore"):  # the callers check for overflow
         for _ in range(64):  # 2^64 terms
             term = power @ X @ power.T
             X = X + term

@@ -1,4 +1,4 @@
-"""The one door to MuJoCo, with types: rigid bodies that move, and pictures of them. It is an extra."""
+"""Typed interface to MuJoCo, an optional dependency: simulation and rendering of rigid bodies."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ FREE = 7  # coordinates of a body that is free to move: position, and quaternion
 
 
 class Scene:
-    """A compiled model.
+    """A compiled MuJoCo model.
 
     Args:
-        xml: its text, in MuJoCo's format.
-        files: the contents of the files that the text names.
+        xml: text of the model in MuJoCo's format.
+        files: contents of the files that the text names.
 
     Raises:
         ProblemError: MuJoCo is missing.
     """
 
     def __init__(self, xml: str, files: Mapping[str, bytes] | None = None) -> None:
-        """Compile it."""
+        """Compile the model."""
         self.mujoco = _mujoco()
         self.model: Any = self.mujoco.MjModel.from_xml_string(xml, dict(files or {}))
         self.step = float(self.model.opt.timestep)
 
     def addresses(self, joints: Sequence[str]) -> list[int]:
-        """Return where the coordinates of hinges and slides stand in `Motion.position`."""
+        """Return the indices of the coordinates of hinge and slide joints in `Motion.position`."""
         return [int(self.model.joint(name).qposadr[0]) for name in joints]
 
 
 class Motion:
-    """A scene in motion; its arrays are MuJoCo's own, and writing into them changes it.
+    """The simulated state of a scene; its arrays are MuJoCo's own, so writing to them changes the state.
 
-    `position` (qpos) and `speed` (qvel) hold a free body's coordinates first; `command` (ctrl) drives the motors.
+    `position` (qpos) and `speed` (qvel) contain the coordinates of a free body first; `command` (ctrl) drives the
+    motors.
     """
 
     def __init__(self, scene: Scene) -> None:
-        """Put it at rest where the model says."""
+        """Start at rest at the initial position of the model."""
         self._mujoco, self._model = scene.mujoco, scene.model
         self._data: Any = self._mujoco.MjData(self._model)
         self.position: Array = self._data.qpos
@@ -59,48 +60,48 @@ class Motion:
         self.settle()
 
     def step(self) -> None:
-        """Move on by one step of the scene."""
+        """Advance the simulation by one step of the scene."""
         self._mujoco.mj_step(self._model, self._data)
 
     def check(self) -> None:
-        """Refuse to go on where the bodies have left the range of numbers.
+        """Check that the coordinates of the bodies are finite.
 
         Raises:
-            ProblemError: they have.
+            ProblemError: a coordinate is not finite, or MuJoCo has issued a warning.
         """
         if any(warning.number for warning in self._data.warning) or not np.isfinite(self._data.qpos).all():
             raise ProblemError(
-                "the rigid bodies have left the range of numbers; expected smaller forces: is a push too strong?"
+                "the coordinates of the rigid bodies are out of range; expected smaller forces: use weaker pushes"
             )
 
     def settle(self) -> None:
-        """Work out where everything is, from `position`."""
+        """Compute the positions of all bodies and sites from `position`."""
         self._mujoco.mj_kinematics(self._model, self._data)
 
     def site(self, name: str) -> Array:
-        """Return where a site was when `settle` was last called, (3,) in metres."""
+        """Return the position of a site at the last call of `settle`, (3,) in metres."""
         return np.array(self._data.site(name).xpos)
 
     def force(self, body: str) -> Array:
-        """Return what pushes a body from outside, to be written into: force and torque, (6,) in N and N·m."""
+        """Return the writable array of the external force and torque on a body, (6,) in N and N·m."""
         return self._data.body(body).xfrc_applied
 
 
 class Painter:
-    """Draws what a camera of a scene sees. A painter belongs to the thread that made it.
+    """A renderer of the view of a scene's camera, which may be used only in the thread that created it.
 
     Args:
-        scene: what is seen.
-        camera: its name there.
-        width: of the pictures, in pixels.
-        height: of the pictures, in pixels.
+        scene: scene to render.
+        camera: name of the camera in the scene.
+        width: width of the pictures in pixels.
+        height: height of the pictures in pixels.
 
     Raises:
-        ProblemError: there is nothing to draw with.
+        ProblemError: no OpenGL renderer is available.
     """
 
     def __init__(self, scene: Scene, camera: str, width: int, height: int) -> None:
-        """Prepare to draw, without shadows and mirrors, which take longer than all the rest."""
+        """Prepare rendering without shadows and reflections, which would dominate the computing time."""
         mujoco, self._model, self._camera = scene.mujoco, scene.model, camera
         self._mujoco = mujoco
         self._data: Any = mujoco.MjData(self._model)
@@ -110,13 +111,13 @@ class Painter:
         self.focal = height / 2 / math.tan(half)  # in pixels
         try:
             self._renderer: Any = mujoco.Renderer(self._model, height, width)
-        except Exception as error:  # each platform of OpenGL fails in its own way
+        except Exception as error:  # each OpenGL platform raises other exceptions
             raise _blind(error) from None
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self._renderer.scene.flags[flag] = False
 
     def paint(self, position: Sequence[float] | Array) -> Pixels:
-        """Return the picture of a scene whose coordinates are ``position``: red, green, blue."""
+        """Return the picture of the scene with the coordinates ``position``, in red, green and blue."""
         self._data.qpos[:] = position
         self._mujoco.mj_kinematics(self._model, self._data)
         self._mujoco.mj_camlight(self._model, self._data)
@@ -124,42 +125,42 @@ class Painter:
         return self._renderer.render()
 
     def light(self, share: float) -> None:
-        """Turn all lights to a share of what the scene says."""
+        """Set the brightness of all lights to a share of their brightness in the scene."""
         self._model.vis.headlight.ambient[:] = share * self._head[0]
         self._model.vis.headlight.diffuse[:] = share * self._head[1]
         self._model.light_diffuse[:] = share * self._lights
 
     def show(self, shape: str, shown: bool) -> None:
-        """Show a shape (geom), or hide it."""
+        """Show or hide a shape (geom)."""
         self._model.geom(shape).rgba[3] = float(shown)
 
     def close(self) -> None:
-        """Free what it holds of the graphics."""
+        """Release the graphics resources."""
         self._renderer.close()
 
 
 def _keep_quiet(warning: str) -> None:
-    """Warnings are counted, and asked for by ``Motion.check``; MuJoCo's own way is to write them into a file."""
+    """Ignore a warning, which MuJoCo would write to a file; ``Motion.check`` reads the counters of warnings."""
 
 
 @cache
 def _mujoco() -> Any:
-    os.environ.setdefault("MUJOCO_GL", "egl")  # which needs no screen
+    os.environ.setdefault("MUJOCO_GL", "egl")  # needs no display
     try:
         mujoco = import_module("mujoco")
         mujoco.set_mju_user_warning(_keep_quiet)
         return mujoco
     except ImportError:
         raise ProblemError(
-            "MuJoCo is not installed; expected it for the digital twins: pip install 'taciturn[twin]'"
+            "MuJoCo is not installed, but the digital twins require it: pip install 'taciturn[twin]'"
         ) from None
-    except Exception as error:  # what MUJOCO_GL names is loaded already here
+    except Exception as error:  # the import already loads the platform that MUJOCO_GL names
         raise _blind(error) from None
 
 
 def _blind(error: Exception) -> ProblemError:
     reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
     return ProblemError(
-        f"MuJoCo cannot draw by OpenGL with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} ({reason}); expected a "
-        "graphics library, in software or not: apt install libegl1 libgl1-mesa-dri, and MUJOCO_GL=egl"
+        f"MuJoCo cannot render with MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} ({reason}); expected an OpenGL "
+        "library, possibly in software: apt install libegl1 libgl1-mesa-dri, and set MUJOCO_GL=egl"
     )

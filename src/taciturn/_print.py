@@ -1,4 +1,4 @@
-"""What the commands print for people: answers and tables as text."""
+"""Printing of results and tables by the commands, in 80 columns."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from taciturn._text import Lines, pairs_text, per_unit, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.study.lines import Lines, above_all_time, rounded, text_of
+from taciturn.study.lines import least_cost, percent_above, rounded
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -24,18 +25,18 @@ if TYPE_CHECKING:
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
 
-COLUMNS, FIRST, LAST = 6, 20, 10  # of a path that are printed beside the time; its first and its last steps
+COLUMNS, FIRST, LAST = 6, 20, 10  # of a printed path: columns next to the time, first and last steps
 RATES = ("rate_actuator", "rate_sensor")
 
 
 def network(found: NetworkRun) -> None:
-    """Print what nodes over a network cost and sent."""
+    """Print the cost and the packets of a network run."""
     policy = found.loop.policy
-    cost = "-" if found.cost is None else f"{found.cost} per {found.unit}"
-    lines = [("policy", policy.kind), ("ticks", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
+    cost = "-" if found.cost is None else f"{found.cost} {per_unit(found.unit)}"
+    lines = [("policy", policy.kind), ("steps", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
     lines += [(f"rate, {link}", f"{rate} per {found.rate_unit}") for link, rate in found.rates.items()]
     if found.nominal:
-        lines.append(("all-time cost", f"{policy.cost_all_time:.6g}"))
+        lines.append(("every sample", f"{policy.cost_all_time:.6g}"))
     for link, counted in found.datagrams.items():
         lines.append((f"link, {link}", ", ".join(f"{count} {name}" for name, count in counted.items())))
     for name, report in found.reports.items():
@@ -49,7 +50,7 @@ def network(found: NetworkRun) -> None:
 
 
 def trajectory(found: Trajectory) -> None:
-    """Print a path step by step, as many columns as 80 letters hold, and how often each link sent."""
+    """Print a path step by step, with as many columns as fit, and the number of sends on each link."""
     named = [("x", found.state), ("u", found.input)]
     columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
     left = max(0, len(columns) - (COLUMNS - len(found.sends)))
@@ -58,7 +59,7 @@ def trajectory(found: Trajectory) -> None:
     rows = [
         [
             f"{time:.6g}",
-            *(f"{column[k]:.4g}" for _, column in shown),
+            *(f"{column[k] + 0.0:.4g}" for _, column in shown),  # -0.0 as 0
             *("sent" * bool(s[k]) for s in found.sends.values()),
         ]
         for k, time in enumerate(found.time)
@@ -66,49 +67,59 @@ def trajectory(found: Trajectory) -> None:
     cut = len(rows) > FIRST + LAST
     _print_table(header, [*rows[:FIRST], ["…"] * len(header), *rows[-LAST:]] if cut else rows)
     if left or cut:
-        typer.echo(f"{'columns' if left else 'steps'} are left out; --json and --table have all of them")
+        typer.echo(f"some {'columns' if left else 'steps'} are omitted; --json and --table contain all of them")
     pairs([(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in found.sends.items()])
 
 
 def pairs(lines: Lines) -> None:
-    """Print names and what stands behind them, one under the other."""
-    typer.echo(text_of(lines))
+    """Print names and values, one pair per line."""
+    typer.echo(pairs_text(lines))
 
 
 def tradeoff(found: Tradeoff) -> None:
-    """Print cost against rate."""
+    """Print the cost against the rate."""
     names = list(found.points[0].values)
     first = found.points[0].evaluation
     of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
-    header = [*names, *(f"rate per {first.rate_unit}{text}" for text in of.values()), "saved %"]
-    header += [f"cost per {found.unit}", "above all-time %", "guaranteed ≤", "fair clock"]
+    cost = f"cost {per_unit(found.unit)}"
+    header = [*names, *(f"sends per {first.rate_unit}{text}" for text in of.values())]
+    sharp = all(point.evaluation.cost_bound_at_rate is not None for point in found.points)
+    header += [cost, "extra cost", "guarantee, this rate" if sharp else "guarantee", "periodic, same rate"]
+    bounded = any(point.evaluation.lower_bound is not None for point in found.points)
+    header += ["no schedule below"] if bounded else []
     rows: list[list[str]] = []
     for point in found.points:
-        e = point.evaluation
-        rates = list(e.rates.values())
+        e, least = point.evaluation, least_cost(point.evaluation)
         rows.append(
             [
                 *(str(value) for value in point.values.values()),
-                *(f"{rate.value:.4f} ± {rate.standard_error:.4f}" for rate in rates),
-                " / ".join(f"{100 * (1 - rate.value / e.base_rate):.1f}" for rate in rates) if e.base_rate else "",
+                *(str(rate) for rate in e.rates.values()),
                 str(e.cost),
-                above_all_time(e) if e.cost_all_time else "",
-                "" if e.cost_bound is None else f"{e.cost_bound:.6g}",
+                percent_above(e.cost, e.cost_all_time) if e.cost_all_time else "",
+                _proved(e.cost_bound_at_rate if sharp else e.cost_bound),
                 "none" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
+                *(["none" if least is None else f"{least:.6g}"] if bounded else []),
             ]
         )
-    _print_table(header, rows)
+    _print_table(header, rows, len(names))
     if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
-        guarantee = f"; guarantee: {found.guarantee}" if found.guarantee else ""
-        typer.echo(f"all-time cost {first.cost_all_time:.6g}{guarantee}")
+        pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
+        lines = [("every sample", f"{first.cost_all_time:.6g}{pace}")]
+        pairs(lines + ([("guarantee", found.guarantee)] if found.guarantee else []))
     for note in dict.fromkeys(note for point in found.points for note in point.evaluation.notes):
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
-        typer.echo(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}")
+        typer.echo(wrapped_text(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}"))
+    if bounded and not found.one_controller:
+        typer.echo(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
 
 
-def sweep(found: xarray.Dataset, path: Path) -> None:
-    """Print what a sweep holds, where its costs are least and most, and where it is."""
+def _proved(bound: float | None) -> str:
+    return "" if bound is None else rounded(bound, 6, 1)
+
+
+def sweep(found: xarray.Dataset, path: Path | None) -> None:
+    """Print the grid of a sweep, the cells with the least and the largest cost, and the file of the result if any."""
     grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
     answered = int((found.refusal == "").sum())
     typer.echo(f"{found.refusal.size} cells over {grid}, {answered} with an answer")
@@ -117,12 +128,13 @@ def sweep(found: xarray.Dataset, path: Path) -> None:
         where = ", ".join(f"{name} = {at[name].item()}" for name in found.sizes)
         cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
         rates = [f"{at[name].item():.4g} {at[name].units} ({name[5:]})" for name in RATES if name in found]
-        typer.echo(f"{what} cost {cost} at {where}; {', '.join(rates)}")
-    typer.echo(f"result: {path}")
+        typer.echo(wrapped_text(f"{what} cost {cost} at {where}; {', '.join(rates)}"))
+    if path is not None:
+        typer.echo(f"result: {path}")
 
 
 def periods(found: TunedPeriod) -> None:
-    """Print what was tried at one rate, period by period."""
+    """Print the periods that were tried at a given rate."""
     names = ["period", found.best.parameter.name, "cost", "consistent"]
     rows = [
         [
@@ -139,41 +151,34 @@ def periods(found: TunedPeriod) -> None:
 
 def comparison(found: Comparison) -> None:
     """Print a ranking."""
-    header = [
-        "",
-        "policy",
-        "parameter",
-        f"cost per {found.unit}",
-        "above all-time %",
-        "above the first",
-        "guaranteed ≤",
-    ]
+    header = ["", "policy", "parameter", f"cost {per_unit(found.unit)}", "extra cost", "above the first", "guarantee"]
     rows: list[list[str]] = []
     for one in found.ranking:
-        percent = 100 * (one.cost.value / found.cost_all_time - 1) if found.cost_all_time else None
         rows.append(
             [
                 one.name,
                 one.policy,
                 one.parameter,
                 str(one.cost),
-                "" if percent is None else f"{percent:+.2f}",
+                percent_above(one.cost, found.cost_all_time) if found.cost_all_time else "",
                 str(one.above) if one.above.value or one.above.standard_error else "",
-                "none" if one.cost_bound is None else f"{one.cost_bound:.6g}",
+                _proved(one.cost_bound) or "none",
             ]
         )
-    _print_table(header, rows)
-    all_time = "" if found.cost_all_time is None else f"; all-time cost {found.cost_all_time:.6g}"
-    typer.echo(f"{found.rate:.6g} sends per {found.rate_unit}{all_time}")
+    _print_table(header, rows, 2)
+    lines = [("rate", f"{found.rate:.6g} sends per {found.rate_unit}")]
+    if found.cost_all_time is not None:
+        lines.append(("every sample", f"{found.cost_all_time:.6g}"))
+    pairs(lines)
     for one in found.ranking:
-        shared = "" if one.share == 1 else f"{100 * one.share:.1f} % of the time the first, else the second; "
+        shared = "" if one.share == 1 else f"the first value in {100 * one.share:.1f} % of the time, else the second; "
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
-            typer.echo(f"{one.name}: {(shared + notes).removesuffix('; ')}")
+            typer.echo(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
 
 
 def sharing(found: Sharing) -> None:
-    """Print what loops on a channel cost."""
+    """Print the cost of the loops on a shared channel."""
     base, bound = found.cost_all_time, found.lower_bound
 
     def above(cost: float) -> str:
@@ -183,25 +188,25 @@ def sharing(found: Sharing) -> None:
 
     lines = [
         ("scheduler", found.scheduler),
-        ("loops", f"{found.loops}, at most {found.capacity} sends per tick"),
+        ("loops", f"{found.loops}, at most {found.capacity} sends per step"),
         ("sum of costs", f"{found.cost} per {found.unit}{above(found.cost.value)}"),
-        ("all-time cost", f"{base:.6g}"),
+        ("every sample", f"{base:.6g}"),
     ]
     if bound is not None:
         sure = "by quadrature" if bound.confidence is None else f"{100 * bound.confidence:g} %"
         text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
     lines += [
-        ("best clock", f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
-        ("consistent", {True: "yes", False: "no", None: "not to be told apart"}[found.consistent]),
-        ("load", f"{found.load} sends per tick"),
+        ("best periodic", f"{found.cost_periodic:.6g}{above(found.cost_periodic)}"),
+        ("consistent", {True: "yes", False: "no", None: "undecided within the standard errors"}[found.consistent]),
+        ("load", f"{found.load} sends per step"),
     ]
     if found.load_expected is not None:
-        lines.append(("expected load", f"{found.load_expected} if none had to wait"))
+        lines.append(("expected load", f"{found.load_expected} if no loop had to wait"))
     if found.scheduler == "random-access":
-        lines.append(("on the channel", f"{found.busy} packets per tick, with those that collide"))
+        lines.append(("on the channel", f"{found.busy} packets per step, collisions included"))
     if found.price is not None and found.waiting is not None:
-        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per tick")]
+        lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per step")]
     pairs([*lines, *(("note", note) for note in found.notes)])
     rows = [
         [
@@ -214,26 +219,28 @@ def sharing(found: Sharing) -> None:
         ]
         for one in found.shares
     ]
-    _print_table(["", "loops", f"cost per {found.unit}", "all-time", "sends per look", "of the best clock"], rows)
+    _print_table(
+        ["", "loops", f"cost per {found.unit}", "every sample", "sends per check", "best periodic: sends per check"],
+        rows,
+    )
 
 
 def certificates(found: Certificates) -> None:
-    """Print what is proved of a loop, beside sending always."""
-    typer.echo(f"{'policy':14s} {found.policy}, {found.states} states, actions {', '.join(found.actions)}")
-    ends = "to nothing" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
-    beside = f", and {_shown(found.gain_residual)} per tick" if found.gain_residual else ""
-    lines = [
-        ("decay", found.decay, found.decay_all_time, f"per tick without noise, {ends}"),
-        ("gain", found.gain, found.gain_all_time, f"from noise to the root of the cost of a tick{beside}"),
-        ("cost, at most", found.cost_bound, found.cost_all_time, f"per {found.unit}"),
-        ("E|x|², at most", found.mean_square_bound, found.mean_square_all_time, "at ticks"),
+    """Print the certificates of a loop, with those of sending every sample."""
+    ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
+    more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
+    table = [
+        ("decay", found.decay, found.decay_all_time, f"factor per step without noise, {ends}"),
+        ("gain", found.gain, found.gain_all_time, f"from noise to the square root of the stage cost{more}"),
+        ("cost", found.cost_bound, found.cost_all_time, f"at most, per {found.unit}"),
+        ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
     ]
-    rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in lines]
-    texts = ["", *(text if value is not None else "" for _, value, _, text in lines)]
-    for row, text in zip([["", "proved", "sending always"], *rows], texts, strict=True):
-        typer.echo(f"{row[0]:14s} {row[1]:>11s}  {row[2]:>14s}  {text}".rstrip())
-    for note in found.notes:
-        typer.echo(f"{'note':14s} {note}")
+    pairs([("policy", f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}")])
+    rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in table]
+    _print_table(["", "proved", "every sample"], rows)
+    pairs([(name, text) for name, value, _, text in table if value is not None])
+    if found.notes:
+        pairs([("note", note) for note in found.notes])
 
 
 def _shown(value: float | None) -> str:
@@ -241,16 +248,16 @@ def _shown(value: float | None) -> str:
 
 
 def reproduction(found: Reproduction) -> None:
-    """Print what is printed elsewhere beside what is computed."""
+    """Print published numbers next to computed ones."""
     for table in found.tables:
         typer.echo(f"\n{table.name}")
-        _print_table(*_beside(table))
+        _print_table(*_columns(table), len(table.rows[0].setting))
         for note in table.notes:
-            typer.echo(f"  {note}")
+            typer.echo(wrapped_text(note, "  "))
 
 
-def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
-    """Printed beside computed, column by column."""
+def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows, with each printed number next to the computed one."""
     columns = list(table.rows[0].computed)
     printed = [name for name in columns if any(name in row.printed for row in table.rows)]
     header = list(table.rows[0].setting)
@@ -269,9 +276,9 @@ def _beside(table: Table) -> tuple[list[str], list[list[str]]]:
 
 
 def bench(found: Bench) -> None:
-    """Print how fast this machine simulates."""
+    """Print the simulation speed of this machine."""
     about = found.machine
-    typer.echo(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
+    typer.echo(wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians"))
     rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
     _print_table(["", "million steps/s"], rows)
     for name, ratio in found.ratios.items():
@@ -282,7 +289,5 @@ def bench(found: Bench) -> None:
         typer.echo(f"{f'variance, {name}'.replace('_', ' '):28s} {ratio:.3g} times less per step")
 
 
-def _print_table(header: list[str], rows: list[list[str]]) -> None:
-    widths = [max(len(row[i]) for row in [header, *rows]) for i in range(len(header))]
-    for row in [header, *rows]:
-        typer.echo("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+def _print_table(header: list[str], rows: list[list[str]], names: int = 1) -> None:
+    typer.echo(table_text(header, rows, names))

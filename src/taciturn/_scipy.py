@@ -1,4 +1,4 @@
-"""The few calls into scipy, with types: every untyped edge of it is in this file."""
+"""Typed interface to the functions of scipy that are used."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from taciturn._arrays import Array
 
-# scipy's parts are imported where they are called: each takes 0.1 s to 0.5 s, and most answers need none
+# scipy's modules are imported where they are used: an import takes 0.1 s to 0.5 s, and most results need none
 
 
 def continuous_riccati(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array | None:
-    """Return scipy's solution of the continuous Riccati equation, or None where it finds none."""
+    """Return scipy's solution of the continuous Riccati equation, or None if scipy finds none."""
     import scipy.linalg
 
     try:
@@ -44,7 +44,7 @@ def exponential(A: Array) -> Array:
 
 
 def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
-    """Return (A_u, V) with V A = A_u V: the modes of modulus at least ``edge`` as orthonormal coordinates V x."""
+    """Return (A_u, V) with V A = A_u V, where V x are orthonormal coordinates of the modes of modulus ≥ ``edge``."""
     import scipy.linalg
 
     upper, basis, count = scipy.linalg.schur(A.T, sort=lambda real, imag: np.hypot(real, imag) >= edge)
@@ -52,50 +52,50 @@ def unstable_part(A: Array, edge: float) -> tuple[Array, Array]:
 
 
 def crossing(function: Callable[[float], float], low: float, high: float, width: float = 1e-9) -> float:
-    """Return where a function changes its sign, by Brent's method to a width."""
+    """Return the root of a function in an interval by Brent's method, to an absolute tolerance."""
     import scipy.optimize
 
     return float(scipy.optimize.brentq(function, low, high, xtol=width))
 
 
 def least_squares(residuals: Callable[[Array], Array], start: Array) -> Array:
-    """Return where the sum of squares of residuals is least, near a start, by Levenberg and Marquardt."""
+    """Return the local minimiser of the sum of squared residuals near a start, by Levenberg-Marquardt."""
     import scipy.optimize
 
     return np.asarray(scipy.optimize.least_squares(residuals, start, method="lm", x_scale="jac").x, dtype=np.float64)
 
 
 def sobol(dimensions: int, points: int, draws: np.random.Generator) -> Array:
-    """Return the first of Sobol's points, each dimension scrambled on its own, inside (0, 1), (points, dimensions)."""
+    """Return the first points of a scrambled Sobol sequence in the open unit cube, (points, dimensions)."""
     from scipy.stats import qmc
 
     sequence = qmc.Sobol(dimensions, scramble=True, seed=draws)
-    return np.asarray(sequence.random(points), dtype=np.float64) + 2.0**-31  # of 30 bits: in the middle of their cells
+    return np.asarray(sequence.random(points), dtype=np.float64) + 2.0**-31  # points of 30 bits: shift to cell centres
 
 
 def normal_share(x: Array) -> Array:
-    """Return the probability that a standard normal is below x."""
+    """Return the probability that a standard normal variable is below x."""
     from scipy.special import ndtr
 
     return np.asarray(ndtr(x), dtype=np.float64)
 
 
 def normal_quantile(share: Array) -> Array:
-    """Return the number that a standard normal is below with a probability."""
+    """Return the quantile of the standard normal distribution."""
     from scipy.special import ndtri
 
     return np.asarray(ndtri(share), dtype=np.float64)
 
 
 def gamma_share(shape: Array, x: float) -> Array:
-    """Return the probability that a variable of the gamma law of a shape and of scale 1 is below x."""
+    """Return the probability that a gamma variable with a given shape and scale 1 is below x."""
     from scipy.special import gammainc
 
     return np.asarray(gammainc(shape, x), dtype=np.float64)
 
 
 def spectral_radius(apply: Callable[[Array], Array], size: int) -> float:
-    """Return the largest modulus of an eigenvalue of a linear map of vectors of a size above 2, by Arnoldi's method."""
+    """Return the spectral radius of a linear map on vectors with more than 2 entries, by Arnoldi's method."""
     import scipy.sparse.linalg as sparse
 
     operator = sparse.LinearOperator((size, size), matvec=apply, dtype=np.float64)

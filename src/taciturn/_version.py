@@ -1,3 +1,3 @@
-"""The version of the package, for whoever stands below its public names."""
+"""Version of the package, in a module without imports."""
 
 __version__ = "1.0.0"

@@ -1,19 +1,19 @@
-"""The errors this library raises on purpose; each message says what, got, expected and remedy."""
+"""Exceptions of the library; each message states the problem, the value, the expectation and a remedy."""
 
 from __future__ import annotations
 
 
 class TaciturnError(ValueError):
-    """A request that cannot be met; its text is one clear sentence fit for a user."""
+    """Base class of the library's exceptions, whose messages are written for users."""
 
 
 class ProblemError(TaciturnError):
-    """The data of a problem are malformed, inconsistent, or outside the range the theory needs."""
+    """Data that are malformed, inconsistent, or outside the range that the theory requires."""
 
 
 class InformationError(TaciturnError):
-    """A node of a policy uses something it cannot know."""
+    """A policy in which a node uses a signal that is not available to it."""
 
 
 class UnstableError(TaciturnError):
-    """A loop diverges, or no stabilising gain exists."""
+    """A loop that diverges, or a plant without a stabilising gain."""

@@ -1,4 +1,4 @@
-"""Closes a loop: plant, policy and network together, after checking that no node uses what it cannot know."""
+"""Closed loops of plant, policy and network, with a check that every node uses only signals available to it."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -19,41 +20,41 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
 from taciturn.model.steps import assigned
 from taciturn.model.trigger import Form, Matrix, Scheduled
-from taciturn.program.controller import begin_tick, draw_losses, is_bad
+from taciturn.program.controller import begin_time_step, draw_losses, is_bad
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
-DRAWN = "drawn"  # the normals that an innovation is made of
-WEIGHT = "weight"  # of a tick in a discounted sum
-LEAST = {"float32": 1e-30, "float64": 1e-120}  # cost of a tick, and the inverse of the most: squares are still numbers
-NEGLIGIBLE = 1e-12  # weight of a tick after which a discounted sum ends
+DRAWN = "drawn"  # normal draws from which an innovation is computed
+WEIGHT = "weight"  # weight of a step in a discounted sum
+LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
+NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
 
 
-@dataclass(frozen=True, eq=False)
-class Loop:
-    """A closed loop z⁺ = F z + G w with a trigger, as a program of one tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Loop(Displayed):
+    """A closed loop z⁺ = F z + G w with a trigger, as a program of one step.
 
     Args:
-        problem: the plant from tick to tick, with its weights.
+        problem: the discrete-time plant with its weights.
         policy: the policy.
         network: the network.
-        departures: in what the loop is not the one the policy was designed for; then its theory does not hold.
-        precision: of the numbers it is simulated with: ``"float64"``, or ``"float32"``, 1.8 times as fast.
+        violated_assumptions: differences between the loop and its design; the policy's theory applies only without any.
+        precision: precision of the simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as fast.
 
     Raises:
-        ProblemError: another precision, or ``"float32"`` for a discounted cost, or one beyond its range.
+        ProblemError: the precision is unknown, or cannot represent this cost.
     """
 
     problem: Discrete
     policy: Policy
     network: Network
-    departures: tuple[str, ...]
+    violated_assumptions: tuple[str, ...]
     precision: Precision = "float64"
 
     def __post_init__(self) -> None:
@@ -64,28 +65,33 @@ class Loop:
         if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
             remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
-                f"precision is {self.precision!r}, and a tick costs some {size:.1g}, whose parts are beyond its range; "
-                f"expected {remedy}a problem that is scaled, such as other units of Q and R, or of W"
+                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside its range; "
+                f"expected {remedy}a rescaled problem, for example with other units of Q and R, or of W"
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
-                f"precision is 'float32', and the weights of a discount of {self.problem.cost.discount:g} multiply up "
-                "their rounding errors; expected precision 'float64', or a cost without discount"
+                f"precision is 'float32', but rounding errors accumulate in the weights of the discount "
+                f"{self.problem.cost.discount:g}; expected precision 'float64', or a cost without discount"
             )
 
     @property
     def nominal(self) -> bool:
-        """Whether plant, network and cost are those the policy was designed for, so that its theory holds."""
-        return not self.departures
+        """Whether plant, network and cost are those of the policy's design, so that its theory applies."""
+        return not self.violated_assumptions
+
+    @property
+    def departures(self) -> tuple[str, ...]:
+        """The former name of ``violated_assumptions``."""
+        return self.violated_assumptions
 
     @property
     def identity(self) -> Identity | None:
-        """What the cost is exactly, by the policy's theory; None where that does not hold."""
+        """Identity for the cost by the policy's theory, or None if it does not apply."""
         return self.policy.identity if self.nominal else None
 
     @property
     def horizon(self) -> int | None:
-        """Ticks of a mission: the cost's horizon, or where a discount has made what follows negligible."""
+        """Steps of a finite-horizon run: the horizon of the cost, or the step after which a discount is negligible."""
         cost = self.problem.cost
         if cost.discount < 1:
             return int(np.ceil(np.log(NEGLIGIBLE) / np.log(cost.discount)))
@@ -93,31 +99,31 @@ class Loop:
 
     @property
     def reducible(self) -> bool:
-        """Whether the loop has the law of one driven by the filter's innovations."""
+        """Whether the loop has the same distribution as a loop that is driven by the filter's innovations."""
         gaussian = self.problem.jumps is None
         return self.nominal and gaussian and self.policy.innovations is not None and self.horizon is None
 
     def program(self) -> Program:
-        """Return one tick of the loop with the plant in it.
+        """Return the program of one step of the loop, including the plant.
 
-        Sums: ``cost`` (stage cost), ``excess`` (completed square, where the policy has an identity that holds),
-        ``sent LINK`` (packets), ``control …`` (means of 0). Outputs: what ``taciturn.simulation`` records.
+        Sums: ``cost`` (stage cost), ``excess`` (completed square, if an identity applies), ``sent LINK`` (packets) and
+        ``control …`` (control variates). Outputs: the signals that ``taciturn.simulation`` records.
         """
         return with_draws(with_controls(self._whole()))
 
     def open_program(self) -> Program:
-        """Return one tick of the loop whose noise is supplied.
+        """Return the program of one step of the loop with noise as an input.
 
-        Inputs: ``w i``, which moves the state, ``v i``, which falsifies the measurement, and ``uniform i``. Outputs:
-        those of ``program``. The states ``x`` come first.
+        Inputs: process noise ``w i``, measurement noise ``v i``, and ``uniform i``. Outputs: those of ``program``. The
+        states ``x`` come first.
         """
         whole = self._whole(supplied=True)
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
-        """Return one tick of the plant alone, whose input is supplied.
+        """Return the program of one step of the plant alone.
 
-        Inputs: ``input i``. Outputs: ``cost`` of the tick, and ``y i``, what is measured at the next.
+        Inputs: ``input i``. Outputs: ``cost`` of the step, and the measurement ``y i`` at the next step.
         """
         plant, tracking = self.problem.plant, self.policy.tracking
         tick = self._tick({"x": plant.states})
@@ -133,21 +139,18 @@ class Loop:
         return with_draws(tick.finish({}, outputs))
 
     def reduced_program(self) -> Program:
-        """Return one tick of the loop as its filter sees it: driven by innovations, without the plant.
+        """Return the program of one step of the loop in innovations form, without the plant.
 
-        Equal in law to ``program`` with a steady filter and Gaussian noise; the stage cost is that of the estimate
-        plus tr(QΣ).
+        Its distribution is that of ``program`` with a steady filter; its stage cost adds tr(QΣ) to the estimate's.
 
         Raises:
-            ProblemError: the reduction does not hold for this loop.
+            ProblemError: the loop has no innovations form.
 
         Source: khashooei2017
         """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError(
-                "the loop has no innovations form: its plant, network or horizon is not that of the design"
-            )
+            raise ProblemError("the loop has no innovations form; expected plant, network and horizon of its design")
         spread = factor(innovations.covariance)
         tick = self._tick({DRAWN: spread.shape[1]})
         tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
@@ -162,7 +165,7 @@ class Loop:
         return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
-        """Return the first value of each state of a program for the paths from ``first`` on, (states, paths)."""
+        """Return the initial states of a program for paths with numbers from ``first``, (states, paths)."""
         plant = self.problem.plant
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
@@ -182,11 +185,11 @@ class Loop:
         return np.array(rows).reshape(len(rows), paths)
 
     def final_cost(self, program: Program, states: Array) -> Array | None:
-        """Return what the final state of each path costs, (paths,); None where the cost has no terminal weight.
+        """Return the terminal cost of each path, (paths,), or None if the cost has no terminal weight.
 
         Args:
-            program: one that keeps the state ``x``.
-            states: its states after the last tick, (states, paths).
+            program: a program with the state ``x``.
+            states: its states after the last step, (states, paths).
         """
         terminal, tracking = self.problem.cost.terminal, self.policy.tracking
         if terminal is None:
@@ -196,27 +199,25 @@ class Loop:
         return np.einsum("ip,ij,jp->p", x, terminal, x)
 
     def ticks(self, ticks: object) -> int:
-        """Return a number of ticks to run, at least 1 and not beyond the end of a mission.
+        """Return a number of steps after checking that it is at least 1 and at most the horizon of the cost.
 
         Raises:
-            ProblemError: it is not.
+            ProblemError: the number is invalid.
         """
         wanted, horizon = count("ticks", ticks), self.problem.cost.horizon
         if horizon is not None and wanted > horizon:
-            raise ProblemError(
-                f"ticks is {wanted}, and the mission ends after {horizon}; expected at most {horizon}, its horizon"
-            )
+            raise ProblemError(f"ticks is {wanted}, but the horizon is {horizon}; expected at most {horizon}")
         return wanted
 
-    def _tick(self, extra: Mapping[str, int]) -> Tick:
+    def _tick(self, extra: Mapping[str, int]) -> TimeStep:
         sizes = {**extra, "applied": self.problem.plant.inputs, WEIGHT: 1}
-        return begin_tick(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision)
+        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision)
 
     def _whole(self, supplied: bool = False) -> Program:
-        """Return one tick of the loop with its noise drawn, or supplied."""
+        """Return the program of one step of the loop with random noise, or with noise as an input."""
         tick = self._tick({"x": self.problem.plant.states})
         if supplied:
-            tick.recall("x")  # the first of the states
+            tick.recall("x")  # so that x is the first state
         losses = draw_losses(tick, self.policy, self.network)
         tick.signals["y"] = self._measured(tick, supplied)
         for step in self.policy.steps:
@@ -227,14 +228,14 @@ class Loop:
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 
-    def _measured(self, tick: Tick, supplied: bool = False) -> list[int]:
+    def _measured(self, tick: TimeStep, supplied: bool = False) -> list[int]:
         plant = self.problem.plant
         y = tick.combine({"x": plant.C}, plant.outputs)
         if supplied:
             return _add(tick, y, [tick.builder.input(f"v {i}") for i in range(plant.outputs)])
         return _add(tick, y, _noise(tick, factor(plant.V))) if plant.V.any() else y
 
-    def _moved(self, tick: Tick, supplied: bool = False) -> list[int]:
+    def _moved(self, tick: TimeStep, supplied: bool = False) -> list[int]:
         plant = self.problem.plant
         if plant.function is not None:
             noise = self._disturbance(tick, supplied) or [tick.builder.constant(0.0)] * plant.states
@@ -244,8 +245,8 @@ class Loop:
         noise = self._disturbance(tick, supplied)
         return _add(tick, moved, noise) if noise else moved
 
-    def _disturbance(self, tick: Tick, supplied: bool) -> list[int]:
-        """Return w, supplied or drawn; nothing where it is 0."""
+    def _disturbance(self, tick: TimeStep, supplied: bool) -> list[int]:
+        """Return the process noise w, as an input or drawn; an empty list if it is 0."""
         plant, jumps = self.problem.plant, self.problem.jumps
         if supplied:
             return [tick.builder.input(f"w {i}") for i in range(plant.states)]
@@ -253,8 +254,8 @@ class Loop:
             return []
         return _noise(tick, factor(plant.W)) if jumps is None else add_jumps(tick, jumps)
 
-    def _deviate(self, tick: Tick) -> tuple[str, str]:
-        """Return the signals that the cost weighs: state and input, or what they are off a reference."""
+    def _deviate(self, tick: TimeStep) -> tuple[str, str]:
+        """Return the signals that the cost weights: state and input, or their deviations from a reference."""
         tracking, plant = self.policy.tracking, self.problem.plant
         if tracking is None:
             return "x", "applied"
@@ -267,7 +268,7 @@ class Loop:
         p = self.problem
         return Form((state, applied), np.block([[p.Q, p.N], [p.N.T, p.R]]), constant)
 
-    def _sums(self, tick: Tick, stage: int) -> dict[str, int]:
+    def _sums(self, tick: TimeStep, stage: int) -> dict[str, int]:
         sums = {COST: stage}
         if self.identity is not None:
             sums[EXCESS] = tick.pick(self.identity.on, [tick.form(form) for form in self.identity.forms])
@@ -279,7 +280,7 @@ class Loop:
             sums = {name: tick.builder.emit("mul", weight, value) for name, value in sums.items()}
         return sums
 
-    def _outputs(self, tick: Tick, more: tuple[str, ...]) -> dict[str, int]:
+    def _outputs(self, tick: TimeStep, more: tuple[str, ...]) -> dict[str, int]:
         shown = [*more, *(name for name in ("y", "estimate", "applied") if name in tick.signals)]
         outputs = {f"{name} {i}": value for name in shown for i, value in enumerate(tick.signals[name])}
         for decision, options in tick.options.items():
@@ -294,28 +295,27 @@ def close(
     """Close the loop of a plant, a policy and a network.
 
     Args:
-        plant: the plant that is controlled, the one of the design or another.
-        policy: from ``taciturn.design`` or hand-made.
-        network: omitted: the one of the design.
-        cost: the cost that is measured; omitted: the one the policy was designed for.
+        plant: the controlled plant, which may differ from the plant of the design.
+        policy: a policy from ``taciturn.design``, or a user-defined one.
+        network: the network; default: the network of the design.
+        cost: the cost to measure; default: the cost that the policy was designed for.
 
     Returns:
         The loop.
 
     Raises:
-        InformationError: a node uses what it cannot know.
-        ProblemError: sizes of plant, policy and cost differ, the network has properties that the policy cannot have, or
-            the plant of the design has what only a plant that is simulated can have.
+        InformationError: a node uses a signal that is not available to it.
+        ProblemError: the sizes of plant, policy and cost differ, the policy does not support a property of the network,
+            or the plant of the design has a property that only a simulated plant can have.
 
     Source: khashooei2017
     """
     instance("policy", policy, Policy)
     cost = policy.cost if cost is None else cost
     if cost is None:
-        raise ProblemError(f"cost is missing, and {policy.kind} was designed for none; expected the cost to measure")
+        raise ProblemError(f"cost is missing, and {policy.kind} was designed without a cost; expected a cost")
     network = policy.network if network is None else network
-    period = policy.tick if isinstance(plant, ContinuousPlant) else None
-    problem = discretise(plant, cost, period, policy.prediction)
+    problem = discretise(plant, cost, policy.tick if isinstance(plant, ContinuousPlant) else None, policy.prediction)
     for name in ("states", "inputs", "outputs"):
         got, expected = getattr(problem.plant, name), getattr(policy.model, name)
         if got != expected:
@@ -324,16 +324,16 @@ def close(
     _check_plants(problem, policy)
     if policy.tracking is not None and policy.cost is not None and cost.horizon != policy.cost.horizon:
         raise ProblemError(
-            f"cost.horizon is {cost.horizon}, and the reference has {policy.cost.horizon} steps; expected the same"
+            f"cost.horizon is {cost.horizon}, but the reference has {policy.cost.horizon} steps; expected equal lengths"
         )
-    return Loop(problem, policy, network, _departures(problem, policy, network))
+    return Loop(problem, policy, network, _violated_assumptions(problem, policy, network))
 
 
 def _check_plants(problem: Discrete, policy: Policy) -> None:
-    """Refuse what concerns a plant that is simulated and is given for the design alone, which ignores it.
+    """Reject properties of the design's plant that only affect a simulation but differ in the simulated plant.
 
     Raises:
-        ProblemError: limits of the input, a function, or of an average a spread of the initial state.
+        ProblemError: such a property is an input limit, a function, or the initial covariance for an average cost.
     """
     plant, model = problem.plant, policy.model
     begun = policy.cost is not None and policy.cost.mission
@@ -344,12 +344,12 @@ def _check_plants(problem: Discrete, policy: Policy) -> None:
     }
     for name in (name for name, unused in ignored.items() if unused):
         raise ProblemError(
-            f"plant.{name} is given, and the plant that is simulated instead (plant.actual) has another or none; "
-            f"expected the same plant.actual.{name}, or no plant.{name}: the design does not use it"
+            f"plant.{name} is given, but plant.actual, which is simulated instead, has another {name} or none; "
+            f"expected the same plant.actual.{name}, or no plant.{name}, which the design does not use"
         )
 
 
-def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
+def _violated_assumptions(problem: Discrete, policy: Policy, network: Network) -> tuple[str, ...]:
     plant, model, cost = problem.plant, policy.model, problem.cost
     started = not (plant.agrees("mean", model) and plant.agrees("covariance", model))
     filtered = not plant.full_state and policy.closed_form is None
@@ -360,18 +360,18 @@ def _departures(problem: Discrete, policy: Policy, network: Network) -> tuple[st
         "the plant is not the one of the design": not plant.same_as(model),
         "the initial state is not the one of the design": started and (cost.mission or resting_states(plant).any()),
         "inputs are clipped (input_limit)": plant.input_limit is not None,
-        "the noise jumps, and a filter's theory needs Gaussian noise": filtered and problem.jumps is not None,
-        "losses come in bursts, and the design knows their mean only": bursts,
+        "the noise has jumps, but the filter's theory assumes Gaussian noise": filtered and problem.jumps is not None,
+        "losses come in bursts, but the design uses only their mean": bursts,
         "the network is not the one of the design": not bursts and exact != designed.without_bursts(),
         "no node uses the acknowledgements of protocol 'tcp'": unheard_acknowledgements(policy, network),
-        f"packets hold rounded numbers ({network.payload})": network.payload != "float64",
+        f"packets contain rounded numbers ({network.payload})": network.payload != "float64",
         "the cost is not the one of the design": policy.cost is None or not cost.same_as(policy.cost),
     }
     return tuple(text for text, departs in found.items() if departs)
 
 
 def _driven(step: Step, innovation: str, spread: Array) -> Step:
-    """Return the step with what multiplies the innovation multiplied into the normals that it is made of."""
+    """Return the step with the innovation replaced by its factor times normal draws."""
     if not isinstance(step, Assign) or not any(innovation in terms for terms in step.branches):
         return step
 
@@ -385,16 +385,16 @@ def _times(matrix: Matrix, other: Array) -> Matrix:
     return Scheduled(matrix.by, matrix.values @ other) if isinstance(matrix, Scheduled) else matrix @ other
 
 
-def _normals(tick: Tick, number: int, first: int) -> list[int]:
-    """Return normals, drawn under names that count from ``first``."""
+def _normals(tick: TimeStep, number: int, first: int) -> list[int]:
+    """Return normal draws with names numbered from ``first``."""
     return [tick.builder.input(f"{NORMAL} {first + i}") for i in range(number)]
 
 
-def _add(tick: Tick, values: list[int], noise: list[int]) -> list[int]:
+def _add(tick: TimeStep, values: list[int], noise: list[int]) -> list[int]:
     return [tick.builder.emit("add", value, drawn) for value, drawn in zip(values, noise, strict=True)]
 
 
-def _noise(tick: Tick, spread: Array) -> list[int]:
-    """Return G·normals that are drawn for it."""
+def _noise(tick: TimeStep, spread: Array) -> list[int]:
+    """Return the product of G and new normal draws."""
     drawn = _normals(tick, spread.shape[1], len(tick.builder.inputs))
     return [tick.value(index) for index in tick.builder.transform(spread.tolist(), drawn)]

@@ -31,7 +31,7 @@ HALVING = 2.0**-12  # what the search for a rate leaves open
 
 def two_masses(theta: float = 0.1) -> Switched:
     """Return the loop of the two masses on a spring, held inputs."""
-    problem = taciturn.load("two-mass").changed({"theta": theta})
+    problem = taciturn.load("two-mass-lqg").changed({"theta": theta})
     return switched(problem.close(problem.design()))
 
 
@@ -135,7 +135,7 @@ def test_of_a_linear_loop_the_certificates_are_exact(seed: int) -> None:
 @pytest.mark.evidence
 def test_two_masses_decay_almost_as_fast_as_under_all_time_control() -> None:
     """The filter decays faster than the loop, so that the estimate alone has the same rate as the whole."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     loop = problem.close(problem.design())
     whole, seen = switched(loop), switched_innovations(loop)
     rates = [find_decay(found).rate for found in (whole, seen)]
@@ -153,7 +153,7 @@ def small(theta: float) -> Switched:
 
 @pytest.mark.parametrize("loop_of", [small, pytest.param(two_masses, marks=pytest.mark.evidence)])
 def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> None:
-    """Decay, gain and cost bound grow with θ, from those of sending always on."""
+    """Decay, gain and cost bound grow with θ, from those of sending every sample on."""
     loops = [loop_of(theta) for theta in (1e-6, 0.1, 1.0)]
     always = loops[0].under(1)
     rates, gains = [find_decay(loop).rate for loop in loops], [find_gain(loop).value for loop in loops]
@@ -166,7 +166,7 @@ def test_a_larger_theta_proves_less(loop_of: Callable[[float], Switched]) -> Non
 @pytest.mark.parametrize("theta", [0.1, 1.0, 5.0])
 def test_the_bound_on_the_cost_is_no_worse_than_the_theorem(theta: float) -> None:
     """P = (1+θ)K with the multiplier 1 is one solution: it proves (1+θ)J_all, and the least bound is below."""
-    problem = taciturn.load("two-mass").changed({"theta": theta})
+    problem = taciturn.load("two-mass-lqg").changed({"theta": theta})
     loop = problem.close(problem.design())
     assert loop.policy.guarantee is not None
     assert bound_cost(switched_innovations(loop)).value <= loop.policy.guarantee.cost * (1 + 1e-6)
@@ -202,7 +202,7 @@ def test_without_noise_there_is_no_gain() -> None:
     """W = 0 and no measurement noise: nothing to bound."""
     plant, cost = Plant([[1.5]], [[1.0]], [[0.0]]), Cost([[1.0]], [[1.0]])
     loop = switched(close(plant, design.relative(plant, cost, sigma=0.1)))
-    with pytest.raises(NoCertificateError, match="nothing disturbs"):
+    with pytest.raises(NoCertificateError, match="the loop has no noise"):
         find_gain(loop)
     assert bound_cost(loop).value == pytest.approx(0.0, abs=1e-6)
     assert find_decay(loop).limit == 0

@@ -30,9 +30,9 @@ def excess(actuation: str = "model") -> Policy:
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (excess("hold"), "no send of excess resets the error that costs, which a lower bound needs; expected a policy"),
-        (design.lqg(PLANT, COST, theta=0.3), "no send of lqg resets"),
-        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "no send of remote-lqg resets"),
+        (excess("hold"), "a send of excess does not reset the error that causes cost, which a lower bound requires; "),
+        (design.lqg(PLANT, COST, theta=0.3), "a send of lqg does not reset"),
+        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "a send of remote-lqg does not reset"),
     ],
 )
 def test_a_loop_whose_sends_reset_no_error_has_no_bound(policy: Policy, words: str) -> None:
@@ -55,7 +55,7 @@ def test_noise_in_jumps_has_no_bound() -> None:
     """The error is the same, its law is not."""
     plant = ContinuousPlant([[0.0]], [[1.0]], jumps=Jumps(5.0, [[0.2]]))
     policy = design.consistent(plant, Cost([[1.0]], [[1.0]]), period=0.2)
-    with pytest.raises(ProblemError, match="the noise comes in jumps; expected Gaussian noise for the best schedule"):
+    with pytest.raises(ProblemError, match="the noise consists of jumps; expected Gaussian noise for optima"):
         bound_below(close(plant, policy), 0.3)
 
 
@@ -110,7 +110,7 @@ def test_another_trigger_with_the_same_controller_has_the_same_bound(monkeypatch
 
 
 def test_noise_that_no_input_answers_costs_nothing_in_silence() -> None:
-    """An input that the cost forbids to use: sending never is as good as sending always."""
+    """An input that the cost forbids to use: sending never is as good as sending every sample."""
     plant, cost = Plant([[0.5]], [[0.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
     policy = design.excess(plant, cost, delta=1.0, actuation="model")
     found = bound_below(close(plant, policy), 0.1)

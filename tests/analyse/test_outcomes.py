@@ -20,7 +20,7 @@ def by_hand(a: float, q: float, r: float, loss: float) -> tuple[float, float, fl
     two = (1 - loss) * np.kron(arrives, arrives) + loss * np.kron(lost, lost)
     four = sum(p * np.kron(np.kron(F, F), np.kron(F, F)) for p, F in ((1 - loss, arrives), (loss, lost)))
     growths = [float(np.abs(np.linalg.eigvals(M)).max()) for M in (two, four)]
-    S = np.linalg.solve(np.eye(4) - two, [1.0, 0, 0, 0]).reshape(2, 2)  # at ticks before the decision
+    S = np.linalg.solve(np.eye(4) - two, [1.0, 0, 0, 0]).reshape(2, 2)  # at steps before the decision
     return growths[0], growths[1], q * S[0, 0] + r * S[1, 1]
 
 
@@ -46,10 +46,14 @@ def test_a_loop_whose_mean_square_grows_is_refused() -> None:
     plant, cost = Plant([[1.05]], [[1.0]], [[1.0]]), Cost([[1.0]], [[0.01]])
     policy = design.all_time(plant, cost)
     assert by_hand(1.05, 1.0, 0.01, 0.34)[0] > 1 > 0.34 * 1.05**2
-    with pytest.raises(UnstableError, match=r"with these losses its mean square grows 1.05\d* times per tick"):
+    with pytest.raises(UnstableError, match=r"with these losses its mean square grows by a factor of 1.05\d* per step"):
         average(close(plant, policy, Network("udp", actuator_loss=0.34), cost), steps=200_000)
     event = close(plant, design.excess(plant, cost, theta=0.1), Network("udp", actuator_loss=0.34), cost)
-    assert average(event, steps=200_000).notes[0].startswith("with these losses the mean square would grow 1.05")
+    assert (
+        average(event, steps=200_000)
+        .notes[0]
+        .startswith("with these losses the mean square would grow by a factor of 1.05")
+    )
 
 
 def test_bursts_turn_with_the_links() -> None:

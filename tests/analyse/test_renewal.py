@@ -112,7 +112,7 @@ def test_evaluate_solves_what_it_can_and_says_how() -> None:
 
 
 def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
-    """Four states: by never-die paths where intervals are short, else simulated and told why; never exact."""
+    """Four states: by conditional sampling where intervals are short, else simulated and told why; never exact."""
     tables = {
         "plant": {"A": (np.eye(4, k=1) - 0.5 * np.eye(4)).tolist(), "B": np.eye(4).tolist(), "W": np.eye(4).tolist()},
         "cost": {"Q": np.eye(4).tolist(), "R": np.eye(4).tolist()},
@@ -132,7 +132,7 @@ def test_what_no_quadrature_serves_is_simulated_and_told() -> None:
     assert "directions of the error" in told
     assert "instead" not in told
     assert "expected" not in told
-    with pytest.raises(ProblemError, match=r"method is 'exact', and .*simulate"):
+    with pytest.raises(ProblemError, match=r"method is 'exact', but .*simulate"):
         taciturn.evaluate(problem, method="exact")
 
 
@@ -148,7 +148,7 @@ def test_only_loops_that_one_error_decides_are_chains() -> None:
         chain_of(close(other, policy))
     with pytest.raises(NoQuadratureError, match="the network is not the one of the design"):
         chain_of(close(PLANT, policy, Network("tcp", sensor_loss=0.1)))
-    with pytest.raises(NoQuadratureError, match="lqg has no closed form here, and no error that alone decides"):
+    with pytest.raises(NoQuadratureError, match="lqg has no closed form for this problem, and its decision"):
         chain_of(close(PLANT, design.lqg(PLANT, COST, theta=0.1, period=0.5)))
-    with pytest.raises(NoQuadratureError, match="the threshold is 0; expected one above 0"):
+    with pytest.raises(NoQuadratureError, match="the threshold is 0; expected a threshold above 0"):
         chain_of(close(PLANT, design.consistent(PLANT, COST, period=0.5, delta=0.0)))

@@ -24,21 +24,21 @@ SERVED += ("absolute state model", "relative", "mixed model", "send-on-delta", "
 REFUSED = {
     "near-optimal": "the exponential of a quadratic",
     "dynamic": "triggers on credit",
-    "stochastic": "draws a threshold",
+    "stochastic": "has a random threshold",
     "downsampled": "vary with the wait",
     "self-triggered": "4 decisions",
     "rollout": "rollout",
     "periodic hold": "by the clock",
     "remote": "2 decisions",
-    "lossy udp": "are lost",
-    "lossy tcp, delayed": "are lost",
-    "remote, 30 steps": "mission",
-    "remote, discounted": "mission",
+    "lossy udp": "drops packets",
+    "lossy tcp, delayed": "drops packets",
+    "remote, 30 steps": "horizon",
+    "remote, discounted": "horizon",
 }
 
 
 def recorded(loop: Loop, seed: int) -> dict[str, np.ndarray]:
-    """Return what the program of a loop shows, (ticks, entries, paths) by signal."""
+    """Return what the program of a loop shows, (steps, entries, paths) by signal."""
     program = loop.program()
     flat = run(program, loop.start(program, PATHS, seed), TICKS).outputs
     signals = dict.fromkeys(name.rsplit(" ", 1)[0] for name in flat if not name.startswith("option"))
@@ -54,7 +54,7 @@ def recorded(loop: Loop, seed: int) -> dict[str, np.ndarray]:
 def expect_same(loop: Loop, found: Switched, shown: dict[str, np.ndarray], noise: np.ndarray, state: str) -> None:
     """Iterate z⁺ = F_i z + G w with the noise that was drawn, and compare state, cost and decisions.
 
-    ``noise`` is that by which the state of each tick came about, (ticks, q, paths); the loop starts at zero.
+    ``noise`` is that by which the state of each step came about, (steps, q, paths); the loop starts at zero.
     """
     problem = loop.problem
     stage = np.block([[problem.Q, problem.N], [problem.N.T, problem.R]])
@@ -90,7 +90,7 @@ def drawn(loop: Loop, shown: dict[str, np.ndarray]) -> np.ndarray:
 
 
 def same_map_of(name: str, full_state: bool, seeds: int) -> None:
-    """State, stage cost and the values of the trigger agree tick by tick, driven by the noise that was drawn."""
+    """State, stage cost and the values of the trigger agree step by step, driven by the noise that was drawn."""
     for seed in range(seeds):
         loop = closed(POLICIES[name](make_system(seed, 2 + seed % 2, 1 + seed % 2, 2, full_state)))
         shown = recorded(loop, seed)
@@ -140,7 +140,7 @@ def test_another_plant_than_that_of_the_design_is_read() -> None:
 
 def test_copies_of_what_the_actuator_holds_are_one_state() -> None:
     """Two masses: x, x̂ and the input held; with a model x, x̂ and its state; the filter's view is without x."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     for actuation, states in (("hold", 9), ("model", 12)):
         loop = problem.close(problem.changed({"actuation": actuation}).design())
         assert switched(loop).states == states
@@ -169,9 +169,9 @@ def test_invariant_subspaces_are_the_least() -> None:
 
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_is_no_switched_linear_map_is_refused(name: str) -> None:
-    """Drawn thresholds, quadratic memories, tables, losses and missions, each in one sentence."""
+    """Drawn thresholds, quadratic memories, tables, losses and finite-horizon runs, each in one sentence."""
     loop = closed(POLICIES[name](make_system(2, 2, 1, 2, True)))
-    with pytest.raises(ProblemError, match="no certificate serves that; expected") as refused:
+    with pytest.raises(ProblemError, match="which certificates do not support; expected") as refused:
         switched(loop)
     assert REFUSED[name] in str(refused.value)
 
@@ -184,7 +184,7 @@ def test_clipped_inputs_and_packets_of_the_tick_before_are_refused() -> None:
         switched(close(Plant([[1.1]], [[1.0]], [[1.0]], input_limit=[5.0]), policy))
     (send,) = (step for step in policy.steps if isinstance(step, Send))
     late = replace(policy, steps=(*(step for step in policy.steps if step is not send), send))
-    with pytest.raises(ProblemError, match="of the tick before"):
+    with pytest.raises(ProblemError, match="of the previous step"):
         switched(close(plant, late))
     with pytest.raises(ProblemError, match="no innovations form"):
         switched_innovations(close(plant, policy))

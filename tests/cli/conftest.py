@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,6 +27,11 @@ class Answer:
     code: int
     out: str
     err: str
+
+    @property
+    def unwrapped(self) -> str:
+        """Standard output with the continuation lines of names and values joined."""
+        return re.sub(r"\n {15,}(?=\S)", " ", self.out)
 
     @property
     def sentence(self) -> str:

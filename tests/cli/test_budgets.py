@@ -11,7 +11,7 @@ from counts import few
 
 import taciturn
 
-MASSES = Path(taciturn.__file__).parent / "problems" / "two-mass.toml"
+MASSES = Path(taciturn.__file__).parent / "problems" / "two-mass-lqg.toml"
 
 
 def with_policy(folder: Path, name: str, policy: str) -> str:
@@ -24,12 +24,12 @@ def with_policy(folder: Path, name: str, policy: str) -> str:
 
 def test_tune_prints_the_parameter_and_the_answer(run: Run) -> None:
     """A line for the parameter with its error, then what evaluate prints."""
-    answer = run("tune", "two-mass", "--rate", "0.3", "--standard-error", "1e-3")
+    answer = run("tune", "two-mass-lqg", "--rate", "0.3", "--standard-error", "1e-3")
     assert answer.code == 0
     lines = answer.out.splitlines()
     assert lines[0].startswith("theta          1.1")
     assert " ± " in lines[0]
-    assert any(line.startswith("rate, actuator 0.3") or line.startswith("rate, actuator 0.29") for line in lines)
+    assert any(line.startswith("this policy") and (" 0.3" in line or " 0.29" in line) for line in lines)
 
 
 def test_budgets_in_percent_are_of_sending_always(run: Run, tmp_path: Path) -> None:
@@ -53,6 +53,15 @@ def test_python_prints_what_the_commands_print(run: Run, tmp_path: Path) -> None
     assert repr(found).startswith("Evaluation(policy='periodic', unit='step',")
 
 
+@pytest.mark.parametrize("policy", ['kind = "periodic"\nevery = 1', 'kind = "all-time"'])
+def test_a_policy_that_sends_every_sample_is_not_compared_with_itself(run: Run, tmp_path: Path, policy: str) -> None:
+    """One row, without a percentage."""
+    text = run("evaluate", with_policy(tmp_path, "clock", policy)).out
+    assert text.count("0.733478") == 1
+    assert "%" not in text
+    assert "periodic       the same as this policy, which sends every sample" in text
+
+
 def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
     """Exact numbers, and the other side of the jump."""
     answer = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3", "--json")
@@ -62,7 +71,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
     assert document["beyond"]["value"] == [4, 3, 3, 3]
     assert document["rates"]["actuator"]["value"] == 2 / 7
     told = run("tune", with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'), "--rate", "0.3")
-    assert "the budget lies in a jump, on whose other side is every = [4, 3, 3, 3]" in told.out
+    assert "the rate jumps across the budget; on the other side: every = [4, 3, 3, 3]" in told.unwrapped
 
 
 @pytest.mark.parametrize(
@@ -75,18 +84,21 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
         (["--rate", "x"], "Invalid value for '--rate'"),
-        (["--rate", "+5%"], "Invalid value for '--rate': rate is '+5%'; expected a number, or percent as 50%"),
-        (["--cost", "5%"], "Invalid value for '--cost': cost is '5%'; expected a number, or percent as +5%"),
-        (["--rate", "5%", "--least-period", "0.1"], "expected --rate alone beside it, the budget, as a number"),
+        (
+            ["--rate", "+5%"],
+            "Invalid value for '--rate': rate is '+5%'; expected a number, or a percentage such as 50%",
+        ),
+        (["--cost", "5%"], "Invalid value for '--cost': cost is '5%'; expected a number, or a percentage such as +5%"),
+        (["--rate", "5%", "--least-period", "0.1"], "expected --rate as the only budget, as a number"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
-        (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period here"),
-        (["--cost", "1", "--least-period", "0.1"], "--least-period is given; expected --rate alone beside it"),
+        (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period to tune here"),
+        (["--cost", "1", "--least-period", "0.1"], "--least-period is given; expected --rate as the only budget"),
     ],
 )
 def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str], words: str) -> None:
     """Exit code 2, nothing else printed."""
-    answer = run("tune", "two-mass", *arguments)
+    answer = run("tune", "two-mass-lqg", *arguments)
     assert answer.code == 2
     assert answer.out == ""
     assert words in answer.sentence
@@ -97,7 +109,7 @@ def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
     once("taciturn.compare")
     weight = [[2, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
     files = [
-        "two-mass",
+        "two-mass-lqg",
         with_policy(tmp_path, "clock", 'kind = "periodic"\nevery = 2'),
         with_policy(tmp_path, "drawn", f'kind = "stochastic"\nactuation = "model"\nweight = {weight}'),
     ]
@@ -105,8 +117,8 @@ def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
     answer = run("compare", *files, "--rate", "0.3", "--standard-error", "2e-3", "--plot", str(picture))
     assert answer.code == 0
     names = [line.split()[0] for line in answer.out.splitlines()[1:4]]
-    assert names == ["drawn", "two-mass", "clock"]
-    assert "clock: 35.0 % of the time the first, else the second" in answer.out
+    assert names == ["drawn", "two-mass-lqg", "clock"]
+    assert "clock: the first value in 35.0 % of the time, else the second" in answer.out
     assert picture.read_text(encoding="utf-8").startswith("<?xml")
     document = json.loads(run("compare", *files, "--rate", "0.3", "--standard-error", "2e-3", "--json").out)
     assert [place["name"] for place in document["ranking"]] == names
@@ -116,10 +128,10 @@ def test_compare_ranks_and_draws(run: Run, once: Once, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("files", "words"),
     [
-        (["two-mass"], "the number of policies is 1"),
-        (["two-mass", "two-mass"], "two-mass (1) and two-mass (2) are one policy"),
-        (["two-mass", "rover"], "two-mass and rover differ in [plant]"),
-        (["two-mass", "nowhere"], "there is no file 'nowhere'"),
+        (["two-mass-lqg"], "the number of policies is 1"),
+        (["two-mass-lqg", "two-mass-lqg"], "two-mass-lqg (1) and two-mass-lqg (2) are the same policy"),
+        (["two-mass-lqg", "rover"], "two-mass-lqg and rover differ in [plant]"),
+        (["two-mass-lqg", "nowhere"], "there is no file 'nowhere'"),
     ],
 )
 def test_a_comparison_that_cannot_be_is_one_sentence(run: Run, files: list[str], words: str) -> None:
@@ -154,7 +166,7 @@ def test_tune_seeks_the_period_of_the_looks(run: Run, once: Once, tmp_path: Path
 @pytest.mark.parametrize("rate", few(["0.203", "0.2033"], 1))
 def test_a_budget_at_the_end_of_what_can_be_reached_ends_in_a_sentence(run: Run, rate: str) -> None:
     """A digit of the parameter decides on which side of the budget its limit is: an answer, and no traceback."""
-    answer = run("tune", "two-mass", "--rate", rate, "--standard-error", "1e-3")
+    answer = run("tune", "two-mass-lqg", "--rate", rate, "--standard-error", "1e-3")
     assert answer.code in (0, 2)
     assert "Traceback" not in answer.err
     assert answer.err.count("\n") == (answer.code == 2)

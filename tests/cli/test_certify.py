@@ -8,6 +8,7 @@ import pytest
 from cli.conftest import Run, Write
 
 import taciturn
+from taciturn.study.record import origin
 
 
 def test_certify_prints_what_is_proved_beside_sending_always(run: Run, write: Write) -> None:
@@ -16,10 +17,9 @@ def test_certify_prints_what_is_proved_beside_sending_always(run: Run, write: Wr
     assert answer.code == 0
     lines = answer.out.splitlines()
     assert lines[0] == "policy         lqg, 2 states, actions silent, send"
-    assert lines[1].split() == ["proved", "sending", "always"]
-    names = ["decay", "gain", "cost, at most", "E|x|², at most"]
-    assert [line[:14].strip() for line in lines[2:]] == names
-    assert lines[2].endswith("per tick without noise, to nothing")
+    assert [word for line in lines[1:3] for word in line.split()] == ["every", "proved", "sample"]
+    assert [line.split()[0] for line in lines[3:]] == 2 * ["decay", "gain", "cost", "E|x|²"]
+    assert lines[7].endswith("factor per step without noise, to 0")
 
 
 def test_certify_prints_one_document(run: Run, write: Write) -> None:
@@ -27,8 +27,10 @@ def test_certify_prints_one_document(run: Run, write: Write) -> None:
     file = write()
     answer = run("certify", file, "--json")
     assert answer.code == 0
-    document, found = json.loads(answer.out), taciturn.certify(taciturn.load(file)).document()
-    assert document | {"seconds": 0.0} == found | {"seconds": 0.0}
+    problem = taciturn.load(file)
+    document, found = json.loads(answer.out), taciturn.certify(problem).document() | origin(problem)
+    assert document | found | {"seconds": 0.0} == document | {"seconds": 0.0}
+    assert len(document["problem_digest"]) == 64
     assert document["cost_all_time"] <= document["cost_bound"] <= 1.5 * document["cost_all_time"] * (1 + 1e-6)
     assert document["decay_all_time"] <= document["decay"] < 1
 
@@ -36,8 +38,8 @@ def test_certify_prints_one_document(run: Run, write: Write) -> None:
 def test_a_threshold_leaves_a_residual(run: Run, write: Write) -> None:
     """The lines name what the constants of the trigger leave."""
     answer = run("certify", write(policy='[policy]\nkind = "absolute"\nthreshold = 0.2\n'))
-    assert "until the cost is at most" in answer.out
-    assert "from noise to the root of the cost of a tick, and " in answer.out
+    assert "until the cost is at most" in answer.unwrapped
+    assert "from noise to the square root of the stage cost, and " in answer.unwrapped
 
 
 def test_another_plant_is_certified_with_a_note(run: Run, write: Write) -> None:
@@ -45,7 +47,7 @@ def test_another_plant_is_certified_with_a_note(run: Run, write: Write) -> None:
     actual = "[plant.actual]\nA = [[1.1]]\nB = [[1.0]]\nW = [[0.01]]\ndt = 1.0\n"
     answer = run("certify", write(more=actual))
     assert answer.code == 0
-    assert "proved of the plant that is simulated: the plant is not the one of the design" in answer.out
+    assert "proved for the simulated plant: the plant is not the one of the design" in answer.unwrapped
 
 
 @pytest.mark.parametrize(
@@ -53,8 +55,8 @@ def test_another_plant_is_certified_with_a_note(run: Run, write: Write) -> None:
     [
         ('kind = "dynamic"\nsigma = 0.1\nrho = 0.8\ngain = 2.0', "dynamic triggers on credit"),
         ('kind = "periodic"\nevery = 2', "periodic decides by the clock"),
-        ('kind = "relative"\nsigma = 20.0', "nothing is proved of this loop"),
-        ('kind = "self-triggered"\nbeta = 1.5\nmax_interval = 4', "takes"),
+        ('kind = "relative"\nsigma = 20.0', "nothing could be proved for this loop"),
+        ('kind = "self-triggered"\nbeta = 1.5\nmax_interval = 4', "makes"),
         ('kind = "lqg"', "policy.theta is missing"),
     ],
 )
@@ -66,10 +68,13 @@ def test_what_cannot_be_certified_is_one_sentence(run: Run, write: Write, policy
 
 
 def test_a_policy_without_ticks_is_one_sentence(run: Run, write: Write) -> None:
-    """A trigger in continuous time has no map from tick to tick."""
+    """A trigger in continuous time has no map from step to step."""
     plant = "[plant]\nA = [[0.5]]\nB = [[1.0]]\n[plant.jumps]\nrate = 2.0\ncovariance = [[1.0]]\n"
     policy = '[policy]\nkind = "integral"\nslope = 0.05\nalpha = 0.1\nh_max = 2.0\n'
-    assert "has no loop of nodes; expected policy.period" in run("certify", write(plant=plant, policy=policy)).sentence
+    assert (
+        "cannot run as a loop of nodes; expected policy.period"
+        in run("certify", write(plant=plant, policy=policy)).sentence
+    )
 
 
 def test_a_missing_file_and_a_missing_solver_are_one_sentence(

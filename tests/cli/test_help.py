@@ -44,8 +44,16 @@ def test_help_lists_every_command_once_under_what_it_is_for(run: Run) -> None:
         section = told.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
         assert [line.split()[0] for line in section.splitlines() if line[:2] == "  " and line[2] != " "] == list(names)
     assert "..." not in told.partition("COMMAND [ARGS]...")[2]
-    assert "\n    taciturn evaluate two-mass    what a policy costs" in told
+    assert "\n    taciturn evaluate two-mass    cost, rate" in told
     assert "docs/first-hour" in told
+
+
+def test_every_command_that_designs_a_policy_changes_its_keys() -> None:
+    """Those of twins take the price and theta as options of their own."""
+    commands = typer.main.get_group(app).commands
+    without = {"new", "bench", "reproduce", "relay", "twin", "camera"}
+    for name, command in commands.items():
+        assert any("--set" in option.opts for option in command.params) == (name not in without), name
 
 
 @pytest.mark.parametrize("name", COMMANDS)
@@ -69,12 +77,12 @@ def test_pages_that_help_names_are_there() -> None:
 
 
 def test_files_and_built_in_problems_are_completed(complete: Callable[[str], list[str]], tmp_path: Path) -> None:
-    """TOML files beside built-in problems, in folders too; where nothing fits the shell goes on by itself."""
+    """TOML files next to built-in problems, in folders too; where nothing fits the shell continues by itself."""
     (tmp_path / "two.toml").touch()
     (tmp_path / "two.mat").touch()
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "mine.toml").touch()
-    assert complete("taciturn show two") == ["two.toml", "two-mass", "two-mass-continuous"]
+    assert complete("taciturn show two") == ["two.toml", "two-mass", "two-mass-continuous", "two-mass-lqg"]
     assert complete("taciturn evaluate sub/") == ["sub/mine.toml"]
     assert complete("taciturn compare two-mass rov") == ["rover"]
     assert complete("taciturn show su") == []
@@ -105,3 +113,13 @@ def test_the_script_for_a_shell_names_the_command(run: Run, monkeypatch: pytest.
     """Whatever the process is called, and whatever has started the tests."""
     monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))
     assert "complete -o default -F _taciturn_completion taciturn" in run("--show-completion", "bash").out
+
+
+def test_a_terminal_gets_a_refusal_in_80_columns(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Between words; a file or a pipe gets it on one line."""
+    sentence = run("evaluate", "two-mass", "--set", "delta=0.1", "--set", "trigger=1").sentence
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    wrapped = run("evaluate", "two-mass", "--set", "delta=0.1", "--set", "trigger=1").err
+    assert " ".join(wrapped.split()) == f"taciturn: {sentence}"
+    assert len(wrapped.splitlines()) > 1
+    assert max(map(len, wrapped.splitlines())) <= 80

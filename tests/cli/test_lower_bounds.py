@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,9 @@ from cli.conftest import COST, POLICY, Run, Write
 
 import taciturn
 from taciturn import ProblemError
+from taciturn._print import tradeoff
+from taciturn.analyse.limits import LowerBound
+from taciturn.study.tradeoff import Point, Tradeoff
 
 EXCESS = '[policy]\nkind = "excess"\ntheta = 0.5\nactuation = "model"\n'
 OPTIMAL = '[policy]\nkind = "optimal"\nprice = 0.1\n'
@@ -37,20 +41,40 @@ def test_evaluate_prints_a_lower_bound_and_a_verdict(run: Run, write: Write) -> 
     file = write(policy=EXCESS)
     answer, document = run("evaluate", file), json.loads(run("evaluate", file, "--json").out)
     assert answer.code == 0
-    lines = {line[:14].strip(): line[15:] for line in answer.out.splitlines()}
-    assert lines["no less than"].endswith(" at this rate (99.9 %)")
-    assert float(lines["no less than"].split()[0]) == pytest.approx(document["cost_lower_bound"], rel=1e-5)
+    lines = {line[:14].strip(): line[15:] for line in answer.unwrapped.splitlines()}
+    assert lines["no schedule"] == "of this controller at this rate, 99.9 % sure"
+    (least,) = [line.split() for line in answer.out.splitlines() if line.startswith("no schedule below")][:1]
+    assert float(least[3]) == pytest.approx(document["cost_lower_bound"], rel=1e-5)
     base, verdict = document["cost_all_time"], lines["verdict"]
     assert verdict.count("; ") == 1
     assert number_after(verdict, "sends ") == pytest.approx(100 * document["rates"]["actuator"]["value"], rel=6e-3)
     above = 100 * (np.array([document["cost"]["value"], document["cost_lower_bound"]]) / base - 1)
     assert number_after(verdict, "costs ") == pytest.approx(above[0], rel=6e-2)
-    assert number_after(verdict, "can cost less than ") == pytest.approx(above[1], rel=6e-2)
+    assert number_after(verdict, "costs less than ") == pytest.approx(above[1], rel=6e-2)
     at_most = 100 * (document["cost_bound_at_rate"] / base - 1)
     assert number_after(verdict, "at most ") == pytest.approx(at_most, rel=6e-2)
     assert base < document["cost_lower_bound"] <= document["cost"]["value"] <= document["cost_bound_at_rate"]
     low, high = document["rate_bounds"]
     assert low < document["rates"]["actuator"]["value"] < high
+
+
+def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+    """Next to a point without one; the figure has none if the bounds belong to controllers that differ."""
+    masses = taciturn.load("two-mass")
+    pair = [taciturn.evaluate(masses.changed({"theta": theta}), steps=2000) for theta in (0.1, 1.0)]
+    pair[0] = replace(pair[0], lower_bound=LowerBound(0.7345678, 0.999, 0.2, 0.01))
+    found = Tradeoff(tuple(Point({"theta": k}, one) for k, one in enumerate(pair)), {}, "step", None)
+    assert [row["no_schedule_below"] for row in found.records()] == [0.734567, None]
+    tradeoff(found)
+    text = capsys.readouterr().out
+    assert "0.734567" in text
+    assert "a figure shows" not in text
+    assert "no schedule costs less" in found.plot().axes[0].get_legend_handles_labels()[1]
+    other = replace(pair[1], cost_all_time=0.5)
+    mixed = replace(found, points=(found.points[0], Point({"theta": 1}, other)))
+    tradeoff(mixed)
+    assert "a figure shows no lower bounds" in capsys.readouterr().out
+    assert "no schedule costs less" not in mixed.plot().axes[0].get_legend_handles_labels()[1]
 
 
 def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Write) -> None:
@@ -72,13 +96,17 @@ def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Writ
 @pytest.mark.parametrize(
     ("policy", "arguments", "words"),
     [
-        (POLICY, ["--confidence", "0.99"], "no send of lqg resets the error that costs"),
+        (POLICY, ["--confidence", "0.99"], "a send of lqg does not reset the error that causes cost"),
         (EXCESS, ["--confidence", "1"], "confidence is 1; expected 0 < confidence < 1"),
         (EXCESS, ["--confidence", "-0.5"], "confidence is -0.5"),
-        (OPTIMAL, ["--method", "simulation"], "optimal is solved and never simulated; expected near-optimal"),
-        (OPTIMAL, ["--steps", "100000"], "optimal is solved and never simulated"),
+        (
+            OPTIMAL,
+            ["--method", "simulation"],
+            "optimal' is solved and never simulated; expected neither",
+        ),
+        (OPTIMAL, ["--steps", "100000"], "the policy 'optimal' is solved and never simulated"),
         ('[policy]\nkind = "optimal"\nprice = 0.0\n', [], "price is 0"),
-        ('[policy]\nkind = "near-optimal"\nprice = 1e6\n', [], "an error is sent less than once in 5000 checks"),
+        ('[policy]\nkind = "near-optimal"\nprice = 1e6\n', [], "errors are sent less than once in 5000 checks"),
         ('[policy]\nkind = "excess"\n', [], "neither delta nor theta is given"),
         ('[policy]\nkind = "excess"\ndelta = 1.0\ntheta = 1.0\n', [], "delta (1) and theta (1) are both given"),
     ],
@@ -101,7 +129,9 @@ def test_the_best_schedule_is_solved_and_is_no_loop_of_nodes(run: Run, write: Wr
     assert document["cost_all_time"] < document["cost_lower_bound"]
     assert document["cost_lower_bound"] <= document["cost"]["value"] + document["cost"]["error"]
     problem = taciturn.load(file)
-    with pytest.raises(ProblemError, match="a boundary that no node evaluates: it is for analysis; expected near-opti"):
+    with pytest.raises(
+        ProblemError, match="a boundary that nodes cannot evaluate, so it can only be analysed; expected near-opti"
+    ):
         problem.design()
     with pytest.raises(ProblemError):
         problem.close(problem.designed())

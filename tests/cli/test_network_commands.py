@@ -28,16 +28,26 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
             ["node", "pilot", "two-mass"],
             "the node is 'pilot', which is not a role; expected one of controller, actuator",
         ),
-        (["node", "sensor", "two-mass"], "at the place of the controller in lqg"),
+        (["node", "sensor", "two-mass-lqg"], "at the site of the controller in lqg"),
         (["node", "controller", "two-mass"], "--plant is missing"),
         (["node", "controller", "two-mass", "--plant", ":9000"], "--peer is missing"),
         (["node", "actuator", "two-mass", "--plant", "9000"], "--plant is '9000'; expected HOST:PORT"),
         (["node", "actuator", "two-mass", "--plant", ":99999"], "a port from 0 to 65535"),
-        (["node", "actuator", "two-mass", "--plant", "no.such.host.invalid:9"], "'no.such.host.invalid' is unknown"),
+        (
+            ["node", "actuator", "two-mass", "--plant", "no.such.host.invalid:9"],
+            "'no.such.host.invalid' is unknown",
+        ),
         (["node", "actuator", "two-mass", "--plant", ":9", "--bind", "192.0.2.1:9"], "192.0.2.1:9 cannot be bound"),
-        (["node", "actuator", "two-mass", "--plant", ":9", "--safe", "banana"], "--safe is 'banana'; expected hold"),
+        (
+            ["node", "actuator", "two-mass", "--plant", ":9", "--safe", "banana"],
+            "--safe is 'banana'; expected hold",
+        ),
         (["node", "actuator", "two-mass", "--plant", ":9", "--safe", "1,2"], "the safe input is (1.0, 2.0)"),
-        (["node", "controller", "two-mass", "--watchdog", "3"], "has no input to make safe"),
+        (
+            ["node", "controller", "two-mass", "--watchdog", "3"],
+            "which receives no packets",
+        ),
+        (["node", "actuator", "two-mass", "--heartbeat", "3"], "--heartbeat is given without --real-time"),
         (["node", "actuator", "two-mass", "--wait", "3"], "--wait is 3"),
         (["node", "actuator", "two-mass", "--ticks", "0"], "--ticks is 0; expected a whole number, at least 1"),
         (["node", "actuator", "two-mass", "--tick", "0.1"], "--tick is given without --real-time"),
@@ -48,12 +58,15 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["node", "controller", "two-mass", "--loops", "70000"], "--loops is 70000"),
         (["plant", "two-mass", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
         (["relay", "--peer", ":9", "--loss", "1.5"], "loss is 1.5; expected 0 ≤"),
-        (["relay", "--peer", ":9", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, as 0.2"),
+        (["relay", "--peer", ":9", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, such as 0.2"),
         (["relay", "--peer", ":9", "--corrupt", "x"], "--corrupt is 'x'; expected a number from 0 to 1"),
-        (["network", "two-mass", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, as 0.2"),
-        (["network", "two-mass", "--loss", "sensor=0.2"], "--loss names the link 'sensor'; expected of lqg: actuator"),
-        (["network", "two-mass", "--loss", "0.2", "--loss", "0.3"], "--loss is given twice for all links"),
-        (["network", "two-mass", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
+        (["network", "two-mass", "--loss", "20%"], "--loss is '20%'; expected a number from 0 to 1, such as 0.2"),
+        (
+            ["network", "two-mass-lqg", "--loss", "sensor=0.2"],
+            "--loss names the link 'sensor'; expected a link of lqg: actuator",
+        ),
+        (["network", "two-mass-lqg", "--loss", "0.2", "--loss", "0.3"], "--loss is given twice for all links"),
+        (["network", "two-mass-lqg", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
         (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),
     ],
@@ -64,32 +77,33 @@ def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str]
 
 
 def test_a_policy_without_nodes_is_refused(run: Run, write: Write) -> None:
-    """What is for analysis, and what is triggered between ticks, has no nodes."""
+    """What is for analysis, and what is triggered between steps, has no nodes."""
     optimal = write(policy='[policy]\nkind = "optimal"\nprice = 0.1\n')
     for command in (["network", optimal], ["node", "controller", optimal], ["plant", optimal, "--peer", ":9"]):
-        assert "decides by a boundary that no node evaluates" in run(*command).sentence
+        assert "decides by a boundary that nodes cannot evaluate" in run(*command).sentence
 
 
 def test_keys_that_are_none_are_refused(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Too short, and no hexadecimal digits, in a file and in the environment."""
     key = tmp_path / "key"
     key.write_text("abcd")
-    assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass", "--key", str(key)).sentence
+    key.chmod(0o600)
+    assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass-lqg", "--key", str(key)).sentence
     monkeypatch.setenv("TACITURN_KEY", "secret")
-    assert "TACITURN_KEY holds no hexadecimal digits; expected 32 to 64" in run("network", "two-mass").sentence
+    assert "TACITURN_KEY holds no hexadecimal digits; expected 32 to 64" in run("network", "two-mass-lqg").sentence
 
 
 def test_a_port_in_use_and_a_foreign_state_are_refused(run: Run, tmp_path: Path) -> None:
     """Somebody listens there already; the state is that of another role, or none."""
     endpoint = Endpoint(("127.0.0.1", 0))
     taken = f"127.0.0.1:{endpoint.address[1]}"
-    told = run("node", "actuator", "two-mass", "--plant", ":9", "--bind", taken).sentence
+    told = run("node", "actuator", "two-mass-lqg", "--plant", ":9", "--bind", taken).sentence
     assert "cannot be bound (Address already in use)" in told
     endpoint.close()
     state = tmp_path / "state.json"
     for text in ("{", "[]", '{"node": {}, "outbox": []}'):
         state.write_text(text)
-        assert "state" in run("node", "actuator", "two-mass", "--plant", ":9", "--state", str(state)).sentence
+        assert "state" in run("node", "actuator", "two-mass-lqg", "--plant", ":9", "--state", str(state)).sentence
 
 
 def test_the_network_answers_as_evaluate_does(run: Run) -> None:
@@ -103,7 +117,7 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     assert 0 < document["datagrams"]["sensor"]["lost"] < 100
     text = run("network", "lossy-double-integrator", "--seed", "1").out
     assert f"{document['datagrams']['sensor']['lost']} lost" in text
-    assert "one mission" in text
+    assert "one finite-horizon run" in text
 
 
 @pytest.mark.evidence
@@ -118,7 +132,7 @@ def test_losses_are_those_of_the_command_line(run: Run) -> None:
         found = document["datagrams"]
         for link, share in lost.items():
             assert found[link]["lost"] == share * found[link]["sent"], given
-        assert any("treats packets otherwise than the network" in note for note in document["notes"])
+        assert any("treats packets differently from the network" in note for note in document["notes"])
         if "actuator" not in lost:
             share = found["actuator"]["lost"] / found["actuator"]["sent"]
             assert 0 < share < 1
@@ -132,7 +146,7 @@ def terminals() -> list[list[list[str]]]:
 
 @pytest.mark.parametrize("relayed", few([False, True], 1, 1), ids=["four terminals", "with a relay"])
 def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the page tells to type, on free ports: the plant ends after its ticks, the nodes when they are told to."""
+    """What the page tells to type, on free ports: the plant ends after its steps, the nodes when they are told to."""
     monkeypatch.chdir(tmp_path)
     four, relay, three = terminals()
     for group in ([*relay, *four] if relayed else four, [] if relayed else three):
@@ -166,26 +180,26 @@ def test_the_terminals_of_the_page_talk(tmp_path: Path, relayed: bool, monkeypat
 
 
 def test_ticks_are_logged_as_json_lines(tmp_path: Path) -> None:
-    """A line per tick to a file and to a UDP port, with the fields that the page names."""
+    """A line per step to a file and to a UDP port, with the fields that the page names."""
     listener = Endpoint(("127.0.0.1", 0))
     here, there = (f"127.0.0.1:{port}" for _, port in free_addresses(2))
     log = f"udp://127.0.0.1:{listener.address[1]}"
     actuator = Process(
-        ["node", "actuator", "two-mass", "--bind", there, "--plant", ":9", "--log", log, "--ticks", "30"]
+        ["node", "actuator", "two-mass-lqg", "--bind", there, "--plant", ":9", "--log", log, "--ticks", "30"]
     )
     actuator.expect()
     plant = Endpoint(("127.0.0.1", 0))
     at = f"127.0.0.1:{plant.address[1]}"
     path = tmp_path / "log.jsonl"
     controller = Process(
-        ["node", "controller", "two-mass", "--bind", here, "--peer", there, "--plant", at, "--log", str(path)]
+        ["node", "controller", "two-mass-lqg", "--bind", here, "--peer", there, "--plant", at, "--log", str(path)]
     )
     controller.expect()
     import taciturn
     from taciturn.runtime.packet import Packet, Wire
     from taciturn.runtime.udp import parse_address
 
-    wire = Wire(taciturn.load("two-mass").design())
+    wire = Wire(taciturn.load("two-mass-lqg").design())
     for tick in range(30):
         plant.send(wire.encode(Packet("measurement", "plant", tick, tick, (0.5, -0.5))), parse_address("x", here))
     found: list[bytes] = []

@@ -6,7 +6,6 @@ import io
 import os
 import pty
 import select
-import signal
 import subprocess
 import sys
 import time
@@ -19,6 +18,7 @@ import numpy as np
 import pytest
 from cli.conftest import Answer, Run
 from numpy.typing import ArrayLike
+from terminals import in_a_terminal
 
 import taciturn
 from taciturn import ProblemError
@@ -56,13 +56,13 @@ def test_answers_become_a_file_that_evaluate_runs(ask: Ask, run: Run) -> None:
     assert tomllib.loads(text) == {
         "plant": {"A": [[0, 1], [0, 0]], "B": [[0], [1]], "W": [[0, 0], [0, 2.5]]},
         "cost": {"Q": [[1, 0], [0, 1]], "R": [[10]]},
-        "policy": {"kind": "lqg", "period": 0.4, "theta": 0.1},
+        "policy": {"kind": "excess", "period": 0.4, "theta": 0.1, "actuation": "model"},
     }
     lines = text.splitlines()
     for above, line in pairwise(lines):
         assert "=" not in line or line.startswith("#") or above.startswith("# ") or line.startswith("kind")
     assert "# noise w: intensity per second, in the units of the states squared\nW = " in text
-    assert "# the share θ ≥ 0; 0 sends at every tick\ntheta = 0.1\n" in text
+    assert "# share θ ≥ 0, for δ = θ(J_all − c)" in text
     answer = run("evaluate", "new.toml", "--steps", "20000", "--confidence", "0", "--json")
     assert answer.code == 0
 
@@ -89,16 +89,16 @@ def test_matrices_are_taken_as_matlab_and_python_write_them(ask: Ask, A: str, W:
 @pytest.mark.parametrize(
     ("goal", "kind"),
     [
-        ("1", "lqg"),
+        ("1", "excess"),
         pytest.param("2", "near-optimal", marks=pytest.mark.evidence),
-        ("3", "remote-lqg"),
-        ("4", "send-on-delta"),
-        ("5", "lossy-lqg"),
-        ("6", "excess"),
+        ("3", "lqg"),
+        ("4", "remote-lqg"),
+        ("5", "send-on-delta"),
+        ("6", "lossy-lqg"),
         ("excess", "excess"),
     ],
 )
-def test_what_matters_picks_the_policy(ask: Ask, goal: str, kind: str) -> None:
+def test_the_goal_picks_the_policy(ask: Ask, goal: str, kind: str) -> None:
     """By its number in the list, or by its name; what fits the plant is listed."""
     told = ask((*STEP, "", goal, "0.3", "0.3"))
     assert told.code == 0
@@ -115,12 +115,12 @@ def test_a_margin_with_less_traffic_is_written_as_the_guide_advises(ask: Ask) ->
 def test_help_lists_the_questions_in_their_order(run: Run) -> None:
     """All of them, so that answers can be got ready."""
     words = run("new", "--help").out.split()
-    places = [words.index(word) for word in ("dt;", "A;", "B;", "V;", "W;", "Q;", "R;", "network,", "matters,")]
+    places = [words.index(word) for word in ("dt;", "A;", "B;", "V;", "W;", "Q;", "R;", "network", "goal,")]
     assert places == sorted(places)
 
 
 def test_lossy_links_are_asked_for_and_have_their_policy(ask: Ask) -> None:
-    """With the price of a send that is suggested: a fifth of what a tick costs, to a digit."""
+    """With the price of a send that is suggested: a fifth of what a step costs, to a digit."""
     assert ask((*STEP, "udp", "0.2", "0.4", "")).code == 0
     problem = taciturn.load("new.toml")
     assert (problem.kind, problem.network) == ("lossy-lqg", taciturn.Network("udp", 0.2, 0.4))
@@ -172,9 +172,9 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         (("c", "[1 x; 3 4]"), "A is '[1 x; 3 4]'; expected a number, or a matrix as"),
         (("c", "import os"), "A is 'import os'; expected a number, or a matrix as"),
         (("c", "[]"), "A is '[]'"),
-        (("c", "[1 nan; 3 4]"), "A holds nan at index (0, 1); expected finite numbers"),
+        (("c", "[1 nan; 3 4]"), "A contains nan at index (0, 1); expected finite numbers"),
         (("c", "[1 2]"), "A has shape (1, 2); expected a square matrix with at least one state"),
-        (("c", ""), "A is missing; expected an answer, as there is no usual value"),
+        (("c", ""), "A is missing; expected an answer, because there is no default"),
         (("c", "[0 1; 0 0]", "[0 1]"), "B has shape (1, 2); expected (2, any) = (states, inputs). Did you pass its"),
         (("c", "[1 0; 0 1]", "[0; 1]"), "(A, B) is not stabilisable: no input can move the mode at 1"),
         (("c", "1", "1", "maybe"), "what is measured is 'maybe'; expected one of yes, no"),
@@ -185,9 +185,9 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "-1"), "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ((*WALK, "1", "1", "0"), "R has the eigenvalue 0; expected a positive definite matrix"),
         ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
-        ((*WALK, "1", "1", "1", "udp"), "the network is udp, and losses are reckoned with where the model is discrete"),
+        ((*WALK, "1", "1", "1", "udp"), "the network is udp, but its policy, lossy-lqg, needs a discrete-time model"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
-        ((*STEP, "", "9"), "what matters is 9; expected a number from 1 to 6, or a kind"),
+        ((*STEP, "", "9"), "the goal is 9; expected a number from 1 to 6, or a policy kind"),
         ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
         ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
         ((*STEP, "", "1", "-1"), "theta is -1; expected 0 ≤ theta"),
@@ -198,21 +198,21 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ),
         (
             (*WALK, "1", "1", "1", "", "lossy-lqg"),
-            "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; exp",
+            "the plant is continuous in time, and its sampling gives a cross weight that lossy-lqg does not support",
         ),
-        ((*STEP, "", "1"), "the answers end before theta; expected one more; nothing is written"),
-        (("c", "[0 1; 0 0", "1"), "the answers end before A; expected one more; nothing is written"),
-        ((), "the answers end before the time base; expected one more; nothing is written"),
+        ((*STEP, "", "1"), "the input ends before theta is given; expected one more answer; no file was written"),
+        (("c", "[0 1; 0 0", "1"), "the input ends before A is given; expected one more answer; no file was written"),
+        ((), "the input ends before the time base is given; expected one more answer; no file was written"),
     ],
 )
 def test_from_a_pipe_the_first_answer_that_does_not_fit_ends_it(
     ask: Ask, answers: tuple[str, ...], sentence: str
 ) -> None:
-    """In one sentence, and nothing is written."""
+    """In one sentence, and no file was written."""
     told = ask(answers)
     assert (told.code, told.err.count("\n")) == (2, 1)
     assert told.err.startswith(f"taciturn: {sentence}")
-    assert "nothing is written" in told.err
+    assert "no file was written" in told.err
     assert list(Path().iterdir()) == []
 
 
@@ -247,7 +247,7 @@ def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
         "theta is -1; expected 0 ≤ theta",
     ):
         assert sentence in told.out
-    assert taciturn.load("new.toml").parameters == {"theta": 0.2}
+    assert taciturn.load("new.toml").parameters == {"theta": 0.2, "actuation": "model"}
 
 
 def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_asked(ask: Ask) -> None:
@@ -255,7 +255,7 @@ def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_aske
     told = ask(STEP, "--kind", "integral")
     assert told.err.startswith("taciturn: the plant is discrete in time, and integral predicts in continuous time; ex")
     assert ask((*STEP, "", "1", ""), "--kind", "integral", patient=True).code == 0
-    assert taciturn.load("new.toml").kind == "lqg"
+    assert taciturn.load("new.toml").kind == "excess"
 
 
 @pytest.mark.parametrize("dt", [0.0, 0.5])
@@ -299,13 +299,13 @@ def test_a_network_that_no_policy_bears_is_asked_for_again(ask: Ask) -> None:
     assert told.code == 0
     assert "mean-square stability allows actuator losses below 0.111111" in told.out
     problem = taciturn.load("new.toml")
-    assert (problem.kind, problem.network) == ("lqg", taciturn.Network())
+    assert (problem.kind, problem.network) == ("excess", taciturn.Network())
 
 
 def test_the_end_of_the_answers_ends_it_at_a_terminal_too(ask: Ask) -> None:
     """Ctrl-D is no answer that could be asked for again."""
     told = ask(("d",), patient=True)
-    assert told.err == "taciturn: the answers end before dt; expected one more; nothing is written\n"
+    assert told.err == "taciturn: the input ends before dt is given; expected one more answer; no file was written\n"
     assert (told.code, list(Path().iterdir())) == (2, [])
 
 
@@ -313,7 +313,7 @@ def test_nothing_is_overwritten(ask: Ask) -> None:
     """Before anything is asked."""
     Path("new.toml").write_text("mine", encoding="utf-8")
     told = ask(())
-    assert told.sentence == "new.toml is there; expected the name of a file that is not, as nothing is overwritten"
+    assert told.sentence == "new.toml already exists; expected the name of a new file: files are not overwritten"
     assert Path("new.toml").read_text(encoding="utf-8") == "mine"
 
 
@@ -360,7 +360,7 @@ def test_at_a_real_terminal_ctrl_c_leaves_nothing(tmp_path: Path) -> None:
             process.kill()
         assert process.wait(30) == 130, shown
     assert "the time base is 'often'; expected one of continuous, discrete" in shown
-    assert "interrupted; nothing is written" in shown
+    assert "interrupted; no file was written" in shown
     assert "Traceback" not in shown
     assert list(tmp_path.iterdir()) == []
 
@@ -386,7 +386,7 @@ def _control() -> None:
     import fcntl
     import termios
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    in_a_terminal()
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 

@@ -71,9 +71,9 @@ def test_all_formats_give_the_same_problem(run: Run, name: str) -> None:
     assert written == {
         "plant": {"dt": 0.5, "A": A, "B": B, "C": C, "V": [[0.01]], "W": WHOLE["W"]},
         "cost": {"Q": [[1, 0], [0, 2]], "R": [[3]], "N": [[0.1], [0.2]]},
-        "policy": {"kind": "lqg", "theta": 0.1},
+        "policy": {"kind": "excess", "theta": 0.1, "actuation": "model"},
     }
-    assert taciturn.load("new.toml").design().kind == "lqg"
+    assert taciturn.load("new.toml").design().kind == "excess"
 
 
 def test_names_of_papers_and_of_matlab_are_known(run: Run) -> None:
@@ -87,7 +87,7 @@ def test_names_of_papers_and_of_matlab_are_known(run: Run) -> None:
     assert tables(run, write("no.mat", named), "--dt", "0.2")["plant"]["dt"] == 0.2
     Path("new.toml").unlink()
     told = run("new", "new.toml", "--from", "ss.mat", "--dt", "0.2")
-    assert told.sentence == "--dt is 0.2, and the time base in ss.mat is 0; expected one of them"
+    assert told.sentence == "--dt is 0.2, but the time base in ss.mat is 0; expected the same value, or no --dt"
 
 
 def test_what_else_a_file_holds_is_said(run: Run) -> None:
@@ -104,7 +104,7 @@ def test_what_is_missing_is_asked(run: Run, monkeypatch: pytest.MonkeyPatch) -> 
     told = run("new", "new.toml", "--from", "part.mat")
     assert told.code == 0
     asked = [line.split(",")[0].split(":")[0] for line in told.out.splitlines() if line.endswith(("yes", "0.5", "4"))]
-    assert asked == ["Is the whole state measured", "W", "R"]
+    assert asked == ["Is the whole state measured without noise? (yes", "W", "R"]
     written = tomllib.loads(Path("new.toml").read_text(encoding="utf-8"))
     assert (written["plant"]["W"][0][0], written["cost"]["R"]) == (0.5, [[4]])
 
@@ -159,7 +159,7 @@ def test_a_system_object_is_refused_with_the_remedy(run: Run, name: str) -> None
             item = file.create_dataset("sys", data=np.zeros((1, 6), "u4"))
             item.attrs["MATLAB_class"], item.attrs["MATLAB_object_decode"] = np.bytes_("ss"), np.int32(3)
     assert run("new", "new.toml", "--yes", "--from", name).sentence == (
-        f"sys in {name} is an object of MATLAB's class ss, which only MATLAB opens; expected its matrices: "
+        f"sys in {name} is an object of the MATLAB class ss, which only MATLAB can open; expected its matrices: "
         f"[A, B, C, D] = ssdata(sys); Ts = sys.Ts; save('{name}', 'A', 'B', 'C', 'D', 'Ts')"
     )
 
@@ -175,14 +175,14 @@ def test_a_system_object_beside_its_matrices_is_ignored(run: Run) -> None:
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"W": None, "R": None, "dt": None}, "plant.npz lacks W, R, dt (or Ts; 0 of a continuous plant); expected"),
+        ({"W": None, "R": None, "dt": None}, "plant.npz lacks W, R, dt (or Ts; 0 for continuous time); expected"),
         ({"D": [[0.5]]}, "D in plant.npz is not zero; expected no direct feedthrough from input to measurement"),
-        ({"Phi_w": 1.0}, "plant.npz has W and Phi_w; expected one of them, as both are W"),
+        ({"Phi_w": 1.0}, "plant.npz has W and Phi_w; expected only one of them, since both specify W"),
         ({"dt": None, "Ts": -1.0}, "the time base in plant.npz is -1; expected the seconds per step, or 0 for a"),
         ({"dt": [0.1, 0.2]}, "the time base in plant.npz is an array of shape (2,); expected the seconds per step"),
         ({"A": [[1.0, 2.0]]}, "plant.npz: A has shape (1, 2); expected a square matrix with at least one state"),
-        ({"A": [[1j, 0], [0, 1]]}, "plant.npz: A is not an array of numbers (it holds complex128 values); expected"),
-        ({"A": [[np.nan, 0], [0, 1]]}, "plant.npz: A holds nan at index (0, 0); expected finite numbers"),
+        ({"A": [[1j, 0], [0, 1]]}, "plant.npz: A is not an array of numbers (it contains complex128 values); expected"),
+        ({"A": [[np.nan, 0], [0, 1]]}, "plant.npz: A contains nan at index (0, 0); expected finite numbers"),
         ({"A": "text"}, "A in plant.npz is a text or structure; expected a matrix of numbers"),
         ({"A": np.array([None])}, "A in plant.npz is a pickled object; expected a matrix of numbers"),
         ({"B": [0.0, 1.0]}, "plant.npz: B has shape (2,); expected (2, any) = (states, inputs)"),
@@ -212,5 +212,5 @@ def test_what_cannot_be_read_is_one_sentence(run: Run) -> None:
         Path(f"cut.{name}").write_bytes(whole[: len(whole) // 2])
     for path in sorted(Path().glob("[ect]*")):
         assert told(str(path)).sentence.startswith(f"'{path}' cannot be read (")
-    assert told("no.mat").sentence == "'no.mat' cannot be read (No such file or directory); expected a file of matrices"
-    assert told("a.csv").sentence == "'a.csv' ends in '.csv'; expected a file of matrices, .mat or .npz"
+    assert told("no.mat").sentence == "'no.mat' cannot be read (No such file or directory); expected a matrix file"
+    assert told("a.csv").sentence == "'a.csv' ends in '.csv'; expected a matrix file that ends in .mat or .npz"

@@ -59,7 +59,7 @@ def test_what_is_no_text_file_is_refused(run: Run, tmp_path: Path) -> None:
         path.write_bytes(content)
         assert (
             run("evaluate", str(path)).sentence
-            == f"'{path}' is not a text in UTF-8 (invalid start byte); expected a TOML file"
+            == f"'{path}' is not UTF-8 text (invalid start byte); expected a TOML file"
         )
 
 
@@ -101,7 +101,7 @@ def test_what_is_not_toml_is_refused_at_its_line(run: Run, tmp_path: Path, text:
         ),
         ({"more": "[reference]\nstates = [[1]]"}, "the key reference.inputs is missing; expected it in [reference]"),
         ({"policy": "[policy]\ntheta = 1"}, "policy.kind is missing; expected one of all-time, periodic, lqg"),
-        ({"policy": LQG}, "policy.theta is missing; lqg expects it"),
+        ({"policy": LQG}, "policy.theta is missing; lqg requires it"),
     ],
     ids=lambda value: value[:30] if isinstance(value, str) else "",
 )
@@ -215,8 +215,8 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
             plant(W="[[1], [2, 3]]"),
             "W is ragged: its rows differ in length; expected the shape (1, 1) = (states, states)",
         ),
-        (plant(A="[[nan]]"), "A holds nan at index (0, 0); expected finite numbers"),
-        (plant(B="[[inf]]"), "B holds inf at index (0, 0); expected finite numbers"),
+        (plant(A="[[nan]]"), "A contains nan at index (0, 0); expected finite numbers"),
+        (plant(B="[[inf]]"), "B contains inf at index (0, 0); expected finite numbers"),
         (plant(A="[[]]"), "A has shape (1, 0); expected a square matrix with at least one state"),
         (plant(dt="nan"), "dt is nan; expected a finite number"),
         (plant(dt="0"), "dt is 0; expected 0 < dt"),
@@ -226,16 +226,16 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
             plant(function="'f.py'"),
             "plant.function is 'f.py'; expected 'file.py:name', a Python file and a function in",
         ),
-        (plant(function="'f.py:f'", dt=""), "plant.function is given without plant.dt; expected dt, the seconds of"),
+        (plant(function="'f.py:f'", dt=""), "plant.function is given without plant.dt; expected dt, the seconds per"),
         (plant(function="3"), "plant.function is 3; expected a string"),
         (
             plant(JUMPS),
             "plant.jumps is given with plant.dt; expected jumps only with a continuous-time plant: remove dt",
         ),
         (continuous(JUMPS), "W and jumps are both given; expected one kind of noise: remove one"),
-        (actual(dt=""), "plant.actual.dt is missing, and plant.dt is 1 s; expected the same time base in both"),
-        (actual(dt="0.5"), "plant.actual.dt is 0.5 s, and plant.dt is 1 s; expected the same time base in both"),
-        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1, as [plant]"),
+        (actual(dt=""), "plant.actual.dt is missing, but plant.dt is 1 s; expected the same time base in both"),
+        (actual(dt="0.5"), "plant.actual.dt is 0.5 s, but plant.dt is 1 s; expected the same time base in both"),
+        (actual(B="[[1, 1]]"), "[plant.actual] has 2 inputs; expected 1, as in [plant]"),
         (actual(W="[[-1]]"), "[plant.actual]: W has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[-1]]\nR = [[1]]"}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[1]]\nR = [[0]]"}, "R has the eigenvalue 0; expected a positive definite matrix"),
@@ -265,26 +265,26 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ({"policy": LQG + "theta = nan"}, "theta is nan; expected a finite number"),
         (
             {"policy": LQG + "theta = 1\nepsilon = 1"},
-            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon; "
-            "to compare both, take a run for each",
+            "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
+            "epsilon: use separate runs to compare both triggers",
         ),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 0"}, "epsilon is 0; expected 0 < epsilon < "),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = 99"}, "epsilon is 99; expected 0 < epsilon < "),
         ({"policy": LQG + "theta = 1\ntrigger = 'separate'\nepsilon = nan"}, "epsilon is nan; expected "),
-        ({"policy": LQG + "theta = 1\nperiod = 0.1"}, "period is 0.1 with a discrete-time plant; expected none"),
-        (continuous(), "period is missing; expected the seconds between ticks, as the plant is continuous in time"),
+        ({"policy": LQG + "theta = 1\nperiod = 0.1"}, "period is 0.1, and the plant is discrete in time; expected no"),
+        (continuous(), "period is missing; expected the sampling period in seconds, as the plant is continuous"),
         (continuous(policy=LQG + "theta = 1\nperiod = 0"), "period is 0; expected 0 < period"),
         (
             continuous(policy=PERIODIC + "every = 9"),
-            "period is missing; expected the seconds between ticks, as the plant",
+            "period is missing; expected the sampling period in seconds, as the plant",
         ),
         (
             continuous(JUMPS.replace("rate = 5", "rate = 5000"), LQG + "theta = 1\nperiod = 0.1", ""),
-            "a tick of 0.1 s sees 500 jumps on average, too many to draw one by one; expected shorter ticks, or Wiener",
+            "a step of 0.1 s has 500 jumps on average, too many to draw one by one; expected shorter steps, or Wiener",
         ),
-        ({"policy": PERIODIC}, "every is missing; expected the ticks between sends, at least 1, or a list"),
+        ({"policy": PERIODIC}, "every is missing; expected the number of steps between sends, at least 1, or a list"),
         ({"policy": PERIODIC + "every = 0"}, "every is 0; expected a whole number, at least 1"),
-        ({"policy": PERIODIC + "every = []"}, "every is an empty list; expected the ticks between sends, at least 1"),
+        ({"policy": PERIODIC + "every = []"}, "every is an empty list; expected the steps between sends, at least 1"),
         (
             {"cost": COST + "horizon = 5"},
             "cost.horizon is 5, which lqg does not use; expected an average cost: remove it",
@@ -292,12 +292,13 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ({"cost": COST + "discount = 0.9"}, "cost.discount is 0.9, which lqg does not use; expected an average cost"),
         (
             {"cost": continuous()["cost"]},
-            "Q is (2, 2) and R is (1, 1); expected (1, 1) and (1, 1) = the states and inputs",
+            "Q has the shape (2, 2) and R the shape (1, 1); expected (1, 1) and (1, 1), by the states and inputs",
         ),
         (
             {"more": UDP},
-            "network.protocol is given, which lqg does not use; expected ideal links: remove it, or take "
-            "the kind lossy-lqg, a design for lossy links; `taciturn network FILE --loss P` loses packets of any kind",
+            "network.protocol is given, which lqg does not use; expected ideal links: remove it, or use "
+            "the kind lossy-lqg, which is designed for lossy links; `taciturn network FILE --loss P` drops packets of "
+            "policies of any kind",
         ),
         (
             {"more": UDP + "actuator_loss = 0.1"},

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def test_a_path_is_the_one_that_python_simulates(run: Run, tmp_path: Path) -> None:
     """As JSON, as a table, as a picture, and on the terminal within 80 columns."""
     table, picture = tmp_path / "path.csv", tmp_path / "path.svg"
-    problem = taciturn.load("two-mass").changed({"theta": 0.5})
+    problem = taciturn.load("two-mass-lqg").changed({"theta": 0.5})
     path = taciturn.simulate(problem.close(problem.design()), 40, seed=3)
-    common = ("simulate", "two-mass", "--set", "theta=0.5", "--ticks", "40", "--seed", "3")
+    common = ("simulate", "two-mass-lqg", "--set", "theta=0.5", "--ticks", "40", "--seed", "3")
     found = json.loads(run(*common, "--json").out)
     assert (found["policy"], found["ticks"], found["unit"]) == ("lqg", 40, "s")
     assert found["state"] == path.state.tolist()
@@ -29,6 +29,7 @@ def test_a_path_is_the_one_that_python_simulates(run: Run, tmp_path: Path) -> No
     assert shown.err == ""
     assert max(map(len, shown.out.split("table:")[0].splitlines())) <= 80
     assert f"sends, actuator {path.sends['actuator'].sum()} of 40 steps" in shown.out
+    assert "-0" not in shown.out.split()
     assert shown.out.count("sent\n") == path.sends["actuator"][list({*range(20), *range(30, 40)})].sum()
     assert pd.read_csv(table)["x1"].to_numpy() == pytest.approx(path.state[:, 0])
     assert "<svg" in picture.read_text()
@@ -37,28 +38,30 @@ def test_a_path_is_the_one_that_python_simulates(run: Run, tmp_path: Path) -> No
 def test_keys_are_changed_without_a_file(run: Run) -> None:
     """As ``Problem.changed`` does; ``none`` removes a parameter that another kind does not have."""
     periodic = ("--set", "kind=periodic", "--set", "theta=none", "--set", "every=[4,3]")
-    found = json.loads(run("evaluate", "two-mass", *periodic, "--json").out)
-    problem = taciturn.load("two-mass").changed({"kind": "periodic", "theta": None, "every": [4, 3]})
+    found = json.loads(run("evaluate", "two-mass-lqg", *periodic, "--json").out)
+    problem = taciturn.load("two-mass-lqg").changed({"kind": "periodic", "theta": None, "every": [4, 3]})
     assert found["cost"]["value"] == taciturn.evaluate(problem).cost.value
-    assert json.loads(run("show", "two-mass", "--set", "cost.R=[[2]]", "--json").out)["cost"]["R"] == [[2.0]]
-    assert run("tune", "two-mass", *periodic, "--rate", "0.5").out.startswith("every          2")
+    assert json.loads(run("show", "two-mass-lqg", "--set", "cost.R=[[2]]", "--json").out)["cost"]["R"] == [[2.0]]
+    assert run("tune", "two-mass-lqg", *periodic, "--rate", "0.5").out.startswith("every          2")
 
 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("--set", "theta"), "--set 'theta' is not understood; expected NAME=VALUE, as theta=0.1"),
-        (("--set", "theta=1,2"), "--set theta has 2 values; expected one: a list is written [v1,v2]"),
-        (("--set", "theta=1", "--set", "policy.theta=2"), "--set policy.theta is given twice; expected it once"),
+        (("--set", "theta"), "--set 'theta' is malformed; expected NAME=VALUE, such as theta=0.1"),
+        (("--set", "theta=1,2"), "--set theta has 2 values; expected one value; a list is written [v1,v2]"),
+        (("--set", "theta=1", "--set", "policy.theta=2"), "--set policy.theta is given twice; expected it only once"),
+        (("--set", "plant.A=[[nan]]"), "nan"),
+        (("--set", "network.actuator_burst={to_bad=2}"), "network.actuator_burst"),
         (("--set", "thta=1"), "policy.thta is not a parameter of lqg"),
         (("--set", "kind=optimal", "--set", "theta=none", "--set", "price=1"), "optimal"),
         (("--ticks", "0"), "ticks is 0; expected a whole number, at least 1"),
-        (("--table", "nowhere/path.csv"), "the folder of the table 'nowhere/path.csv' is not there"),
+        (("--table", "nowhere/path.csv"), "the folder of the table 'nowhere/path.csv' does not exist"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(run: Run, arguments: tuple[str, ...], sentence: str) -> None:
     """In one sentence."""
-    refused = run("simulate", "two-mass", *arguments)
+    refused = run("simulate", "two-mass-lqg", *arguments)
     assert refused.code == 2
     assert sentence in refused.err
     assert refused.err.count("\n") == 1

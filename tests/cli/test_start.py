@@ -10,9 +10,12 @@ import pytest
 NEVER = {"scipy", "numpy.ma", "matplotlib", "xarray", "h5py", "pandas", "cvxpy", "rich", "multiprocessing"}
 COMMANDS = {
     "--help": NEVER | {"numpy", "pydantic", "llvmlite"},
-    "evaluate two-mass --steps 20000": NEVER,  # its Riccati equations need no scipy
+    "evaluate two-mass-lqg --steps 20000": NEVER,  # its Riccati equations need no scipy
 }
-SAYS = {"--help": ("\n  evaluate", "\n  tradeoff", "\n  reproduce"), "evaluate two-mass --steps 20000": ("cost  ",)}
+SAYS = {
+    "--help": ("\n  evaluate", "\n  tradeoff", "\n  reproduce"),
+    "evaluate two-mass-lqg --steps 20000": ("\nthis policy",),
+}
 
 
 @pytest.mark.parametrize("typed", COMMANDS)

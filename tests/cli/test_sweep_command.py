@@ -9,6 +9,7 @@ import pytest
 import xarray
 from cli.conftest import Run, Write
 
+from taciturn import _print
 from taciturn.cli.frame import progress_bar
 from taciturn.simulation import sampling
 
@@ -16,7 +17,7 @@ EFFORT = ("--steps", "20000", "--workers", "1")
 
 
 def test_a_result_of_another_grid_is_kept_under_a_name_of_its_own(run: Run, write: Write, tmp_path: Path) -> None:
-    """And said; the same grid again, whose result is the same, leaves nothing beside it."""
+    """And said; the same grid again, whose result is the same, leaves nothing next to it."""
     store = str(tmp_path / "s")
 
     def swept(values: str, *effort: str) -> tuple[str, list[Path]]:
@@ -28,11 +29,13 @@ def test_a_result_of_another_grid_is_kept_under_a_name_of_its_own(run: Run, writ
     large = (tmp_path / "s" / "result.nc").read_bytes()
     told, aside = swept("0.1,1")
     assert [path.read_bytes() for path in aside] == [large]
-    assert told.endswith(f"taciturn: {store}/result.nc held another result, which is kept as {aside[0].name}\n")
+    assert told.endswith(
+        f"taciturn: {store}/result.nc contained another result, which was renamed to {aside[0].name}\n"
+    )
     assert xarray.load_dataset(tmp_path / "s" / "result.nc", engine="h5netcdf").sizes == {"theta": 2}
     told, again = swept("0.1,1")
     assert again == aside
-    assert told.startswith(f"taciturn: 2 of 2 cells are read from {store}; 1 more that it holds have other values")
+    assert told.startswith(f"taciturn: 2 of 2 cells are read from {store}; 1 other answers in it are for other values")
     assert told.count("\n") == 1
 
 
@@ -51,9 +54,22 @@ def test_cells_that_are_not_precise_are_named(
     told = sentence("0.1,1,2,3,4")
     assert "the standard error was not reached in 5 of 5 cells within 2e-05 billion steps each: theta=0.1" in told
     assert told.count("actuation=hold (standard error ") == 3
-    assert told.endswith("; and 2 more: ask for a larger --standard-error\n")
+    assert told.endswith("; and 2 more; give a larger --standard-error\n")
     assert "theta=3" not in told
     assert "more:" not in sentence("0.1,1,2")
+
+
+def test_a_summary_fits_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
+    """With long values, which other grids have too."""
+    cells = {name: (("theta", "cost.R"), [[value]]) for name, value in (("cost", 0.7405479), ("cost_error", 0.0))}
+    cells |= {"cost_standard_error": (("theta", "cost.R"), [[5.6e-6]]), "refusal": (("theta", "cost.R"), [[""]])}
+    cells |= {"cost_method": (("theta", "cost.R"), [["simulation"]])}
+    cells |= {"rate_actuator": (("theta", "cost.R"), [[0.272]], {"units": "sends per step"})}
+    found = xarray.Dataset(cells, {"theta": [0.05], "cost.R": ["[[0.1, 0.0], [0.0, 0.1]]"]})
+    _print.sweep(found, Path("result.nc"))
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 6
+    assert max(map(len, lines)) <= 80
 
 
 def test_the_bar_counts_cells(monkeypatch: pytest.MonkeyPatch) -> None:

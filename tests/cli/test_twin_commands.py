@@ -19,28 +19,31 @@ if TYPE_CHECKING:
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["twin", "car"], "there is no robot by the name 'car'; expected rover or omni"),
-        (["twin", "rover", "two-mass"], "two-mass is for another plant than the rover"),
-        (["twin", "omni", "rover"], "rover is for another plant than the omni"),
-        (["twin", "rover", "lossy-double-integrator"], "is for another plant than the rover"),
+        (["twin", "car"], "the robot 'car' does not exist; expected rover or omni"),
+        (["twin", "rover", "two-mass-lqg"], "the plant of two-mass-lqg is not that of the rover"),
+        (["twin", "omni", "rover"], "the plant of rover is not that of the omni"),
+        (["twin", "rover", "lossy-double-integrator"], "is not that of the rover"),
         (["twin", "rover", "no-such-file"], "no-such-file"),
-        (["twin", "rover", "rover", "--theta", "1"], "theta is given with rover, which has its own"),
-        (["twin", "omni", "--theta", "1"], "the policy of the omni has no theta; expected price"),
+        (["twin", "rover", "rover", "--theta", "1"], "theta is given with rover, whose file sets it"),
+        (["twin", "omni", "--theta", "1"], "the policy of the omni has no parameter theta; expected price"),
         (["twin", "rover", "--runs", "0"], "--runs is 0; expected a whole number, at least 1"),
         (["twin", "rover", "--runs", "70000"], "--runs is 70000"),
         (["twin", "rover", "--theta", "nan"], "--theta is nan"),
-        (["twin", "rover", "--fault", "camera@18"], "begins after 18 s, when the mission is over"),
-        (["twin", "rover", "--fault", "kidnap@1=1,2"], "has 2 numbers; expected 1 at most"),
+        (["twin", "rover", "--fault", "camera@18"], "begins after the end of the mission at 18 s"),
+        (["twin", "rover", "--fault", "kidnap@1=1,2"], "has 2 numbers; expected at most 1"),
         (["twin", "rover", "--fault", "gain=-2"], "the gain of the motors is -2"),
         (["twin", "rover", "--fault", "actuator@1", "--fault", "actuator@5"], "the fault actuator is given 2 times"),
         (["twin", "rover", "--speed", "2"], "--speed is given without --live"),
         (["twin", "rover", "--live", "--real-time", "--speed", "2"], "--speed is given with --real-time"),
-        (["camera", "omni", "rover", "--peer", ":9"], "rover is for another plant than the omni"),
+        (["camera", "omni", "rover", "--peer", ":9"], "the plant of rover is not that of the omni"),
         (["twin", "rover", "--seed", "-1"], "seed is -1"),
         (["twin", "rover", "--tick", "0.1"], "--tick is given without --real-time"),
         (["twin", "rover", "--fault", "fire@3"], "the fault is 'fire@3'; expected NAME@START+SECONDS=SIZE"),
         (["twin", "rover", "--wheels", "square"], "square"),
-        (["twin", "omni", "--namespaces", "--fault", "actuator@1"], "the fault actuator is given with namespaces"),
+        (
+            ["twin", "omni", "--namespaces", "--fault", "actuator@1"],
+            "the fault actuator needs a relay, and namespaces have none",
+        ),
         (["twin", "rover", "--video", "out.avi"], "the video 'out.avi' ends in '.avi'; expected one of .webp"),
         (["twin", "rover", "--record", "out.csv"], "the record 'out.csv' ends in '.csv'; expected one of .nc"),
         (["twin", "rover", "--plot", "out.txt"], "the picture 'out.txt' ends in '.txt'"),
@@ -52,15 +55,15 @@ if TYPE_CHECKING:
         (["twin", "rover", "--live", "--speed", "-1"], "--speed is -1"),
         (["twin", "rover", "--price", "-1"], "--price is -1"),
         (["camera", "rover", "rover", "--peer", "nowhere"], "--peer is 'nowhere'; expected HOST:PORT"),
-        (["camera", "car", "rover", "--peer", ":9"], "there is no robot by the name 'car'"),
+        (["camera", "car", "rover", "--peer", ":9"], "the robot 'car' does not exist"),
         (["node", "controller", "rover", "--questions"], "--questions is given for the controller"),
         (
             ["node", "sensor", "rover", "--eye", "c.json"],
-            "--eye is given for the sensor; expected it for",
+            "--eye is given for the sensor; expected this option for",
         ),
         (["node", "controller", "rover", "--peer", ":9", "--eye", "none.json"], "the calibration none.json cannot be"),
         (["node", "controller", "rover", "--peer", ":9", "--seen", "-"], "--seen or --watch is given without --eye"),
-        (["reproduce", "chapter2", "--twin"], "nothing to reproduce by the name 'chapter2'; expected one of chapter6"),
+        (["reproduce", "chapter2", "--twin"], "'chapter2' is not a reproducible chapter; expected one of chapter6"),
     ],
 )
 def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str], told: str) -> None:
@@ -99,7 +102,7 @@ def test_an_eye_for_a_policy_of_another_size_sees_nothing_that_is_used(run: Run,
     omni = stand_in("omni")
     write_calibration(path, omni.robot, omni.calibration)
     said = run("node", "controller", "rover", "--peer", ":9", "--eye", str(path)).sentence
-    assert "the calibration is of the omni, whose camera measures 3 numbers; expected 1" in said
+    assert "the calibration is for the omni, whose camera measures 3 numbers; expected 1" in said
 
 
 def counts_add_up(found: dict[str, Any]) -> None:
@@ -132,7 +135,7 @@ def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path, monkeypatch: py
 
 @pytest.mark.evidence
 def test_a_twin_that_prepares_itself_ends_with_one_document(run: Run, tmp_path: Path) -> None:
-    """The whole mission with a model identified there: questions, sends, the guarantee, and millimetres."""
+    """The whole finite-horizon run with a model identified there: questions, sends, the guarantee, and millimetres."""
     if blind():
         pytest.skip(blind())
     record, video, plot = (tmp_path / name for name in ("run.nc", "run.webp", "run.svg"))

@@ -14,12 +14,12 @@ from pathlib import Path
 import pytest
 
 import taciturn
+from taciturn._ending import ENDING
 from taciturn.cli import main
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.serve import NodeServer
-from taciturn.runtime.service import ENDING
 from taciturn.runtime.udp import Endpoint
 from taciturn.runtime.world import PlantServer
 from taciturn.study.workers import processes
@@ -42,7 +42,7 @@ def command(*arguments: str) -> None:
 
 
 def through_sockets(problem: taciturn.Problem) -> list[float]:
-    """Return what every tick costs where both nodes serve over UDP, in threads of this process."""
+    """Return what every step costs where both nodes serve over UDP, in threads of this process."""
     policy = problem.design()
     done = threading.Event()
     with Endpoint(("127.0.0.1", 0)) as at_plant, Endpoint(("127.0.0.1", 0)) as a, Endpoint(("127.0.0.1", 0)) as b:
@@ -68,7 +68,8 @@ def without_sockets(problem: taciturn.Problem) -> list[float]:
     controller, actuator = Node(policy, "controller"), Node(policy, "actuator")
     plant, costs = SimulatedPlant(problem.close(policy), 1), list[float]()
     for tick in range(TICKS):
-        actuator.sort_in(controller.step(tick, plant.measurement).packets)
+        for packet in controller.step(tick, plant.measurement).packets:
+            actuator.sort_in(packet)
         given = actuator.step(tick).input
         assert given is not None
         costs.append(plant.move(given))

@@ -25,7 +25,7 @@ from taciturn.runtime.packet import REFUSALS, Packet
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
-WAITING = 4  # ticks that a packet may be early
+WAITING = 4  # steps that a packet may be early
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
     *REFUSALS, "unsent", "missed", "repeated",
@@ -140,7 +140,7 @@ class Device:
     """
 
     def __init__(self, library: Library, secret: bytes | None = None, epoch: int = 0, loop: int = 0) -> None:
-        """Start before the first tick."""
+        """Start before the first step."""
         self.library, self.code, self.key = library, library.code, key_of(secret)
         self._self = c.create_string_buffer(b"\xa5" * self.code.shim_size())  # what memory holds that nobody cleared
         self.node = c.c_void_p(self.code.device_start(self._self, c.c_uint32(epoch), c.c_uint16(loop), self.key))
@@ -148,9 +148,13 @@ class Device:
         self._datagram = c.create_string_buffer(4096)
 
     def watch(self, ticks: int, safe: Sequence[float] | None = None) -> None:
-        """Make the input safe after so many ticks of silence."""
+        """Make the input safe after so many steps of silence."""
         self._safe = safe and (self.library.number * len(safe))(*safe)  # which the node points to
         self.code.tac_watch(self.node, c.c_uint32(ticks), self._safe)
+
+    def mark_after(self, ticks: int) -> None:
+        """Send a mark after so many steps without a packet on a link."""
+        self.code.tac_mark_after(self.node, c.c_uint32(ticks))
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram; empty: there is no such packet."""
@@ -179,7 +183,7 @@ class Device:
         return self.code.tac_receive(self.node, datagram, c.c_size_t(len(datagram)))
 
     def step(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
-        """Go through a tick."""
+        """Go through a step."""
         given = None if measurement is None else (self.library.number * len(measurement))(*measurement)
         return self.code.tac_step(self.node, c.c_uint64(tick), given, None)
 
@@ -198,7 +202,7 @@ class Device:
 
     @property
     def heard(self) -> int:
-        """One more than the tick of the newest packet."""
+        """One more than the step of the newest packet."""
         return self.code.tac_heard(self.node)
 
     @property
@@ -207,7 +211,7 @@ class Device:
         return list((self.library.number * self.library.sizes[2]).from_address(self.code.shim_memory(self.node)))
 
     def inputs(self, count: int) -> list[float]:
-        """The first inputs of its last tick."""
+        """The first inputs of its last step."""
         return list((self.library.number * count).from_address(self.code.shim_inputs(self.node)))
 
     @property
@@ -217,7 +221,7 @@ class Device:
 
     @property
     def waiting(self) -> int:
-        """Packets that wait for their tick."""
+        """Packets that wait for their step."""
         return self.code.shim_waiting(self.node)
 
     @property

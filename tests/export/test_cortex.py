@@ -33,9 +33,9 @@ from taciturn.study.network import losses
 
 ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
-    "chapter 2": ("two-mass", {}),
-    "chapter 2, model": ("two-mass", {"actuation": "model"}),
-    "chapter 2, drawn": ("two-mass", {"kind": "stochastic", "theta": None}),
+    "chapter 2": ("two-mass-lqg", {}),
+    "chapter 2, model": ("two-mass-lqg", {"actuation": "model"}),
+    "chapter 2, drawn": ("two-mass-lqg", {"kind": "stochastic", "theta": None}),
     "chapter 3": ("remote-double-integrator", {}),
     "chapter 3, scalar": ("remote-scalar", {}),
     "chapter 5": ("double-integrator", {}),
@@ -46,8 +46,8 @@ POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is c
 }
 ORDINARY = ("chapter 2", "chapter 2, model", "chapter 2, drawn", "chapter 5", "chapter 3, scalar", "chapter 7, told")
 SINGLE = ("chapter 2", "chapter 7")
-ROWS = 300  # ticks that are compiled in
-EVIDENCE = 100_000  # ticks of each policy on each board
+ROWS = 300  # steps that are compiled in
+EVIDENCE = 100_000  # steps of each policy on each board
 SECONDS = 300.0  # that such a run may take on a machine that does other things as well
 
 
@@ -80,7 +80,7 @@ def folder_of(name: str, precision: Precision = "float64") -> CFolder:
 
 
 def check(board: Board, name: str, precision: Precision = "float64", ticks: int = 0) -> str:
-    """Run the self-check on a board, with what is compiled in or so many ticks of another seed; return what it says."""
+    """Run the self-check on a board, with what is compiled in or so many steps of another seed; return what it says."""
     vector = record_loop(loop_of(name, precision), ticks, seed=1) if ticks else None
     return cortex.check_on(board, folder_of(name, precision), vector, patience=SECONDS)
 
@@ -89,10 +89,10 @@ def check(board: Board, name: str, precision: Precision = "float64", ticks: int 
     "on", few(zip(ORDINARY, (M3, M4F) * 3, strict=True), 1, 2), ids=lambda on: f"{on[0]}-{on[1].processor}"
 )
 def test_nodes_on_a_board_decide_and_apply_what_the_design_does(on: tuple[str, Board]) -> None:
-    """Hundreds of ticks with their packets: every decision, and every bit of the input."""
+    """Hundreds of steps with their packets: every decision, and every bit of the input."""
     name, board = on
     said = check(board, name)
-    assert f"{len(folder_of(name).vector.sent)} ticks compared, every decision and every bit" in said
+    assert f"{len(folder_of(name).vector.sent)} steps compared, every decision and every bit" in said
 
 
 @pytest.mark.parametrize("name", few(SINGLE, 0))  # the quick suite counts instructions of such nodes, which are checked
@@ -106,24 +106,24 @@ def test_nodes_in_single_precision_have_the_bits_of_the_loop_in_it(name: str) ->
 @pytest.mark.parametrize("board", [M3, M4F], ids=lambda board: board.processor)
 @pytest.mark.parametrize("name", POLICIES)
 def test_nodes_on_a_board_agree_for_long(name: str, board: Board) -> None:
-    """100,000 ticks of each policy, those behind the end of a mission too; one to two seconds each."""
-    assert f"{EVIDENCE} ticks compared" in check(board, name, ticks=EVIDENCE)
+    """100,000 steps of each policy, those behind the end of a finite-horizon run too; one to two seconds each."""
+    assert f"{EVIDENCE} steps compared" in check(board, name, ticks=EVIDENCE)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ORDINARY)
 def test_nodes_in_single_precision_agree_for_long(name: str) -> None:
-    """100,000 ticks of each policy on the floating-point unit."""
-    assert f"{EVIDENCE} ticks compared" in check(M4F, name, "float32", EVIDENCE)
+    """100,000 steps of each policy on the floating-point unit."""
+    assert f"{EVIDENCE} steps compared" in check(M4F, name, "float32", EVIDENCE)
 
 
 def test_one_bit_that_differs_is_found_on_the_board(tmp_path: Path) -> None:
-    """The self-check on the board can fail, and says in which tick."""
+    """The self-check on the board can fail, and says in which step."""
     folder = folder_of("chapter 2")
     program = cortex.compile_for(M3, folder, cortex.self_check(folder), tmp_path)
     applied = folder.vector.applied.copy()
     applied[123] = np.nextafter(applied[123], 9.0)
-    with pytest.raises(ProblemError, match="tick 123: the input of the plant is"):
+    with pytest.raises(ProblemError, match="step 123: the input of the plant is"):
         cortex.run_on(M3, program, dataclasses.replace(folder.vector, applied=applied))
 
 
@@ -143,7 +143,7 @@ def changed(folder: CFolder, node: str, old: str, new: str) -> CFolder:
 @pytest.mark.parametrize("of", [(M3, "float64", 1000), (M4F, "float32", 7)], ids=lambda of: of[0].processor)
 @pytest.mark.evidence
 def test_instructions_are_counted_one_by_one(of: tuple[Board, Precision, int]) -> None:
-    """So many more instructions in the step of a node are exactly as many more, in step, tick and all; else none."""
+    """So many more instructions in the step of a node are exactly as many more, in step, step and all; else none."""
     board, precision, number = of
     plain = folder_of("chapter 2", precision)
     more = f'{{\n  __asm volatile(".rept {number}\\n\\tnop\\n\\t.endr");\n  const tac_real v0 = memory[0];'
@@ -191,7 +191,7 @@ def test_the_sizes_of_nodes_are_those_of_their_parts() -> None:
 
 
 class Loops:
-    """The nodes of a problem on boards, one each, beside its plant, over links that lose what relays would lose."""
+    """The nodes of a problem on boards, one each, next to its plant, over links that lose what relays would lose."""
 
     def __init__(self, file: str, seed: int, into: Path) -> None:
         """Compile the nodes; the first is for the M3, the others for the M4F."""
@@ -204,7 +204,7 @@ class Loops:
         }
 
     def run(self, ticks: int) -> np.ndarray:
-        """Return the costs of the ticks."""
+        """Return the costs of the steps."""
         nodes = {role: NodeOnBoard(*given) for role, given in self.programs.items()}
         try:
             return self._run(nodes, ticks)
@@ -235,10 +235,10 @@ class Loops:
         return costs
 
 
-@pytest.mark.parametrize("file", ["two-mass", "lossy-double-integrator"])
+@pytest.mark.parametrize("file", ["two-mass-lqg", "lossy-double-integrator"])
 @pytest.mark.evidence
 def test_a_plant_with_boards_in_its_loop_costs_what_it_does_with_the_host_s_nodes(file: str, tmp_path: Path) -> None:
-    """Measurements go to emulated boards, datagrams between them, inputs to the plant: tick by tick the same bits."""
+    """Measurements go to emulated boards, datagrams between them, inputs to the plant: step by step the same bits."""
     assert Loops(file, 5, tmp_path).run(100).tobytes() == by_hand(file, 100, 5).tobytes()
 
 
@@ -250,7 +250,7 @@ def controller(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_question_that_comes_again_has_the_same_answer(controller: Path) -> None:
-    """The tick is not gone through again: what follows is as if the question had come once."""
+    """The step is not gone through again: what follows is as if the question had come once."""
     y = folder_of("chapter 2").vector.measured.tolist()
     with NodeOnBoard(M3, controller) as once, NodeOnBoard(M3, controller) as twice:
         for tick in range(30):
@@ -268,17 +268,17 @@ def test_a_board_answers_after_bytes_that_are_no_frame(controller: Path) -> None
 
 
 def test_a_node_that_misses_its_measurement_says_so(controller: Path) -> None:
-    """A tick without one is not gone through; a datagram that is none is refused, and the node goes on."""
+    """A step without one is not gone through; a datagram that is none is refused, and the node continues."""
     with NodeOnBoard(M3, controller) as node:
         assert not node.step(0).gone
         assert node.step(1, [b"no packet"], [0.5, 0.5]).gone
 
 
 def test_a_question_that_fits_no_frame_is_refused(controller: Path) -> None:
-    """Another number of ticks, datagrams or measurements than a frame can say is a mistake of whoever asks."""
+    """Another number of steps, datagrams or measurements than a frame can say is a mistake of whoever asks."""
     with NodeOnBoard(M3, controller) as node:
         for tick, datagrams, measurement in ((-1, [], [1.0]), (2**64 - 1, [], [1.0]), (0, [b""] * 9, [1.0])):
-            with pytest.raises(ProblemError, match="expected a tick from 0 to"):
+            with pytest.raises(ProblemError, match="expected a step from 0 to"):
                 node.step(tick, datagrams, measurement)
         with pytest.raises(ProblemError, match="256 measurements"):
             node.step(0, [], [1.0] * 256)
@@ -293,7 +293,7 @@ def own(text: str, into: Path) -> Path:
 
 def test_a_self_check_of_too_many_rows_is_refused_in_a_sentence(tmp_path: Path) -> None:
     """What the linker says of it is not quoted."""
-    with pytest.raises(ProblemError, match=r"^the program is larger than the board's 4 MiB; expected fewer"):
+    with pytest.raises(ProblemError, match=r"^the program is larger than the board's 4 MiB; expected a self-check"):
         own("extern const char rows[]; const char rows[5L << 20] = {1}; int main(void) { return rows[0]; }", tmp_path)
 
 
@@ -345,7 +345,7 @@ def test_what_a_program_fails_with_is_said(tmp_path: Path) -> None:
         cortex.run_on(M3, fault)
     with pytest.raises(ProblemError, match="code 3"):
         cortex.run_on(M3, own("int main(void) { return 3; }", tmp_path / "three"))
-    with pytest.raises(ProblemError, match=r"qemu-system-arm has not ended after 0.5 s"):
+    with pytest.raises(ProblemError, match=r"qemu-system-arm has not finished after 0.5 s"):
         cortex.run_on(M3, own("int main(void) { for (;;) { } }", tmp_path / "hanging"), patience=0.5)
     with pytest.raises(ProblemError, match="unused variable"):
         own("int main(void) { int i; return 0; }", tmp_path / "unused")

@@ -1,4 +1,4 @@
-"""A unit does in a simulator what the loop does, bit for bit, and says why where it does not go on."""
+"""A unit does in a simulator what the loop does, bit for bit, and says why where it does not continue."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ from taciturn.loop import Loop
 VERSIONS: tuple[Version, ...] = ("3.0", "2.0")
 LOSSY = "lossy-double-integrator"
 LOOPS: dict[str, Callable[[], Loop]] = {
-    "two-mass": lambda: of_problem("two-mass"),
+    "two-mass-lqg": lambda: of_problem("two-mass-lqg"),
     "rover": lambda: of_problem("rover"),
     "functions": lambda: with_functions(make_system(5, 3, 2, 2, False), 1),
     "several inputs": lambda: build_loop("lqg joint model"),
     LOSSY: lambda: of_problem(LOSSY),
     "own draws": lambda: build_loop("stochastic"),
-    "single precision": lambda: replace(LOOPS["two-mass"](), precision="float32"),
+    "single precision": lambda: replace(LOOPS["two-mass-lqg"](), precision="float32"),
 }
 Make = Callable[[str, Version], tuple[Loop, Fmu, Path]]
 
@@ -68,7 +68,7 @@ def make(tmp_path_factory: pytest.TempPathFactory) -> Make:
 
 @pytest.mark.parametrize("of", few(itertools.product(LOOPS, VERSIONS), 1, 1), ids=str)
 def test_a_unit_is_valid_and_decides_as_the_loop(make: Make, of: tuple[str, Version]) -> None:
-    """FMPy's validation finds nothing, and 300 ticks agree in every decision and every bit of the input."""
+    """FMPy's validation finds nothing, and 300 steps agree in every decision and every bit of the input."""
     name, version = of
     loop, unit, folder = make(name, version)
     assert validate_fmu(str(folder.with_suffix(".fmu"))) == []
@@ -84,9 +84,9 @@ def test_a_unit_is_valid_and_decides_as_the_loop(make: Make, of: tuple[str, Vers
     instance.close()
 
 
-@pytest.mark.parametrize("of", few(itertools.product(["two-mass", LOSSY, "own draws"], VERSIONS), 1, 2), ids=str)
+@pytest.mark.parametrize("of", few(itertools.product(["two-mass-lqg", LOSSY, "own draws"], VERSIONS), 1, 2), ids=str)
 def test_a_state_is_taken_up_again_in_any_instance(make: Make, of: tuple[str, Version]) -> None:
-    """What goes on from a state is the same, in its instance, in another and from bytes; changed bytes are refused."""
+    """A restored state continues the same, in its instance, in another and from bytes; changed bytes are refused."""
     name, version = of
     loop, _, folder = make(name, version)
     vector = record(loop, 100)
@@ -119,7 +119,7 @@ def test_a_state_is_taken_up_again_in_any_instance(make: Make, of: tuple[str, Ve
 @pytest.mark.parametrize("version", VERSIONS)
 def test_instances_are_apart_and_a_reset_begins_anew(make: Make, version: Version) -> None:
     """Two that run in turns do not disturb each other, and one that is reset does again what it did."""
-    loop, _, folder = make("two-mass", version)
+    loop, _, folder = make("two-mass-lqg", version)
     first, second = record(loop, 60), record(loop, 60, seed=8)
     assert (first.applied != second.applied).any()
     one, other = Instance(folder).start(), Instance(folder).start()
@@ -137,7 +137,7 @@ def test_instances_are_apart_and_a_reset_begins_anew(make: Make, version: Versio
 @pytest.mark.parametrize("version", VERSIONS)
 def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make: Make, version: Version) -> None:
     """Another step, another time, a measurement that is no number, an unknown variable, a wrong order."""
-    loop, _, folder = make("two-mass", version)
+    loop, _, folder = make("two-mass-lqg", version)
     vector, tick = record(loop, 30), tick_length(loop)
     instance = Instance(folder)
 
@@ -175,13 +175,13 @@ def test_what_cannot_be_done_is_refused_with_a_sentence_and_changes_nothing(make
 def test_a_token_of_another_unit_is_refused(make: Make, version: Version) -> None:
     """A description that belongs to other sources has no instance."""
     with pytest.raises(Exception, match="Failed to instantiate"):
-        Instance(make("two-mass", version)[2], token="{another}")
+        Instance(make("two-mass-lqg", version)[2], token="{another}")
 
 
 @pytest.mark.parametrize("version", VERSIONS)
 def test_every_function_of_fmi_is_there_and_nothing_else_is_seen(make: Make, version: Version) -> None:
     """The library exports what the header declares; its own functions stay its own."""
-    _, unit, folder = make("two-mass", version)
+    _, unit, folder = make("two-mass-lqg", version)
     library = ctypes.CDLL(str(folder / str(unit.binary)))
     header = (FMI / f"fmi{version[0]}Functions.h").read_text(encoding="ascii")
     declared = re.findall(rf"FMI\d_Export fmi{version[0]}\w+TYPE\s+(fmi\w+);", header)
@@ -204,7 +204,7 @@ def test_the_sources_are_strict_c99(make: Make, tmp_path: Path, by: tuple[str, V
 
 @pytest.mark.evidence
 def test_memory_is_used_as_it_may_be(make: Make, tmp_path: Path) -> None:
-    """The sanitizers of the compiler find nothing in 100 ticks."""
+    """The sanitizers of the compiler find nothing in 100 steps."""
     loop, unit, folder = make(LOSSY, "3.0")
     checked = ["-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"]
     library, sources = tmp_path / "unit.so", sorted((folder / "sources").glob("*.c"))
@@ -219,10 +219,10 @@ def test_the_sources_alone_are_enough(tmp_path: Path, version: Version, monkeypa
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=":")
     if shutil.which("cmake") is None or shutil.which("cc") is None:
         pytest.skip("NOT SHOWN: units are built of sources by cmake and cc, and they are not there")
-    loop = LOOPS["two-mass"]()
+    loop = LOOPS["two-mass-lqg"]()
     unit = print_fmu(loop, "unit", version=version, compiler=None)
     assert unit.binary is None
-    assert "none was asked for" in unit.notes[0]
+    assert "none was requested" in unit.notes[0]
     unit.write(tmp_path / "unit.fmu")
     shutil.unpack_archive(tmp_path / "unit.fmu", tmp_path / "unpacked", "zip")
     assert not (tmp_path / "unpacked" / "binaries").exists()
@@ -235,20 +235,20 @@ def test_the_sources_alone_are_enough(tmp_path: Path, version: Version, monkeypa
 
 def test_without_a_compiler_a_note_says_so_and_one_that_fails_is_told(tmp_path: Path) -> None:
     """Sources alone, and a note that says why."""
-    loop = LOOPS["two-mass"]()
+    loop = LOOPS["two-mass-lqg"]()
     unit = print_fmu(loop, "unit", compiler="cc-that-is-not-there")
     assert unit.notes == (
-        "the unit has no binary, for there is no compiler 'cc-that-is-not-there' here: an importer compiles its "
-        "sources, as does `fmpy compile`",
+        "the unit has no binary because there is no compiler 'cc-that-is-not-there' here: the importing simulator "
+        "compiles the sources, or `fmpy compile` does",
     )
     failing = tmp_path / "failing"
     failing.write_text("#!/bin/sh\necho 'unit.c:1: error: no such thing' >&2\nexit 1\n")
     failing.chmod(0o755)
     (note,) = print_fmu(loop, "unit", compiler=str(failing)).notes
-    assert f"{failing} refuses the sources (unit.c:1: error: no such thing)" in note
+    assert f"{failing} rejects the sources (unit.c:1: error: no such thing)" in note
     failing.write_text("#!/bin/sh\n")
     unit = print_fmu(loop, "unit", compiler=str(failing))
-    assert "has written nothing" in unit.notes[0]
+    assert "has written no file" in unit.notes[0]
     assert ("note", unit.notes[0]) in unit.lines()
     assert not any(path.startswith("binaries") for path in unit.files)
     with pytest.raises(ProblemError, match=r"ends in \.fmu"):
@@ -257,27 +257,27 @@ def test_without_a_compiler_a_note_says_so_and_one_that_fails_is_told(tmp_path: 
         unit.write(failing / "unit.fmu")
     with pytest.raises(ProblemError, match=r"expected '3\.0' or '2\.0'"):
         print_fmu(loop, "unit", version="1.0")  # type: ignore[arg-type]
-    with pytest.raises(ProblemError, match="expected an identifier of C"):
-        print_fmu(loop, "two-mass")
+    with pytest.raises(ProblemError, match="expected a C identifier"):
+        print_fmu(loop, "two-mass-lqg")
 
 
 @pytest.mark.evidence
 def test_a_unit_is_the_same_whenever_it_is_made(make: Make, tmp_path: Path) -> None:
     """The bytes of the file depend on the policy alone; the token tells policies and versions apart."""
-    loop, unit, _ = make("two-mass", "3.0")
+    loop, unit, _ = make("two-mass-lqg", "3.0")
     again = print_fmu(loop, "unit", seed=SEED)
     assert again.archive() == unit.archive()
-    with zipfile.ZipFile(make("two-mass", "3.0")[2].with_suffix(".fmu")) as held:
+    with zipfile.ZipFile(make("two-mass-lqg", "3.0")[2].with_suffix(".fmu")) as held:
         assert {entry.date_time for entry in held.infolist()} == {(1980, 1, 1, 0, 0, 0)}
         assert held.namelist()[0] == "modelDescription.xml"
         assert not [name for name in held.namelist() if re.search(r"fmi\dFunction|fmi\dTypes|fmi\dPlatform", name)]
-    tokens = {unit.token, make(LOSSY, "3.0")[1].token, make("two-mass", "2.0")[1].token}
+    tokens = {unit.token, make(LOSSY, "3.0")[1].token, make("two-mass-lqg", "2.0")[1].token}
     assert len(tokens) == 3
 
 
 def test_losses_are_inputs_only_where_packets_may_be_lost(make: Make) -> None:
     """Of an ideal network nothing can be lost."""
-    ideal, lossy = Instance(make("two-mass", "3.0")[2]), Instance(make(LOSSY, "3.0")[2])
+    ideal, lossy = Instance(make("two-mass-lqg", "3.0")[2]), Instance(make(LOSSY, "3.0")[2])
     names = [{one.name for one in instance.described.modelVariables} for instance in (ideal, lossy)]
     assert [{name for name in found if name.startswith("lost")} for found in names] == [
         set(),
@@ -306,7 +306,7 @@ def test_a_lost_packet_does_not_arrive(make: Make) -> None:
 
 def test_a_simulation_may_begin_at_any_time_and_add_up_its_steps(make: Make) -> None:
     """Times that a simulator has summed up are taken, whatever rounding has made of them."""
-    loop, _, folder = make("two-mass", "3.0")
+    loop, _, folder = make("two-mass-lqg", "3.0")
     vector, time = record(loop, 300), 1.7e9
     instance = Instance(folder).start(time)
     for tick in range(300):
@@ -318,7 +318,7 @@ def test_a_simulation_may_begin_at_any_time_and_add_up_its_steps(make: Make) -> 
 
 
 def test_the_licence_that_units_carry_is_that_of_the_project() -> None:
-    """A copy stands beside the core, since the project's own file is not where the package is."""
+    """A copy stands next to the core, since the project's own file is not where the package is."""
     root = Path(__file__).parents[2]
     assert (FMI.parent / "core" / "LICENSE").read_bytes() == (root / "LICENSE").read_bytes()
 
@@ -326,7 +326,7 @@ def test_the_licence_that_units_carry_is_that_of_the_project() -> None:
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
 def test_units_decide_as_the_loop_for_100_000_ticks(name: str, tmp_path: Path) -> None:
-    """Every policy with a tick: valid, and 100,000 ticks in a row have every decision and every bit of the loop."""
+    """Every policy with a step: valid, and 100,000 steps in a row have every decision and every bit of the loop."""
     loop = build_loop(name)
     unit = make_unit(loop, tmp_path / "unpacked")
     assert validate_fmu(str(tmp_path / "unpacked.fmu")) == []

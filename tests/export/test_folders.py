@@ -33,7 +33,7 @@ from taciturn.loop import Loop
 from taciturn.program.ops import Precision
 from taciturn.study.export import bear_single, export_c
 
-AGREES = "ticks compared, every decision and every bit of the input agrees"
+AGREES = "steps compared, every decision and every bit of the input agrees"
 SOME = (
     "lqg joint model", "stochastic", "rollout", "self-triggered", "remote", "lossy tcp, delayed", "lossy udp, 30 steps",
     "near-optimal", "variance", "integral",
@@ -44,7 +44,7 @@ BUILDS = [(compiler, level) for compiler in ("gcc", "clang") for level in ("-O0"
 
 def two_mass() -> Loop:
     """Return the loop of the two masses."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     return problem.close(problem.design())
 
 
@@ -74,7 +74,7 @@ def write(folder: Path, found: CFolder) -> Path:
 
 @pytest.mark.parametrize("name", few(SOME, 3))
 def test_nodes_in_c_decide_as_the_design(name: str, tmp_path: Path) -> None:
-    """Schedules, draws, memories, missions, losses, acknowledgements, bells, several labels: 500 ticks."""
+    """Schedules, draws, memories, finite-horizon runs, losses, acknowledgements, bells, several labels: 500 steps."""
     loop = build(name)
     check = compile_check(write(tmp_path, print_folder(loop, "policy")))
     assert run_check(check) == (0, f"policy: {min(500, loop.horizon or 500)} {AGREES}")
@@ -83,7 +83,7 @@ def test_nodes_in_c_decide_as_the_design(name: str, tmp_path: Path) -> None:
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
 def test_nodes_in_c_decide_as_the_design_for_100_000_ticks(name: str, tmp_path: Path) -> None:
-    """Every policy with a tick, by gcc and clang, optimised or not: the bits of the build that has those of NumPy."""
+    """Every policy with a step, by gcc and clang, optimised or not: the bits of the build that has those of NumPy."""
     loop = build(name)
     ticks = min(100_000, loop.horizon or 100_000)
     found = print_folder(loop, "policy", rows=1)
@@ -97,7 +97,7 @@ def test_nodes_in_c_decide_as_the_design_for_100_000_ticks(name: str, tmp_path: 
 
 @pytest.mark.parametrize("by", few(product(["float64", "float32"], BUILDS), 1, 1), ids=str)
 def test_compilers_agree(by: tuple[Precision, tuple[str, str]], tmp_path: Path) -> None:
-    """Nodes over links that lose packets, in both precisions, by both compilers, optimised or not."""
+    """Nodes over links that drop packets, in both precisions, by both compilers, optimised or not."""
     precision, (compiler, level) = by
     problem = taciturn.load("lossy-double-integrator")
     loop = replace(problem.close(problem.design()), precision=precision)
@@ -152,7 +152,7 @@ def test_a_wrong_bit_is_found(tmp_path: Path) -> None:
         source.write_text(text.replace(old, new, 1))
         code, line = run_check(compile_check(folder))
         assert code == 1
-        assert line.startswith("tick ")
+        assert line.startswith("step ")
         assert "expected" in line
 
 
@@ -194,7 +194,7 @@ def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path
 def test_files_of_others_are_not_replaced(name: str, tmp_path: Path) -> None:
     """Nothing is written where one of them would be lost."""
     (tmp_path / name).write_text("# mine, with taciturn\n")
-    with pytest.raises(ProblemError, match=rf"{name} is there, and was not exported; expected a folder"):
+    with pytest.raises(ProblemError, match=rf"{name} exists and was not exported; expected a folder"):
         write(tmp_path, print_folder(two_mass(), "two_mass"))
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "# mine, with taciturn\n"
@@ -210,16 +210,16 @@ def test_the_names_of_problems_do_not_break_the_build_file() -> None:
 def test_the_end_of_a_mission_is_told() -> None:
     """Where there is one."""
     problem = taciturn.load("rover")
-    assert "a mission of 60 ticks" in print_folder(problem.close(problem.design()), "rover").files["README.md"]
+    assert "a horizon of 60 steps" in print_folder(problem.close(problem.design()), "rover").files["README.md"]
     assert "mission" not in print_folder(two_mass(), "two_mass", rows=1).files["README.md"]
 
 
 @pytest.mark.parametrize(
     ("file", "changes", "titles"),
     [
-        ("two-mass", {}, ["controller (at the sensor)", "actuator"]),
+        ("two-mass-lqg", {}, ["controller (at the sensor)", "actuator"]),
         (
-            "two-mass",
+            "two-mass-lqg",
             {"kind": "send-on-delta", "theta": None, "delta": 0.2},
             ["sensor", "controller (at the actuator)"],
         ),
@@ -277,7 +277,7 @@ def test_the_same_problem_gives_the_same_files() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "name"), [("two-mass", "two_mass"), ("3 tanks", "p3_tanks"), ("Größe 1", "gr_e_1"), ("***", "p")]
+    ("text", "name"), [("two-mass-lqg", "two_mass_lqg"), ("3 tanks", "p3_tanks"), ("Größe 1", "gr_e_1"), ("***", "p")]
 )
 def test_names_become_identifiers(text: str, name: str) -> None:
     """Letters, digits and underscores of ASCII, no digit first."""
@@ -298,7 +298,7 @@ def test_a_loop_that_leaves_the_range_of_numbers_is_refused() -> None:
     """A policy that was designed for another plant."""
     plant, cost = Plant([[0.9]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
     loop = taciturn.close(Plant([[9.0]], [[1.0]], [[1.0]]), design.lqg(plant, cost, theta=0.1), cost=cost)
-    with pytest.raises(ProblemError, match=r"leaves the range of float64 after \d+ ticks"):
+    with pytest.raises(ProblemError, match=r"leaves the range of float64 after \d+ steps"):
         print_folder(loop, "unstable")
 
 
@@ -315,9 +315,9 @@ def test_what_a_device_cannot_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_what_has_no_nodes_is_refused(tmp_path: Path) -> None:
-    """A policy without a tick, one for analysis, a node that is none, a folder that cannot be."""
-    problem = taciturn.load("two-mass")
-    with pytest.raises(ProblemError, match="the node is 'sensor', which is at the place of the controller in lqg"):
+    """A policy without a step, one for analysis, a node that is none, a folder that cannot be."""
+    problem = taciturn.load("two-mass-lqg")
+    with pytest.raises(ProblemError, match="the node is 'sensor', which is at the site of the controller in lqg"):
         export_c(problem, tmp_path, nodes=["sensor"])
     (tmp_path / "file").write_text("")
     with pytest.raises(ProblemError, match=r"the folder .*file/x cannot be written to \(Not a directory\)"):

@@ -77,5 +77,5 @@ def test_every_function_of_the_core_has_the_sizes_in_its_name(precisions: dict[s
         ["nm", *(f"{name}.o" for name in names)], cwd=precisions["float64"], check=True, capture_output=True, text=True
     ).stdout.splitlines()
     shown = [line.split()[-1] for line in listed if " T " in line]
-    assert len(shown) == 11
+    assert len(shown) == 12
     assert all(re.search(r"_float64_\d+_\d+_4$", name) for name in shown), shown

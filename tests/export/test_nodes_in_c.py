@@ -28,7 +28,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network as AnyNetwork
 from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
-from taciturn.runtime.inbox import Inbox, Stream
+from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
 from taciturn.runtime.node import Node, Stepped
 from taciturn.runtime.packet import Packet, Wire
 
@@ -37,13 +37,13 @@ LOOP, SEED = 7, 3
 
 
 class SmallInbox(Inbox):
-    """The inbox of a device: few packets wait, each in the place of its tick.
+    """The inbox of a device: few packets wait, each in the place of its step.
 
-    Before the first tick the newer of two keeps a place; then whichever is nearer.
+    Before the first step the newer of two keeps a place; then whichever is nearer.
     """
 
-    def take(self, packet: Packet, past: int) -> bool:
-        """Take a packet in that a tick wants which is not further ahead than places are."""
+    def take(self, packet: Packet, past: int) -> Handling:
+        """Take a packet in that a step wants which is not further ahead than places are."""
         stream = self.streams.get((packet.kind, packet.link))
         self.past = past
         with patch("taciturn.runtime.inbox.AHEAD", WAITING - (stream.lag if stream else 0)):
@@ -62,7 +62,7 @@ class SmallInbox(Inbox):
 
 
 class Watch(NamedTuple):
-    """After how many ticks of silence an input is safe, and which that is; 0: never, None: the last one."""
+    """After how many steps of silence an input is safe, and which that is; 0: never, None: the last one."""
 
     ticks: int = 0
     safe: tuple[float, ...] | None = None
@@ -90,7 +90,7 @@ class Case(NamedTuple):
 
 def ideal() -> Loop:
     """Return a loop whose theory takes every packet to arrive."""
-    return taciturn.load("two-mass").close(taciturn.load("two-mass").design())
+    return taciturn.load("two-mass-lqg").close(taciturn.load("two-mass-lqg").design())
 
 
 def lossy(**more: object) -> Loop:
@@ -149,10 +149,13 @@ class Pair:
     """The same node twice, given the same."""
 
     def __init__(self, found: Case, secret: bytes | None, seed: int) -> None:
-        """Start both before the first tick."""
+        """Start both before the first step."""
         self.case, self.draws = found, np.random.default_rng(seed)
         self.host, self.device = found.host(epoch=9), Device(found.library, secret, 9, LOOP)
         self.device.watch(*found.watch)
+        self.every = (None, 0, 3)[seed % 3]  # steps without a packet after which a mark is sent; None: no marks
+        if self.every is not None:
+            self.device.mark_after(self.every)
         self.wire = Wire(found.policy, found.network, secret)
         self.tick = -1
         self.numbers: dict[tuple[str, str], int] = {}  # sequence numbers that the device has given out
@@ -167,7 +170,7 @@ class Pair:
         }
 
     def receive(self, which: int, ahead: int, behind: int, epoch: int, loop: int) -> None:
-        """Give both a packet, so many ticks and sequence numbers from the next one."""
+        """Give both a packet, so many steps and sequence numbers from the next one."""
         kind, link = name = list(self.sizes)[which % len(self.sizes)]
         sequence = max(0, self.sequences.get(name, 0) - behind)
         self.sequences[name] = max(self.sequences.get(name, 0), sequence + 1)
@@ -176,15 +179,15 @@ class Pair:
         datagram = self.wire.encode(packet)
         read = self.wire.decode(datagram)
         assert isinstance(read, Packet)
-        assert self.device.receive(datagram) == self.host.sort_in([read])
+        assert self.device.receive(datagram) == (self.host.sort_in(read) in USABLE)
 
     def step(self, gap: int) -> None:
-        """Let both go through a tick, and compare all that they do and know."""
+        """Let both go through a step, and compare all that they do and know."""
         tick = max(0, self.tick + gap)
         y = self.draws.normal(0, 3, self.case.policy.model.outputs).tolist() if self.host.measures else None
-        later = tick > self.host.tick
+        self.later = tick > self.host.tick
         stepped = self.host.step(tick, y)
-        assert self.device.step(tick, y) == later
+        assert self.device.step(tick, y) == self.later
         self.tick = self.host.tick
         assert self.device.input == stepped.input
         assert self.device.degraded == self.host.degraded
@@ -197,7 +200,8 @@ class Pair:
 
     def compare_packets(self, stepped: Stepped) -> None:
         """Check that the newest packets of the host are those of the device, in its own numbers."""
-        expected = {(packet.kind, packet.link): packet for packet in stepped.packets}
+        marks = () if self.every is None or not self.later else self.host.mark(self.every)
+        expected = {(packet.kind, packet.link): packet for packet in (*stepped.packets, *marks)}
         found = [self.wire.decode(datagram) for datagram in self.device.send()]
         assert sorted(map(str, found)) == sorted(
             str(packet._replace(sequence=self.numbers.get(name, 0))) for name, packet in expected.items()
@@ -227,7 +231,7 @@ all_or_some = pytest.mark.parametrize("every", few([3, 1], 1), ids=["every third
 
 @patch("taciturn.runtime.window.WIDTH", WIDTH)
 def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> Pair:
-    """Give a node on the host and in C what happens, and compare after each tick."""
+    """Give a node on the host and in C what happens, and compare after each step."""
     pair = Pair(found, secret, seed)
     for what, *rest in [*events, ("step", 1), ("step", 1)]:
         if what == "packet":
@@ -244,7 +248,7 @@ def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> P
 def test_a_node_in_c_does_and_counts_what_the_host_does(
     place: tuple[str, NodeName], events: list[tuple], watched: int, seed: int, secret: bytes | None
 ) -> None:
-    """Packets that are late, doubled, reordered, replayed, early, of another loop or missing, and ticks left out."""
+    """Packets that are late, doubled, reordered, replayed, early, of another loop or missing, and steps left out."""
     play(case(*place, watched), events, secret, seed)
 
 
@@ -263,7 +267,7 @@ def random_events(draws: np.random.Generator, count: int) -> list[tuple]:
 
 @all_or_some
 def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -> None:
-    """600 ticks of nodes, and as many in peace: every counter moves, packets leave, and nodes recover."""
+    """600 steps of nodes, and as many in peace: every counter moves, packets leave, and nodes recover."""
     met, recoveries, packets = set[str](), 0, 0
     for name, role in places()[::every]:
         events = [*random_events(np.random.default_rng(4), 600), *[("step", 1)] * 600]
@@ -283,7 +287,7 @@ def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -
     "sleep", few(product(["ideal", "lossy", "told", "delayed"], [9_000, 10_001, 25_000]), 3), ids=str
 )
 def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(sleep: tuple[str, int]) -> None:
-    """Up to 10,000 ticks are gone through again, and the newest packet of each link is sent."""
+    """Up to 10,000 steps are gone through again, and the newest packet of each link is sent."""
     name, gap = sleep
     for role in ("controller", "actuator"):
         if role in roles(LOOPS[name]().policy):
@@ -302,7 +306,7 @@ def test_a_packet_of_a_later_epoch_supersedes_one_of_its_tick(every: int) -> Non
 
 @all_or_some
 def test_a_node_that_begins_late_has_joined(every: int) -> None:
-    """A first tick that is not 0, with packets that wait for it, for others, and for one far away."""
+    """A first step that is not 0, with packets that wait for it, for others, and for one far away."""
     for name, role in places()[::every]:
         for seed in range(4):
             draws = np.random.default_rng(seed)
@@ -324,7 +328,7 @@ def test_the_last_sequence_number_ends_an_epoch() -> None:
 
 
 def test_what_is_no_tick_and_no_measurement_changes_nothing() -> None:
-    """A measurement that is missing or not finite, a tick that is past, and the one that has no number."""
+    """A measurement that is missing or not finite, a step that is past, and the one that has no number."""
     found = case("ideal", "controller", 0)
     node = Device(found.library)
     assert node.step(0, [1.0, 2.0])

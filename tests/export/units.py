@@ -83,7 +83,7 @@ class Instance:
 
 
 def make_unit(loop: Loop, folder: Path, version: Version = "3.0", seed: int = SEED) -> Fmu:
-    """Make a unit with a binary, write it beside a folder, and unpack it there."""
+    """Make a unit with a binary, write it next to a folder, and unpack it there."""
     unit = print_fmu(loop, "unit", version=version, seed=seed, compiler=needs_compiler())
     path = folder.with_suffix(".fmu")
     unit.write(path)
@@ -104,7 +104,7 @@ def record(loop: Loop, ticks: int, seed: int = SEED) -> Vector:
 
 
 def given(loop: Loop, vector: Vector, tick: int) -> dict[str, Any]:
-    """Return the inputs of a unit in a tick."""
+    """Return the inputs of a unit in a step."""
     values: dict[str, Any] = {f"y[{i + 1}]": float(value) for i, value in enumerate(vector.measured[tick])}
     if may_lose(loop):
         values |= {f"lost_{link}": not vector.arrived[tick, i] for i, link in enumerate(vector.links)}
@@ -112,7 +112,7 @@ def given(loop: Loop, vector: Vector, tick: int) -> dict[str, Any]:
 
 
 def differing_ticks(instance: Instance, loop: Loop, vector: Vector, ticks: Iterable[int]) -> list[int]:
-    """Step an instance, and return the ticks in which a decision or a bit of the input differs."""
+    """Step an instance, and return the steps in which a decision or a bit of the input differs."""
     wrong, seconds = list[int](), tick_length(loop)
     inputs = [f"u[{i + 1}]" for i in range(vector.applied.shape[1])]
     for tick in ticks:
@@ -135,7 +135,7 @@ def build_driver(folder: Path, *options: str) -> Path:
 
 
 def drive(driver: Path, library: Path, unit: Fmu, loop: Loop, vector: Vector) -> int:
-    """Step a library through rows; return how many ticks agree."""
+    """Step a library through rows; return how many steps agree."""
     rows = library.parent / "rows"
     np.hstack([vector.measured, 1 - vector.arrived, vector.sent, vector.applied]).astype(np.float64).tofile(rows)
     sizes: Sequence[object] = (int(may_lose(loop)), vector.measured.shape[1], vector.applied.shape[1])

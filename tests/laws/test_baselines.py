@@ -1,4 +1,4 @@
-"""What the sources of the baselines prove of them, and what their rules say tick by tick."""
+"""What the sources of the baselines prove of them, and what their rules say step by step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from systems import System, make_system, systems
 
-from taciturn import Cost, Plant, ProblemError, UnstableError, average, close, design, simulate
+from taciturn import Cost, Plant, ProblemError, UnstableError, average, close, design, load, simulate
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.riccati import regulate
@@ -78,12 +78,12 @@ def test_the_dynamic_trigger_sends_less_often() -> None:
 
 
 def silence_is_a_determinant(system: System, share: float) -> None:
-    """P(silent for j ticks) = det(I + cov(e_1 … e_j)(I ⊗ sW))^{-½} sums up to the rate."""
+    """P(silent for j steps) = det(I + cov(e_1 … e_j)(I ⊗ sW))^{-½} sums up to the rate."""
     scale = share / size_of(system) ** 2
     policy = design.stochastic(system.plant, system.cost, scale=scale, actuation="model")
     assert policy.closed_form is not None
     rate, n = policy.closed_form.rates["actuator"], system.plant.states
-    assume(rate > 0.3)  # so that a few ticks tell all
+    assume(rate > 0.3)  # so that a few steps tell all
     seen = steady_filter(system.plant.A, system.plant.C, system.plant.W, system.plant.V)
     step, lengths = np.linalg.cholesky(seen.prior - seen.posterior + 1e-13 * np.eye(n)), []
     ticks = 36
@@ -130,7 +130,7 @@ def test_send_on_delta_with_a_vanishing_delta_is_all_time_control() -> None:
 @SOME
 @given(system=systems(states=3), fast=st.integers(1, 3), more=st.integers(0, 3), share=st.floats(0.05, 0.5))
 def test_downsampled_intervals_are_fast_and_slow_looks(system: System, fast: int, more: int, share: float) -> None:
-    """From a send to the next: fast + k·slow ticks."""
+    """From a send to the next: fast + k·slow steps."""
     slow, threshold = fast + more, share * size_of(system)
     policy = design.downsampled(system.plant, system.cost, fast=fast, slow=slow, threshold=threshold)
     sends = np.flatnonzero(outputs(policy, system.seed, paths=1, ticks=100)["sent actuator"][:, 0])
@@ -138,7 +138,7 @@ def test_downsampled_intervals_are_fast_and_slow_looks(system: System, fast: int
 
 
 def test_rules_that_are_one_rule_send_at_the_same_ticks() -> None:
-    """Downsampled at every tick is absolute on the state; mixed is relative without threshold, absolute without σ."""
+    """Downsampled at every step is absolute on the state; mixed is relative without threshold, absolute without σ."""
     system = make_system(8, 3, 2, 2, False)
     p, c = system.plant, system.cost
     pairs = [
@@ -197,14 +197,24 @@ def test_the_bound_of_the_stochastic_trigger_is_its_statement(scale: float) -> N
     assert found.cost == pytest.approx(everything + 2 * mu / (np.e * scale), rel=1e-9)
 
 
+@pytest.mark.parametrize("scale", [1e25, 1e99])
+def test_a_stochastic_trigger_that_is_never_silent_is_all_time_control(scale: float) -> None:
+    """The factor of rate and cost exists for every scale, also if I is lost in the rounding of the sum."""
+    masses = load("two-mass-lqg")
+    policy = design.stochastic(masses.plant, masses.cost, scale=scale, actuation="model")
+    assert policy.closed_form is not None
+    assert policy.closed_form.rates["actuator"] == 1
+    assert policy.closed_form.cost == pytest.approx(policy.cost_all_time, rel=1e-12)
+
+
 def test_notes_say_why_there_is_no_bound() -> None:
     """A σ that is too large, and weights that do not see what costs."""
     system = make_system(21, 3, 2, 2, False)
     p, c = system.plant, system.cost
     for policy, word in (
-        (design.relative(p, c, sigma=0.99), "its proof ends at"),
-        (design.absolute(p, c, threshold=1.0, weight=np.diag([1.0, 0.0])), "does not see"),
-        (design.stochastic(p, c, weight=np.diag([1.0, 0.0, 0.0])), "does not see"),
+        (design.relative(p, c, sigma=0.99), "the proof requires sigma < "),
+        (design.absolute(p, c, threshold=1.0, weight=np.diag([1.0, 0.0])), "weight is zero for some errors"),
+        (design.stochastic(p, c, weight=np.diag([1.0, 0.0, 0.0])), "weight is zero for some errors"),
     ):
         assert policy.guarantee is None
         assert word in policy.notes[0]
@@ -221,10 +231,10 @@ def test_notes_say_why_there_is_no_bound() -> None:
         (lambda p, c: design.dynamic(p, c, sigma=0.1, rho=1.0, gain=2.0), "rho is 1"),
         (lambda p, c: design.downsampled(p, c, fast=3, slow=2, threshold=1.0), "expected slow ≥ fast"),
         (lambda p, c: design.self_triggered(p, c, beta=0.9, max_interval=3), "beta is 0.9"),
-        (lambda p, c: design.self_triggered(p, c, beta=1.1, max_interval=101), "expected at most 100 ticks"),
+        (lambda p, c: design.self_triggered(p, c, beta=1.1, max_interval=101), "expected at most 100 steps"),
         (lambda p, c: design.rollout(p, c, horizon=20, every=2), "more than 256 schedules"),
         (lambda p, c: design.rollout(p, c, horizon=4, every=1), "every is 1"),
-        (lambda p, c: design.periodic_schedule(p, c, length=3, sends=4), "at most as many sends as ticks"),
+        (lambda p, c: design.periodic_schedule(p, c, length=3, sends=4), "at most as many sends as steps"),
         (lambda p, c: design.periodic_schedule(p, c, length=40, sends=20), "expected at most 2000"),
         (lambda p, c: design.stochastic(p, c, weight=[[0.0]]), "weight is zero"),
         (lambda p, c: design.stochastic(p, c, scale=0.0), "scale is 0"),

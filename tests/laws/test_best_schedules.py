@@ -70,7 +70,7 @@ def case(seed: int, states: int) -> Case | None:
         return None
     policy = design.excess(system.plant, system.cost, delta=0.0, actuation="model")
     assert policy.reset is not None
-    noise, Gamma = policy.reset.covariance, policy.reset.square
+    noise, Gamma = policy.reset.covariance, policy.reset.weight
     price = float(np.trace(Gamma @ noise) * 10 ** draws.uniform(0.0, 1.0))
     return Case(system.plant.A, noise, Gamma, price, policy.cost_all_time)
 

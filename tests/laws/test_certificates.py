@@ -72,7 +72,7 @@ def sizes(loop: Switched, proof: Certificate, z: np.ndarray) -> np.ndarray:
 
 
 def states_at_random(loop: Switched, seed: int, number: int) -> np.ndarray:
-    """Return states of all sizes, some of them beside the border between two actions."""
+    """Return states of all sizes, some of them next to the border between two actions."""
     draws = np.random.default_rng(seed)
     z = draws.standard_normal((loop.states, number)) * draws.lognormal(0.0, 2.0, number)
     for _ in range(5):  # along the loop they come to where it lives
@@ -112,7 +112,7 @@ def no_decay_is_contradicted(loop: Switched, seed: int) -> bool:
 
 
 def no_gain_is_contradicted(loop: Switched, seed: int) -> bool:
-    """Noise of any kind, sinusoids at the peaks of sending always among it, costs at most γ²Σ|w|² + β·ticks."""
+    """Noise of any kind, sinusoids at the peaks of sending every sample among it, costs at most γ²Σ|w|² + β·steps."""
     found = proved(find_gain, loop)
     if found is None:
         return False

@@ -84,7 +84,7 @@ def test_no_scheduler_costs_less_than_the_dual_bound_on_a_dozen_channels(seed: i
 
 
 def by_hand(problems: dict[str, Problem], copies: list[int], capacity: int, scheduler: str, ticks: int) -> list[float]:
-    """Return the mean cost of a tick on each of some channels: plants, filters, models and a queue, in plain NumPy."""
+    """Return the mean cost of a step on each of some channels: plants, filters, models and a queue, in plain NumPy."""
     channels, draws = 100, np.random.default_rng(7)
 
     def drawn(covariance: np.ndarray) -> np.ndarray:

@@ -27,9 +27,9 @@ def it_beats_periodic_control(seed: int, law: str, share: float, steps: int = 40
     assume(delta > 0)
     policy = design.consistent(plant, cost, period=period, delta=delta)
     found = average(close(plant, policy), seed=seed, steps=steps)
-    per_tick, error = found.rates["sensor"], 4 * found.cost.standard_error
-    assume(found.reached and per_tick.value > 0)
-    least = (per_tick.value - 4 * per_tick.standard_error) / period  # periodic control is dearest at the lowest rate
+    rate, error = found.rates["sensor"], 4 * found.cost.standard_error
+    assume(found.reached and rate.value > 0)
+    least = rate.value - 4 * rate.standard_error  # periodic control is dearest at the lowest rate
     assume(least > 0)
     base, rounding = price.periodic(period), 1e-9 * price.periodic(period)
     assert found.cost.value + error >= base - rounding
@@ -61,7 +61,7 @@ def test_without_disturbances_nothing_is_sent(seed: int) -> None:
     quiet = ContinuousPlant(noisy.A, noisy.B, np.zeros_like(noisy.A), mean=start)
     delta = price_of(noisy, cost).slope_in_rate(period)
     assume(delta > 0)
-    growth = max(0.0, float(np.linalg.eigvals(noisy.A).real.max())) * period  # of rounding errors, per tick
+    growth = max(0.0, float(np.linalg.eigvals(noisy.A).real.max())) * period  # of rounding errors, per step
     ticks = int(min(200, 14 / max(growth, 1e-9)))
     path = simulate(close(quiet, design.consistent(quiet, cost, period=period, delta=delta)), ticks)
     assert not path.sends["sensor"].any()
@@ -178,7 +178,7 @@ def test_the_actuator_predicts_with_the_model_of_the_design() -> None:
     costs, sends = extrapolated(0.05, 0.1, period, 0.1**2 * 100 * period**2 / 2)
     for value, error, seen in (
         (found.cost.value, found.cost.standard_error, costs),
-        (found.rates["sensor"].value / period, found.rates["sensor"].standard_error / period, sends),
+        (found.rates["sensor"].value, found.rates["sensor"].standard_error, sends),
     ):
         assert abs(seen.mean() - value) <= 4 * np.hypot(error, seen.std() / np.sqrt(len(seen))) + 4e-3 * value
 
@@ -197,7 +197,7 @@ def test_a_clipped_input_that_changes_between_looks_is_refused(kind: str) -> Non
         assert isinstance(policy, Policy)
         return policy
 
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between ticks"):
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between steps"):
         close(clipped, designed(free))
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between ticks"):
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between steps"):
         designed(clipped)

@@ -1,4 +1,4 @@
-"""The excess trigger beside the joint one: numbers of the two masses, and which costs less at the same rate."""
+"""The excess trigger next to the joint one: numbers of the two masses, and which costs less at the same rate."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from taciturn.simulation.average import Averages, average
 Actuation = Literal["hold", "model"]
 STEPS = 1_600_000
 LOOKS = 10  # of the search for a rate
-NEAR = 0.03  # of the rate: where the line through the last two looks is taken for the curve
+NEAR = 0.03  # of the rate: where the line through the last two checks is taken for the curve
 STRIDE = 1.5  # of log(δ)
 
 
@@ -137,7 +137,7 @@ def test_the_two_masses_cost_what_is_known_of_both_triggers(
     sharp: tuple[float, float],
 ) -> None:
     """Rates and costs within four standard errors and half a unit of what is printed, bounds to their digits."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     policy = problem.changed({"theta": theta, "actuation": actuation}).design()
     found = average(problem.close(policy), seed=1, steps=8_000_000)
     sent = found.rates["actuator"]
@@ -169,8 +169,8 @@ def test_the_two_masses_cost_what_is_known_of_both_triggers(
 
 @pytest.mark.evidence
 def test_the_two_masses_leave_little_between_the_lower_bound_and_the_nearly_optimal_schedule() -> None:
-    """At 0.282 sends per step, beyond sending always: .0118 joint, .0064 excess, .00615 nearly optimal."""
-    problem = taciturn.load("two-mass")
+    """At 0.282 sends per step, beyond sending every sample: .0118 joint, .0064 excess, .00615 nearly optimal."""
+    problem = taciturn.load("two-mass-lqg")
     base = design.all_time(problem.plant, problem.cost).cost_all_time
     trigger = design.excess(problem.plant, problem.cost, delta=0.0334, actuation="model")
     bound = bound_below(problem.close(trigger), 0.282)

@@ -68,7 +68,7 @@ def test_from_its_steady_covariance_it_decides_as_the_steady_filter(system: Syst
 
 
 def shown(loop: Loop, name: str, ticks: int, seed: int) -> np.ndarray:
-    """Return a signal of one path, (ticks, entries)."""
+    """Return a signal of one path, (steps, entries)."""
     program = loop.program()
     outputs = run(program, loop.start(program, 1, seed), ticks).outputs
     return np.array([values[:, 0] for key, values in outputs.items() if key.rpartition(" ")[0] == name]).T

@@ -182,7 +182,7 @@ def test_the_separate_trigger_fires_whenever_the_joint_one_does(examples: int) -
 
 
 def silence_adds_what_the_joint_trigger_says(system: System, theta: float, actuation: Actuation) -> None:
-    """Stage cost and (1+θ)x̂'Kx̂ of the next tick, in silence and after a send, whose own stage counts 1 + θ."""
+    """Stage cost and (1+θ)x̂'Kx̂ of the next step, in silence and after a send, whose own stage counts 1 + θ."""
     plant, cost = system.plant, system.cost
     policy = design.lqg(plant, cost, theta=theta, actuation=actuation)
     K, L = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N).K, close_gain(policy)
@@ -217,7 +217,7 @@ def close_gain(policy: Policy) -> np.ndarray:
 
 
 def vanishes_into_all_time_control(system: System, trigger: str, actuation: str) -> None:
-    """θ = 0 sends always and costs J_all exactly; θ → 0 approaches both."""
+    """θ = 0 sends every sample and costs J_all exactly; θ → 0 approaches both."""
     all_time = design.all_time(system.plant, system.cost)
     assert all_time.closed_form is not None
     exact = all_time.closed_form.cost

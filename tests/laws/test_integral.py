@@ -71,7 +71,7 @@ def test_the_bound_of_the_dynamic_trigger_is_its_statement() -> None:
     policy = design.integral(plant, Cost([[1.0]], [[1.0]]), slope=0.4, alpha=0.8, saturation=0.5, h_max=5.0)
     assert isinstance(policy, EventPolicy)
     assert policy.statement is not None
-    assert policy.statement.startswith("J ≤ tr(PW) + c min(1, ε/E[θ]), c = αC")
+    assert policy.statement.startswith("J ≤ tr(PW) + alpha·slope·min(1, saturation/mean interval), ")
     assert (policy.bound(), policy.bound(2.0)) == (pytest.approx(1.32, rel=1e-12), pytest.approx(1.08, rel=1e-12))
 
 
@@ -121,7 +121,7 @@ def test_nodes_do_what_cycles_tell(case: tuple[str, dict]) -> None:
     exact, plain = average(loop, seed=1, steps=500_000), average(loop, plain_average(loop), seed=2, steps=500_000)
     process = sampled_error(plant, price_of(plant, COST), 0.05)
     cycles = estimate_cycles(process, IntegralTrigger(1.2, **limits), cycles=30_000, seed=3)
-    rate = exact.rates["sensor"].scaled(1 / 0.05)
+    rate = exact.rates["sensor"]
     allowed = 4 * np.hypot(rate.standard_error, cycles.interval.standard_error / cycles.interval.value**2)
     assert abs(rate.value - 1 / cycles.interval.value) <= allowed
     told = price_of(plant, COST).base + cycles.cost.value
@@ -177,7 +177,7 @@ def test_wiener_noise_is_looked_at_and_the_resolution_is_told() -> None:
     policy = design.integral(WIENER, COST, slope=8.0, h_max=2.0)
     fixed, note = policy.notes
     assert fixed.startswith("alpha = ")
-    assert note.startswith("the error is looked at every 0.0")
+    assert note.startswith("the error is checked every 0.0")
     assert "twice as often changes the mean interval by " in note
     assert policy.tick < 0.02
 
@@ -185,8 +185,11 @@ def test_wiener_noise_is_looked_at_and_the_resolution_is_told() -> None:
 STABLE = ContinuousPlant([[-1.0]], [[1.0]], jumps=Jumps(2.0, [[0.5]]))
 REFUSED = [
     ({"slope": 0.0}, "slope is 0; expected 0 < slope"),
-    ({"slope": 10.0}, "slope is 10, and f stays below what periodic control costs up to 9.15569; expected 0 < slope ≤"),
-    ({"slope": 9.0, "alpha": 3.0}, "alpha is 3, and the mean interval L(alpha) that follows is "),
+    (
+        {"slope": 10.0},
+        "slope is 10, but f is below the cost of periodic control only up to 9.15569; expected 0 < slope ≤",
+    ),
+    ({"slope": 9.0, "alpha": 3.0}, "alpha is 3, but the resulting mean interval L(alpha) is "),
     ({"slope": 5.0, "h_min": 3.0}, "h_max is 2; expected 3 < h_max"),
     ({"slope": 5.0, "h_min": -1.0}, "h_min is -1; expected 0 ≤ h_min"),
     ({"slope": 5.0, "saturation": 0.0}, "saturation is 0; expected 0 < saturation"),
@@ -196,14 +199,14 @@ REFUSED = [
     ({"slope": 5.0, "alpha": 0.3, "period": 3.0}, "period is 3 and h_max is 2; expected period ≤ h_max"),
     (
         {"slope": 5.0, "alpha": 0.3, "period": 0.01, "h_max": 1e4},
-        "h_min, h_max or the saturation is 1000000 looks of 0.01 s",
+        "h_min, h_max or the saturation is 1000000 periods of 0.01 s",
     ),
     (
         {"slope": 0.1, "plant": STABLE, "cost": Cost([[1.0]], [[1.0]]), "h_max": np.inf},
-        "no slope is admissible: f rises",
+        "no slope is admissible: f increases",
     ),
     ({"slope": 5.0, "cost": Cost(np.eye(2), [[10.0]], horizon=3)}, "cost.horizon is 3, which integral does not use"),
-    ({"slope": 5.0, "plant": ContinuousPlant(DOUBLE.A, DOUBLE.B, np.zeros((2, 2)))}, "no noise reaches an error that "),
+    ({"slope": 5.0, "plant": ContinuousPlant(DOUBLE.A, DOUBLE.B, np.zeros((2, 2)))}, "the noise causes no error "),
 ]
 
 
@@ -254,11 +257,11 @@ def test_a_weight_that_the_cost_does_not_know_can_lose_and_is_found_to() -> None
     own = find_losses(skewed, weights, price_of(skewed, weights).weight(0.1), levels=[0.02, 0.05], period=0.1)
     assert own.rates == ()
     assert json.loads(json.dumps(euclidean.document(), allow_nan=False))["points"][0]["loses"]
-    assert euclidean.plot().axes[0].get_title().startswith("loses at the rates")
+    assert euclidean.plot().axes[0].get_title().startswith("costs more at the rates")
     for wrong, sentence in (
-        ({}, "period is missing; expected the seconds between looks"),
-        ({"period": 0.1, "h_max": 1.0}, "h_max is given under Wiener noise"),
-        ({"period": 0.1, "weight": np.zeros((2, 2))}, "the weight sees no error that noise reaches"),
+        ({}, "period is missing; expected the seconds between checks"),
+        ({"period": 0.1, "h_max": 1.0}, "h_max is given with Wiener noise"),
+        ({"period": 0.1, "weight": np.zeros((2, 2))}, "weight is zero for every error that the noise causes"),
     ):
         with pytest.raises(ProblemError, match=sentence):
             find_losses(skewed, weights, levels=levels, **wrong)

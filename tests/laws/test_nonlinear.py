@@ -63,7 +63,7 @@ ODES: dict[str, Ode] = {"pendulum-on-a-cart": pendulum, "pendulum-by-encoders": 
 
 @dataclass
 class Told:
-    """What happened: states and inputs at each tick, and whether a packet was sent."""
+    """What happened: states and inputs at each step, and whether a packet was sent."""
 
     x: np.ndarray
     u: np.ndarray
@@ -163,7 +163,7 @@ def test_a_loop_decides_as_one_of_scipy_with_the_same_noise(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("seed", range(2))
 def test_long_loops_decide_as_those_of_scipy(name: str, seed: int) -> None:
-    """The same over thousands of ticks."""
+    """The same over thousands of steps."""
     assert_same(name, 2000, seed)
 
 
@@ -230,7 +230,7 @@ def test_losses_clips_missions_single_precision_and_threads_go_with_a_function()
     policy = problem.design()
     network = Network("udp", actuator_loss=0.05)
     mission = close(clipped, policy, network, Cost(problem.cost.Q, problem.cost.R, horizon=50))
-    assert len(mission.departures) >= 4
+    assert len(mission.violated_assumptions) >= 4
     found = [average(mission, seed=2, steps=400_000, threads=threads).cost for threads in (1, 2)]
     assert found[0] == found[1]
     single = average(replace(mission, precision="float32"), seed=2, steps=400_000).cost
@@ -238,7 +238,7 @@ def test_losses_clips_missions_single_precision_and_threads_go_with_a_function()
 
 
 def edge(x: Any, u: Any, w: Any) -> Any:
-    """Return the state after a tick of a plant that ends at 1."""
+    """Return the state after a step of a plant that ends at 1."""
     return 1.2 * x * np.sqrt(1.0 - x * x) + u + w
 
 
@@ -257,7 +257,7 @@ def test_whatever_runs_a_loop_tells_where_its_function_ends(name: str) -> None:
     plant = Plant([[1.2]], [[1.0]], [[0.1]], function=edge)
     loop = close(plant, design.lqg(plant, Cost([[1.0]], [[1.0]]), theta=0.3))
     with pytest.raises(
-        UnstableError, match="takes the plant to where its function gives nan as state 1, from x"
+        UnstableError, match=r"the plant's function gives nan as state 1 in the loop of lqg, from x"
     ) as told:
         RUNS[name](loop)
     assert abs(float(str(told.value).split("x = [")[1].split("]")[0])) >= 1.0

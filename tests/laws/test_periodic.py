@@ -39,7 +39,7 @@ def test_the_curve_rises_with_the_period(plant: ContinuousPlant) -> None:
 
 def test_a_clock_that_does_not_divide_the_windows_settles() -> None:
     """Every third step: the simulation of a periodic policy reaches its precision."""
-    problem = load("two-mass")
+    problem = load("two-mass-lqg")
     loop = close(problem.plant, design.periodic(problem.plant, problem.cost, every=3))
     found = average(loop, plain_average(loop), standard_error=5e-3)
     assert found.reached
@@ -71,12 +71,13 @@ def test_a_continuous_prediction_costs_what_the_formula_says() -> None:
         loop = close(plant, policy, cost=cost)
         found = average(loop, plain_average(loop), seed=5, steps=10_000_000)
         assert abs(found.cost.value - policy.closed_form.cost) <= 4 * found.cost.standard_error
-        assert found.rates["sensor"].value == 1.0
+        assert found.rates["sensor"].value == rate
+        assert found.rate_unit == "second"
 
 
 @pytest.mark.evidence
 def test_brute_force_integration_of_the_noisy_continuous_loop() -> None:
-    """Euler–Maruyama of the plant with the sampled policy in the loop, 200 steps a tick, against the exact problem."""
+    """Euler–Maruyama of the plant with the sampled policy in the loop, 200 steps a step, against the exact problem."""
     period, parts, paths, ticks, burn = 0.4, 200, 2000, 60, 15
     policy = design.periodic(SEEN, COST, period=period)
     (L,) = (s.branches[0]["estimate"] for s in policy.steps if getattr(s, "signal", "") == "command")

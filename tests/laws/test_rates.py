@@ -1,4 +1,4 @@
-"""Certified bounds bracket the exact rate: over random chains, against quadrature and never-die paths."""
+"""Certified bounds bracket the exact rate: over random chains, against quadrature and conditional sampling."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def bracket_the_quadrature(chain):
 
 
 def bracket_the_paths(chain):
-    """Check the bounds against never-die paths, within four of their standard errors."""
+    """Check the bounds against conditional sampling, within four of their standard errors."""
     low, high = rate_bounds(chain)
     assert 0 < low <= high <= 1
     try:

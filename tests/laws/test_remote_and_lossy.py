@@ -37,7 +37,7 @@ def assert_same_numbers(one: Policy, other: Policy) -> None:
 
 @law(10, 300, system=systems(), horizon=st.sampled_from([None, 1, 2, 17]), delay=st.booleans())
 def test_zero_loss_makes_the_three_protocols_equal(system: System, horizon: int | None, delay: bool) -> None:
-    """The same gains, costs and bounds, for missions and averages, with and without delay."""
+    """The same gains, costs and bounds, for finite-horizon runs and averages, with and without delay."""
     plant = started(Plant(system.plant.A, system.plant.B, system.plant.W), system.seed)
     cost = Cost(system.cost.Q, system.cost.R, horizon=horizon)
     udp, tcp, ideal = (

@@ -46,7 +46,7 @@ def test_rollout_beats_periodic_control_at_its_rate() -> None:
 
 
 def test_the_sends_of_rollout_are_as_many_in_every_window() -> None:
-    """Windows of six ticks hold three sends each."""
+    """Windows of six steps hold three sends each."""
     system = make_system(3, 3, 1, 2, False)
     policy = design.rollout(system.plant, system.cost, horizon=6, every=2)
     sent = outputs(policy, 1, ticks=120)["sent actuator"]
@@ -104,7 +104,7 @@ def test_self_triggered_control_sleeps_as_long_as_it_said() -> None:
 @SOME
 @given(system=systems(states=3, inputs=2), length=st.integers(2, 6), sends=st.integers(1, 6))
 def test_the_pattern_is_the_best_of_all(system: System, length: int, sends: int) -> None:
-    """By brute force over all places of the sends: value iteration of the periodic Riccati equation, tick by tick."""
+    """By brute force over all places of the sends: value iteration of the periodic Riccati equation, step by step."""
     assume(sends <= length)
     p, c = system.plant, system.cost
     seen = steady_filter(p.A, p.C, p.W, p.V)
@@ -152,7 +152,7 @@ def _sums(length: int, sends: int) -> list[tuple[int, ...]]:
 
 
 def test_variance_triggering_of_a_random_walk_is_counting() -> None:
-    """Its variance grows by W a tick: the first k with kW > threshold."""
+    """Its variance grows by W a step: the first k with kW > threshold."""
     plant, cost = Plant([[1.0]], [[1.0]], [[0.5]]), Cost([[1.0]], [[1.0]])
     for threshold, ticks in ((0.4, 1), (0.5, 2), (1.2, 3), (4.9, 10)):
         policy = design.variance(plant, cost, threshold=threshold)

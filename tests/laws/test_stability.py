@@ -25,7 +25,7 @@ def quiet(plant: Plant) -> Plant:
 
 
 def mean_square_stays(system: System, name: str, ticks: int = 6_000) -> None:
-    """The mean square of the state over so many ticks is that over as many before."""
+    """The mean square of the state over so many steps is that over as many before."""
     loop = closed(POLICIES[name](system))
     program = loop.program().keep({"cost"})
     kernel = Kernel(program)

@@ -78,7 +78,7 @@ def assert_same_loop(kind: str, seed: int) -> list[float]:
         model = Plant(plant.A, plant.B, plant.W) if kind == "lossy" else plant
         weights = Cost(cost.Q, cost.R) if kind == "lossy" else cost
         found = average(close(model, policy, cost=weights), steps=STEPS, seed=1)
-        rates = [rate.value for rate in found.rates.values()]
+        rates = [rate.value * policy.tick for rate in found.rates.values()]  # per step
         told.append((policy.cost_all_time / u.cost, found.cost.value / u.cost, rates))
     (plain, measured, sends), (other, again, sent) = told
     assert other == pytest.approx(plain, rel=SAME)

@@ -191,7 +191,7 @@ def test_a_riccati_step_is_the_formula(draw, seed):
 def test_an_unstable_mode_that_no_output_shows_is_named():
     """Undetectable, complex and real."""
     rotation = 1.2 * np.array([[0.6, 0.8], [-0.8, 0.6]])
-    with pytest.raises(UnstableError, match=r"0\.72[+-]0\.96i, which C does not see"):
+    with pytest.raises(UnstableError, match=r"0\.72[+-]0\.96i, which C does not observe"):
         steady_filter(scipy.linalg.block_diag(rotation, [[0.5]]), [[0.0, 0, 1]], np.eye(3), [[1.0]])
 
 

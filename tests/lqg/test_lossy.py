@@ -116,10 +116,10 @@ def test_one_step_is_the_best_answer_to_the_next(link, seed):
 
 
 class Moments:
-    """E[zz'] of a loop in which everything is sent, tick by tick; z holds 1, x and every signal of the policy."""
+    """E[zz'] of a loop in which everything is sent, step by step; z holds 1, x and every signal of the policy."""
 
     def __init__(self, policy: Policy, cost: Cost) -> None:
-        """Start with the moments of the first tick."""
+        """Start with the moments of the first step."""
         self.policy, self.cost, self.clock, self.plant = policy, cost, 0, policy.model
         own = {name: size for name, size in policy.sizes.items() if name not in ("one", "y")}
         self.sizes = {"one": 1, "x": self.plant.states, **own}
@@ -134,7 +134,7 @@ class Moments:
         self.maps: dict[int, list[tuple[float, np.ndarray, np.ndarray]]] = {}
 
     def tick(self) -> float:
-        """Return the expected stage cost of a tick, and move on."""
+        """Return the expected stage cost of a step, and move on."""
         if self.clock not in self.maps:
             self.maps[self.clock] = list(self._outcomes())
         cost, after = 0.0, self.new
@@ -145,7 +145,7 @@ class Moments:
         return cost
 
     def mission(self) -> float:
-        """Return the expected total of a mission, its final state taken relative to the end of a reference."""
+        """Return the expected total over a finite horizon, its final state taken relative to the end of a reference."""
         assert self.cost.terminal is not None
         assert self.cost.horizon is not None
         total = sum(self.tick() for _ in range(self.cost.horizon))
@@ -280,7 +280,7 @@ def test_a_stable_plant_survives_every_loss(link, seed):
 
 
 def diverges(problem: tuple[np.ndarray, ...], channel: Channel) -> bool:
-    """Tell whether the costs of longer and longer missions grow without bound."""
+    """Tell whether the costs of longer and longer finite-horizon runs grow without bound."""
     K, P = problem[2], np.zeros_like(problem[2])
     for _ in range(20_000):
         size = np.trace(K + P)
@@ -379,7 +379,7 @@ def test_a_chain_of_three_integrators_is_not_refused():
 
 
 def test_more_losses_than_can_be_survived_are_refused_with_the_critical_value():
-    """An average names what each lossy link would bear; a mission is designed, and notes the same."""
+    """An average names what each lossy link would bear; a finite-horizon run is designed, and notes the same."""
     plant, cost, mission = Plant([[2.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]], horizon=20)
     way = Network("tcp", actuator_loss=0.3)
     with pytest.raises(UnstableError, match=r"actuator_loss is 0\.3 .*\(largest eigenvalue 2\).*losses below 0\.25 "):
@@ -394,5 +394,5 @@ def test_more_losses_than_can_be_survived_are_refused_with_the_critical_value():
 
 def test_a_mission_whose_cost_overflows_is_refused():
     """A plant that grows beyond all numbers while everything is lost gives a sentence, not inf."""
-    with pytest.raises(UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: too much"):
+    with pytest.raises(UnstableError, match=r"overflows \d+ steps before the end of the horizon of 200: the losses"):
         regulate_lossy_finite(1e3 * np.eye(1), *[np.eye(1)] * 4, 200, at_losses(UDP, 1.0, 0.0))

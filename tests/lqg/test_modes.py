@@ -3,6 +3,8 @@
 # ruff: noqa: SIM300 - ruff takes matrices, which carry their paper symbols, for constants
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -10,6 +12,7 @@ from drawn import law
 from hypothesis import strategies as st
 
 from taciturn._arrays import block_diagonal
+from taciturn._cycles import largest_cycle
 from taciturn._modes import accumulate, balancing, lost_modes, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 
@@ -37,6 +40,16 @@ def test_balancing_is_that_of_lapack(seed, n):
     A = rng.normal(size=(n, n)) * (rng.random((n, n)) < 0.6) * units / units[:, None]
     theirs = scipy.linalg.matrix_balance(A, permute=False, separate=True)[1][0]
     assert balancing(A).tolist() == theirs.tolist()
+
+
+@law(8, 100, seed=seeds, n=st.integers(1, 5))
+def test_the_largest_mean_along_a_cycle_is_that_of_all_cycles(seed, n):
+    """Of every order of some states in turn; the mean of a matrix without cycles is 0."""
+    rng = np.random.default_rng(seed)
+    A = np.exp(rng.normal(size=(n, n), scale=4.0)) * (rng.random((n, n)) < 0.4)
+    cycles = (list(c) for k in range(1, n + 1) for c in permutations(range(n), k))
+    best = max(np.prod(A[c, np.roll(c, -1)]) ** (1 / len(c)) for c in cycles)
+    assert largest_cycle(A) == pytest.approx(best, rel=1e-12, abs=0)
 
 
 def test_blocks_stand_on_the_diagonal():
@@ -68,7 +81,7 @@ def test_units_of_the_input_do_not_decide_what_is_reached(scale):
 
 @law(8, 100, seed=seeds, fixed=st.integers(0, 2))
 def test_units_of_the_states_do_not_decide_what_is_reached(seed, fixed):
-    """Micrometres beside megametres: the modes beyond reach are those of the same plant in metres."""
+    """Micrometres next to megametres: the modes beyond reach are those of the same plant in metres."""
     rng = np.random.default_rng(seed)
     A, B = rng.normal(size=(4, 4)), rng.normal(size=(4, 1))
     A[4 - fixed :, : 4 - fixed], B[4 - fixed :] = 0, 0

@@ -167,7 +167,7 @@ def test_a_period_that_hides_an_unstable_mode_is_refused():
 
 def test_a_hold_over_which_the_plant_overflows_is_refused():
     """A sentence instead of inf."""
-    with pytest.raises(ProblemError, match="hold for fewer steps"):
+    with pytest.raises(ProblemError, match="hold the input for fewer steps"):
         lift([[2.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[1.0]], 5000)
 
 

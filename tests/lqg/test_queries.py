@@ -55,9 +55,9 @@ def test_a_policy_prices_an_error_as_its_regulator_does(time, seed):
 
 
 def propagated(plant: Plant, cost: Cost, steps: int, asked: list[bool], cycle: int = 1) -> float:
-    """Return the cost of queries at given ticks and a send at each: E of (x, x̂) together, under gains of its own.
+    """Return the cost of queries at given steps and a send at each: E of (x, x̂) together, under gains of its own.
 
-    Of an average: the mean over the last cycle; of a discounted sum: of so many ticks.
+    Of an average: the mean over the last cycle; of a discounted sum: of so many steps.
     """
     A, B, C, n, alpha = plant.A, plant.B, plant.C, plant.states, cost.discount
     gains = optimal(plant, cost, steps)[0]
@@ -81,7 +81,7 @@ def propagated(plant: Plant, cost: Cost, steps: int, asked: list[bool], cycle: i
 @times
 @law(2, 6, seed=SEEDS)
 def test_the_costs_of_remote_sensing_are_those_of_the_propagated_moments(time, seed):
-    """J_all and what the exact identity starts from: average, discount and mission, N ≠ 0, a random start."""
+    """J_all and what the exact identity starts from: average, discount and finite horizon, N ≠ 0, a random start."""
     plant = random_plant(seed, largest=4)
     cost = with_cross_term(plant, seed, **time)
     price = float(np.random.default_rng(seed + 3).uniform(0, 2))
@@ -150,7 +150,7 @@ def test_noise_on_the_velocity_alone_leaves_a_schedule() -> None:
 @pytest.mark.parametrize("time", [{}, {"discount": 0.8}, {"horizon": 30}], ids=str)
 @law(2, 6, seed=SEEDS)
 def test_a_schedule_queries_where_it_is_worth_its_price_and_repeats_for_ever(time, seed):
-    """Every tick, five more periods included: query iff h(Σ) > ζ, with the covariance that follows from it."""
+    """Every step, five more periods included: query iff h(Σ) > ζ, with the covariance that follows from it."""
     plant = random_plant(seed)
     cost = with_cross_term(plant, seed, **time)
     price = float(np.exp(np.random.default_rng(seed + 3).uniform(-3, 1)))
@@ -184,7 +184,7 @@ def rate(zeta: float) -> float:
 
 
 def test_the_scalar_example_queries_as_the_thesis_prints() -> None:
-    """Half of the ticks at ζ = 1.65, two thirds at 1.5, and two thirds exactly from 1.4755 to 1.5398."""
+    """Half of the steps at ζ = 1.65, two thirds at 1.5, and two thirds exactly from 1.4755 to 1.5398."""
     assert rate(1.65) == 0.5
     assert rate(1.5) == pytest.approx(2 / 3, abs=1e-15)
     for outside, inside, printed in ((1.4, 1.5, 1.4755), (1.6, 1.5, 1.5398)):
@@ -221,7 +221,7 @@ def test_a_free_sensor_is_always_queried_and_a_dear_one_only_where_it_must_be() 
 def test_an_unstable_plant_that_is_never_queried_is_refused() -> None:
     """Without noise nothing is worth a query, and nothing would tell where rounding drives the state."""
     with pytest.raises(
-        UnstableError, match=r"at the price or threshold 1 the sensor is never queried, and the plant is unstable: .*"
+        UnstableError, match=r"at the price or threshold 1 the sensor is never queried, and the plant is unstable, .*"
     ):
         design.remote_lqg(Plant([[2.0]], [[1.0]], [[0.0]]), WEIGHTS, theta=0.2, zeta=1.0)
 
@@ -233,10 +233,10 @@ def test_what_queries_cannot_settle_is_refused(monkeypatch) -> None:
     monkeypatch.setattr(queries, "LONGEST", 40)
     slow = Plant([[1 - 1e-3]], [[1.0]], [[1.0]], [[1.0]], [[1e4]])
     with pytest.raises(
-        UnstableError, match=r"with zeta = 1e\+09 the schedule of queries does not repeat within 40 ticks"
+        UnstableError, match=r"with zeta = 1e\+09 the schedule of queries does not repeat within 40 steps"
     ):
         schedule_queries(slow, Weights(np.eye(1), 0.1), 1e9, np.eye(1))
-    with pytest.raises(UnstableError, match="the error covariance has not converged within 40 ticks"):
+    with pytest.raises(UnstableError, match="the error covariance has not converged within 40 steps"):
         follow_every_query(slow, np.eye(1), None)
 
 
@@ -250,7 +250,7 @@ def test_a_start_of_which_nothing_is_known_leaves_the_same_cycle() -> None:
 
 
 def test_a_schedule_says_what_it_is(tmp_path) -> None:
-    """Its document is JSON, its table has a row per tick, its picture is drawn, and its cycle stands alone."""
+    """Its document is JSON, its table has a row per step, its picture is drawn, and its cycle stands alone."""
     weights, start = Weights(np.array([[0.5]])), np.array([[0.3]])
     schedule = schedule_queries(SCALAR, weights, 0.25, start)
     document = json.loads(json.dumps(schedule.document()))
@@ -271,5 +271,5 @@ def test_a_schedule_says_what_it_is(tmp_path) -> None:
     for shown in (schedule, Schedule(schedule.queries, schedule.value, schedule.covariance, 0.25, None)):
         shown.plot().savefig(tmp_path / "schedule.svg")
         assert (tmp_path / "schedule.svg").stat().st_size > 1000
-        assert [axis.get_xlabel() for axis in shown.plot().axes] == ["", "tick"]
+        assert [axis.get_xlabel() for axis in shown.plot().axes] == ["", "step"]
     assert shown.repeating().start is shown.period is None

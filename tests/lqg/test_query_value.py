@@ -1,4 +1,4 @@
-"""The value of a query: against its definition in sixty digits, in closed form and followed tick by tick."""
+"""The value of a query: against its definition in sixty digits, in closed form and followed step by step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_the_value_of_a_query_is_the_sum_of_what_every_later_error_costs_less(ki
 @pytest.mark.parametrize("kind", KINDS)
 @law(2, 8, seed=SEEDS)
 def test_of_a_mission_only_the_errors_until_its_end_count(kind, seed):
-    """At tick k the weights of k + 1 … N − 1 are summed, each with its own error; the last query is worth nothing."""
+    """At step k the weights of k + 1 … N − 1 are summed, each with its own error; the last query is worth nothing."""
     plant = random_plant(seed, kind)
     rng, n = np.random.default_rng(seed + 1), plant.states
     Sigma, P = semidefinite(rng, n), np.array([semidefinite(rng, n) for _ in range(9)])
@@ -47,7 +47,7 @@ def test_of_a_mission_only_the_errors_until_its_end_count(kind, seed):
     "A", [np.array([[0.99]]), np.diag([0.99, 0.985]), np.array([[0.99, 1.0], [0.0, 0.99]])], ids=str
 )
 def test_the_tail_of_a_slow_filter_is_summed_at_once(A):
-    """An error that fades by 1 % a tick: the rest of the sum is one Lyapunov equation, and agrees with every term."""
+    """An error that fades by 1 % a step: the rest of the sum is one Lyapunov equation, and agrees with every term."""
     n = len(A)
     plant = Plant(A, np.eye(n), 1e-6 * np.eye(n), np.eye(1, n) + np.eye(1, n, n - 1), [[10.0]])
     steady = steady_filter(A, plant.C, plant.W, plant.V)
@@ -93,7 +93,7 @@ def test_the_closed_form_of_a_query_is_what_following_it_tick_by_tick_gives(time
 
 
 def priced(seed: int, time: dict) -> Weights:
-    """Return random weights of an error, for an average, a discounted sum or each tick of a horizon."""
+    """Return random weights of an error, for an average, a discounted sum or each step of a horizon."""
     rng, plant = np.random.default_rng(seed + 4), random_plant(seed)
     steps = time.get("horizon")
     if steps is None:
@@ -113,6 +113,6 @@ def test_an_error_that_no_later_query_removes_is_refused() -> None:
     """Measured exactly through a zero outside the unit circle, a state that was once missed is never known again."""
     plant = Plant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], np.diag([0.0, 1.0]), [[-2.0, 1.0]])
     known = np.diag([0.0, 1.0])
-    with pytest.raises(UnstableError, match=r"the value of a query is not finite: .*; expected .* or a discount"):
+    with pytest.raises(UnstableError, match=r"the value of a query is not finite, .*; expected .* or a discount"):
         QueryValue(Predictor(plant), Weights(np.eye(2)))(known)
     assert QueryValue(Predictor(plant), Weights(np.eye(2), 0.5))(known) > 0

@@ -158,7 +158,7 @@ def test_two_unequal_periods_compose(draw, seed, first, second):
     cost = one.noise_cost + np.sum(two.Q * one.W) + two.noise_cost
     assert cost == pytest.approx(both.noise_cost, rel=1e-10)
     one, two, both = (sample_prediction(c.A, c.B, c.Q, c.R, c.N, c.W, L, h) for h in (first, second, first + second))
-    carried = two.A @ one.B + two.B @ (one.A + one.B)  # the prediction goes on undisturbed
+    carried = two.A @ one.B + two.B @ (one.A + one.B)  # the prediction continues undisturbed
     assert carried == pytest.approx(both.B, rel=1e-8, abs=1e-9 * (np.abs(both.B).max() + np.abs(both.A).max()))
 
 
@@ -246,7 +246,7 @@ def test_a_period_over_which_the_state_overflows_is_refused():
 def test_a_period_that_is_too_long_for_an_unstable_mode_is_told_as_such(period, told):
     """A pendulum that falls at 4.4/s, and not a mode that no input moves, which rounding made of it."""
     pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
-    words = re.escape(f"grows by {told}; expected at most 1e+08, so a period below about 4.19")
+    words = re.escape(f"grows by {told}; expected at most 1e+08, which is a period below about 4.19")
     with pytest.raises(ProblemError, match=words):
         excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=period)
 
@@ -254,7 +254,9 @@ def test_a_period_that_is_too_long_for_an_unstable_mode_is_told_as_such(period, 
 def test_what_is_refused_names_the_quantity_that_failed():
     """At 4 s the residual meets its limit and the solution does not: only that is told, with the period as remedy."""
     pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
-    with pytest.raises(UnstableError, match=r"uncertain by .*shorter period, as the plant grows by 4\.4e") as told:
+    with pytest.raises(
+        UnstableError, match=r"a relative error of .*shorter period, as the plant grows by 4\.4e"
+    ) as told:
         excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=4.0)
     assert "residual" not in str(told.value)
 

@@ -56,7 +56,7 @@ def test_an_acknowledgement_is_heard_under_tcp_and_on_ideal_links_only() -> None
     for network in (Network("tcp", 0.1), Network()):
         check_information(policy, network)
     assert refusal(policy, Network("udp", 0.1)) == (
-        "controller uses an acknowledgement of the actuator link, and udp sends none; expected protocol 'tcp'"
+        "controller uses an acknowledgement of the actuator link, but udp sends none; expected protocol 'tcp'"
     )
 
 
@@ -71,7 +71,9 @@ def test_an_acknowledgement_goes_to_the_sender_alone() -> None:
 
 def test_an_actuator_cannot_read_a_signal_of_the_controller() -> None:
     """Neither without a packet nor in the branch where none arrived."""
-    told = "actuator reads 'command', which it does not hold; expected its own signals or a received packet's payload"
+    told = (
+        "actuator reads 'command', which is not available there; expected a signal of its site or of a received packet"
+    )
     assert refusal(make(COMMAND, Assign("actuator", "input", {"command": ONE}))) == told
     swapped = Assign("actuator", "input", ({"command": ONE}, {"input": ONE}), Received("actuator"))
     assert refusal(make(COMMAND, DECIDE, SEND, swapped)) == told
@@ -82,13 +84,13 @@ def test_a_packet_brings_its_payload_and_nothing_else() -> None:
     other = Assign("controller", "other", {"y": ONE})
     reads = Assign("actuator", "input", ({"input": ONE}, {"other": ONE}), Received("actuator"))
     assert refusal(make(COMMAND, other, DECIDE, SEND, reads)).startswith(
-        "actuator reads 'other', which it does not hold"
+        "actuator reads 'other', which is not available there"
     )
 
 
 def test_a_measurement_belongs_to_the_sensors_site() -> None:
     """A remote controller has to be sent it."""
-    assert refusal(make(*LEGAL, sites=())).startswith("controller reads 'y', which it does not hold")
+    assert refusal(make(*LEGAL, sites=())).startswith("controller reads 'y', which is not available there")
     remote = Assign("controller", "command", ({"command": ONE}, {"y": -0.5 * ONE}), Received("sensor"))
     check_information(make(Send("sensor", "sensor", ("y",)), remote, DECIDE, SEND, INPUT, sites=()), Network())
 
@@ -107,24 +109,27 @@ def test_a_node_cannot_use_the_decision_of_another() -> None:
 def test_a_trigger_cannot_read_what_its_node_does_not_hold() -> None:
     """Neither in its quadratic part nor among the scalars it adds."""
     far = Decide("actuator", "far", Trigger({"a": Form(("command",), ONE), "b": Form()}))
-    assert refusal(make(*LEGAL, far)).startswith("actuator reads 'command', which it does not hold")
+    assert refusal(make(*LEGAL, far)).startswith("actuator reads 'command', which is not available there")
     draw = Draw("sensor", "draw")
     remote = Assign("controller", "command", ({"command": ONE}, {"y": -0.5 * ONE}), Received("sensor"))
     peek = Decide("controller", "send", Trigger({"a": Form(), "b": Form(plus={"draw": 1.0})}))
     steps = (draw, Send("sensor", "sensor", ("y",)), remote, peek, SEND, INPUT)
-    assert refusal(make(*steps, sites=())).startswith("controller reads 'draw', which it does not hold")
+    assert refusal(make(*steps, sites=())).startswith("controller reads 'draw', which is not available there")
 
 
 def test_a_node_hears_its_own_links_only() -> None:
     """The sensor does not know what reached the actuator."""
     deaf = Assign("controller", "held", ({"held": ONE}, {"command": ONE}), Received("actuator"))
-    assert refusal(make(*LEGAL, deaf)) == "controller uses what arrived on the actuator link; expected its own links"
+    assert (
+        refusal(make(*LEGAL, deaf))
+        == "controller uses packets of the actuator link, which it does not receive; expected its own links"
+    )
 
 
 def test_a_signal_has_one_owner() -> None:
     """Two nodes cannot write the same memory."""
     again = Assign("actuator", "command", {"input": ONE})
-    assert refusal(make(*LEGAL, again)) == "command is assigned at actuator and elsewhere; expected one owner"
+    assert refusal(make(*LEGAL, again)) == "command is assigned at actuator and at another site; expected one owner"
 
 
 @pytest.mark.parametrize(
@@ -139,7 +144,7 @@ def test_a_signal_has_one_owner() -> None:
 )
 def test_a_location_is_read_at_its_site_unless_it_is_a_clock(read: Step) -> None:
     """A location that moves with the controller's decisions is unknown at the actuator."""
-    told = "actuator reads the location 'mode' of controller; expected its own location or a shared clock"
+    told = "actuator reads the location 'mode' of controller; expected a location of its own or a shared step counter"
     assert refusal(make(*LEGAL, read, locations=(OWNED,))) == told
     check_information(make(*LEGAL, read, locations=(SHARED,)), Network())
 

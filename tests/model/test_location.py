@@ -39,7 +39,7 @@ def test_what_data_decide_is_no_clock() -> None:
 
 
 def test_a_decision_that_a_clock_makes_moves_a_clock() -> None:
-    """Silence costs 0 and 1 in turn: the place moves on at every second tick."""
+    """Silence costs 0 and 1 in turn: the place moves on at every second step."""
     moved = owned(np.arange(5), TURN)
     assert joint_cycle([moved, COUNT], SECOND) == 10
     assert joint_cycle([moved, COUNT], MEASURED) == 2
@@ -59,7 +59,7 @@ def test_a_cycle_of_several_locations_that_is_too_long_to_walk_counts_for_nothin
 
 
 def test_a_rule_that_counts_at_its_node_has_its_rate_exactly() -> None:
-    """Two packets in each 1600 ticks: windows are whole turns, and no window has another number."""
+    """Two packets in each 1600 steps: windows are whole turns, and no window has another number."""
     ticks = 1600
     silence = np.zeros(ticks)
     silence[[0, 7]] = 1.0

@@ -32,7 +32,7 @@ def refusal(action: Callable[[], object]) -> str:
 
 @law(5, 60, to_bad=SHARES, to_good=SHARES, good=SHARES, bad=SHARES)
 def test_the_stationary_losses_are_those_of_the_chain(to_bad: float, to_good: float, good: float, bad: float) -> None:
-    """The share of bad ticks is the fixed point of the chain, and the loss is its mean."""
+    """The share of bad steps is the fixed point of the chain, and the loss is its mean."""
     burst = Burst(to_bad, to_good, good, bad)
     share = burst.share_bad
     assert 0 <= share <= 1
@@ -82,7 +82,7 @@ def test_what_is_no_probability_is_refused(value: Any, sentence: str) -> None:
 
 
 BURST = Burst(0.1, 0.2, 0.0, 1.0)
-TAKE = "expected protocol = 'udp' or 'tcp' where packets are lost"
+TAKE = "expected protocol = 'udp' or 'tcp' for a network with packet losses"
 
 
 @pytest.mark.parametrize(
@@ -110,7 +110,7 @@ def test_a_network_that_contradicts_itself_is_refused(action: Callable[[], objec
 
 
 def bursty(protocol: str = "udp", **bursts: Burst) -> Loop:
-    """Return a loop that sends on both links at every tick, designed for the same losses without memory."""
+    """Return a loop that sends on both links at every step, designed for the same losses without memory."""
     network = Network(protocol, **bursts)
     policy = design.lossy_lqg(PLANT, COST, price=0.0, network=network)
     assert policy.network == network
@@ -118,7 +118,7 @@ def bursty(protocol: str = "udp", **bursts: Burst) -> Loop:
 
 
 def lost(loop: Loop, link: str, seed: int, paths: int = PATHS, ticks: int = TICKS) -> tuple[np.ndarray, np.ndarray]:
-    """Return what was sent and what of it was lost, (ticks, paths)."""
+    """Return what was sent and what of it was lost, (steps, paths)."""
     program = loop.program()
     outputs = Kernel(program).run(program, loop.start(program, paths, seed), ticks).outputs
     sent, arrived = outputs[f"sent {link}"] > 0, outputs[f"arrived {link}"] > 0
@@ -144,7 +144,7 @@ CHAINS = [Burst(0.1, 0.25, 0.0, 1.0), Burst(0.02, 0.1, 0.05, 0.7), Burst(0.9, 0.
 @pytest.mark.parametrize("link", ["actuator", "sensor"])
 @pytest.mark.parametrize("burst", CHAINS, ids=["all or nothing", "slow", "restless"])
 def test_a_bursty_link_loses_as_its_chain_says(burst: Burst, link: str) -> None:
-    """Loss frequency, from the first tick on, and that of two in a row: what a chain in its stationary law does."""
+    """Loss frequency, from the first step on, and that of two in a row: what a chain in its stationary law does."""
     sent, gone = lost(bursty(**{f"{link}_burst": burst}), link, seed=3)
     assert sent.all()
     everywhere = np.ones(PATHS)
@@ -168,7 +168,7 @@ def test_bursts_are_as_long_as_the_link_stays_bad(link: str) -> None:
 
 
 def test_a_link_turns_at_every_tick_and_not_at_every_packet() -> None:
-    """With a packet every third tick, losses follow one another as three steps of the chain say."""
+    """With a packet every third step, losses follow one another as three steps of the chain say."""
     policy = design.periodic(PLANT, COST, every=3)
     burst = CHAINS[0]
     sent, gone = lost(close(PLANT, policy, Network("udp", actuator_burst=burst)), "actuator", seed=5, ticks=61)
@@ -217,11 +217,12 @@ def test_a_loop_with_bursts_is_not_the_one_of_the_design() -> None:
     """The design knows mean losses only: its theory does not hold, and the loop says why."""
     loop = bursty(actuator_burst=CHAINS[0])
     assert not loop.nominal
-    assert loop.departures == ("losses come in bursts, and the design knows their mean only",)
+    assert loop.violated_assumptions == ("losses come in bursts, but the design uses only their mean",)
+    assert loop.departures == loop.violated_assumptions  # the former name
     assert "excess" not in loop.program().sums
     assert close(PLANT, loop.policy, loop.network.without_bursts()).nominal
     other = close(PLANT, loop.policy, Network("udp", actuator_loss=0.5))
-    assert other.departures == ("the network is not the one of the design",)
+    assert other.violated_assumptions == ("the network is not the one of the design",)
 
 
 def test_links_start_as_the_stationary_law_says_on_the_same_paths() -> None:
@@ -270,3 +271,13 @@ def test_a_design_for_bursts_is_closed_with_its_bursts() -> None:
     assert bursty.network == network
     assert not bursty.nominal
     assert close(plant, policy, network.without_bursts()).nominal
+
+
+def test_a_burst_whose_other_state_is_never_reached_is_a_constant_loss() -> None:
+    """It starts in the state that it never leaves; outages are those of this state."""
+    good = Network("tcp", actuator_burst=Burst(0.0, 0.2, 0.1, 1.0))
+    bad = Network("tcp", actuator_burst=Burst(0.2, 0.0, 0.0, 0.4))
+    turning = Network("tcp", actuator_burst=Burst(0.2, 0.2, 0.0, 0.4))
+    assert (good.burst("actuator"), good.loss("actuator"), good.outage("actuator")) == (None, 0.1, 0.1)
+    assert (bad.burst("actuator"), bad.loss("actuator"), bad.outage("actuator")) == (None, 0.4, 0.4)
+    assert turning.burst("actuator") is not None

@@ -71,7 +71,7 @@ def test_an_unspecified_time_base_of_python_control_is_refused() -> None:
         plant_from(control.StateSpace(A, B, C, D, dt=None), W, V)
     assert str(found.value) == (
         "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
-        "make it anew with dt=0 or dt=…"
+        "create the system again with dt=0 or dt=…"
     )
 
 
@@ -99,7 +99,7 @@ def test_what_is_no_system_is_refused(system: object) -> None:
 
 
 def test_a_feedthrough_is_refused() -> None:
-    """D ≠ 0 would let a measurement see the input of its own tick."""
+    """D ≠ 0 would let a measurement see the input of its own step."""
     with pytest.raises(ProblemError) as found:
         plant_from(SimpleNamespace(A=A, B=B, C=C, D=[[0.5]], dt=0.1), W)
     assert str(found.value) == "D is not zero; expected no direct feedthrough from input to measurement"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taciturn import Estimate, Guarantee, Plant, Policy, ProblemError, Trigger
+from taciturn import Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, load
 from taciturn.model.policy import (
     Acknowledged,
     Assign,
@@ -69,9 +69,13 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         "the weight of y in command has shape (1, 1); expected 2",
     ),
     ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'one', 'y']"),
-    ((COMMAND, SEND, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
-    ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is not decided before its use; expected one of []"),
-    ((COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE), {}, "the condition 'send' is not"),
+    ((COMMAND, SEND, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
+    ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
+    (
+        (COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE),
+        {},
+        "the condition 'send' is used before",
+    ),
     (
         (COMMAND, DECIDE, Assign("controller", "held", ({"held": ONE},) * 3, "send")),
         {},
@@ -87,7 +91,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, Assign("controller", "command", {"y": np.eye(2)}), *STEPS[1:]),
         {},
-        "command has 1 entries in one step and 2 in another; expected one size",
+        "command has 1 entries in one step and 2 in another; expected equal sizes",
     ),
     (
         (COMMAND, Decide("controller", "send", Trigger({"a": Form(("y",), ONE), "b": Form()})), SEND, INPUT),
@@ -117,17 +121,19 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, DECIDE, SEND, Send("controller", "actuator", ("command",)), INPUT),
         {},
-        "2 packets go over the actuator link in a tick; expected one Send, with the signals and the labels of both",
+        "2 packets go over the actuator link in a step; expected a single Send with the signals and labels of all of "
+        "them",
     ),
     (
         (AT_TWO, *STEPS[1:]),
         {},
-        "a table by 'clock' has 2 entries, and there are no such location among []; expected one per location",
+        "a table has 2 entries selected by the location 'clock', but the policy has only []; expected one entry per "
+        "state",
     ),
     (
         (AT_TWO, *STEPS[1:]),
         {"locations": (Location("clock", np.array([1, 2, 0])),)},
-        "a table by 'clock' has 2 entries, and there are 3 locations; expected one per location",
+        "a table has 2 entries selected by the location 'clock', but it has 3 states; expected one entry per state",
     ),
     (
         STEPS,
@@ -137,7 +143,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         STEPS,
         {"locations": (Location("mode", np.zeros((2, 2)), "controller", "query"),)},
-        "the condition 'query' is no decision; expected one of ['send']",
+        "the condition 'query' is not a decision; expected one of ['send']",
     ),
     (STEPS, {"initial": {"nothing": [1.0]}}, "the signal 'nothing' is never assigned; expected one of"),
     (STEPS, {"initial": {"input": [1.0, 2.0]}}, "initial input has shape (2,); expected (1,)"),
@@ -146,7 +152,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         STEPS,
         {"cost_all_time": np.nan},
-        "the all-time cost of large is nan; expected a finite number: scale the problem",
+        "the cost of sending every sample of large is nan; expected a finite number: scale the problem",
     ),
     (STEPS, {"noise_cost": np.inf}, "the inter-sample noise cost of large is inf; expected a finite number"),
     (
@@ -176,29 +182,32 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
 @pytest.mark.parametrize(
     ("action", "sentence"),
     [
-        (lambda: Assign("controller", "u", ()), "u has 0 branches on None; expected one without a condition"),
+        (lambda: Assign("controller", "u", ()), "u has 0 branches on None; expected one branch without a condition"),
         (
             lambda: Assign("controller", "u", ({"y": L}, {"y": L})),
-            "u has 2 branches on None; expected one without a condition, several with one",
+            "u has 2 branches on None; expected one branch without a condition, or several branches",
         ),
         (
             lambda: Assign("controller", "u", {"y": L}, Received("sensor")),
-            "u has 1 branches on Received(link='sensor'); expected one without a condition, several with one",
+            "u has 1 branches on Received(link='sensor'); expected one branch without a condition, or several branches",
         ),
-        (lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}), "the terms of u have [1, 2] rows; expected one"),
+        (
+            lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}),
+            "the terms of u have [1, 2] rows; expected equal",
+        ),
         (lambda: Assign("controller", "u", {"y": [1.0]}), "the weight of y in u has shape (1,); expected (any, any)"),
-        (lambda: Assign("controller", "u", {"y": [[np.inf]]}), "the weight of y in u holds inf at index (0, 0)"),
+        (lambda: Assign("controller", "u", {"y": [[np.inf]]}), "the weight of y in u contains inf at index (0, 0)"),
         (
             lambda: Assign("controller", "u", {"y": Scheduled("clock", [1.0, 2.0])}),
             "the weight of y in u is a table of numbers; expected a table of matrices",
         ),
         (
             lambda: Evaluate("controller", "s", (Form(), Form())),
-            "s has 2 forms on None; expected one without a condition, several with one",
+            "s has 2 forms on None; expected one form without a condition, or several forms",
         ),
         (
             lambda: Evaluate("controller", "s", (Form(),), "send"),
-            "s has 1 forms on send; expected one without a condition, several with one",
+            "s has 1 forms on send; expected one form without a condition, or several forms",
         ),
         (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
@@ -206,7 +215,7 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Form(Psi=ONE), "a form has Psi without signals; expected both, or neither"),
         (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
         (lambda: Form(("y",), [[1, 2]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
-        (lambda: Form(("y",), [[np.nan]]), "Psi holds nan at index (0, 0); expected finite numbers"),
+        (lambda: Form(("y",), [[np.nan]]), "Psi contains nan at index (0, 0); expected finite numbers"),
         (
             lambda: Form(("y",), Scheduled("clock", [[[1, 2], [3, 4]]])),
             "Psi over ('y',) is not symmetric; expected a symmetric matrix",
@@ -223,23 +232,23 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
             "the table by 'clock' has shape (0,); expected (locations,) or (locations, rows",
         ),
         (lambda: Scheduled("clock", [[1.0]]), "the table by 'clock' has shape (1, 1); expected (locations,) or"),
-        (lambda: Scheduled("clock", [1.0, np.nan]), "the table by 'clock' holds nan at index (1,); expected finite"),
+        (lambda: Scheduled("clock", [1.0, np.nan]), "the table by 'clock' contains nan at index (1,); expected finite"),
         (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table by 'clock' is not an array of numbers ("),
         (
             lambda: Location("clock", np.array([1, 2])),
-            "location clock has entries from 1 to 2; expected whole indices from",
+            "location clock has entries from 1 to 2; expected integer indices from",
         ),
         (
             lambda: Location("clock", np.array([-1, 0])),
-            "location clock has entries from -1 to 0; expected whole indices",
+            "location clock has entries from -1 to 0; expected integer indices",
         ),
         (
             lambda: Location("clock", np.array([0.5, 0])),
-            "location clock has entries from 0 to 0.5; expected whole indices",
+            "location clock has entries from 0 to 0.5; expected integer indices",
         ),
         (
             lambda: Location("clock", np.array([])),
-            "location clock has no entries; expected whole indices from 0, below 0",
+            "location clock has no entries; expected integer indices from 0, below 0",
         ),
         (
             lambda: Location("clock", np.array(0)),
@@ -326,3 +335,10 @@ def test_the_conditions_are_values() -> None:
     """Two conditions on one link are the same condition; a draw is a scalar signal."""
     assert Received("sensor") == Received("sensor") != Acknowledged("sensor")
     assert make((*STEPS, Draw("controller", "draw"))).sizes["draw"] == 1
+
+
+def test_the_weight_of_silence_has_its_former_name() -> None:
+    """``Reset.square``, which policies of one's own may read."""
+    reset = load("two-mass").design().reset
+    assert reset is not None
+    assert reset.square is reset.weight

@@ -70,13 +70,13 @@ SHORT, PUSH = np.zeros((4, 2)), np.zeros((3, 1))
         (np.zeros((5, 2)), PUSH, "reference.states has shape (5, 2); " + SIZES),
         (np.zeros(4), PUSH, "reference.states has shape (4,); " + SIZES),
         (SHORT, np.zeros(3), "reference.inputs has shape (3,); expected (any, any) = (steps, inputs)"),
-        (SHORT * np.nan, PUSH, "reference.states holds nan at index (0, 0); expected finite numbers"),
-        (SHORT, [[0], [np.inf], [0]], "reference.inputs holds inf at index (1, 0); expected finite numbers"),
+        (SHORT * np.nan, PUSH, "reference.states contains nan at index (0, 0); expected finite numbers"),
+        (SHORT, [[0], [np.inf], [0]], "reference.inputs contains inf at index (1, 0); expected finite numbers"),
         ([[0, 0], [0]], [[0]], "reference.states is ragged: its rows differ in length; expected the shape (2, any) = "),
         (
             "abc",
             [[0]],
-            "reference.states is not an array of numbers (it holds str values); expected the shape (2, any)",
+            "reference.states is not an array of numbers (it contains str values); expected the shape (2, any)",
         ),
     ],
     ids=["too few", "too many", "flat", "flat inputs", "nan", "inf", "ragged", "text"],
@@ -91,16 +91,16 @@ def test_what_is_no_reference_is_refused(states: Any, inputs: Any, sentence: str
     [
         (
             Reference(SHORT, PUSH),
-            "reference.inputs has shape (3, 1); expected (30, 1): the horizon and the sizes of the",
+            "reference.inputs has shape (3, 1); expected (30, 1), from horizon and sizes of the",
         ),
-        (Reference(np.zeros((32, 2)), np.zeros((31, 1))), "reference.inputs has shape (31, 1); expected (30, 1): the"),
-        (Reference(np.zeros((31, 2)), np.zeros((30, 2))), "reference.inputs has shape (30, 2); expected (30, 1): the"),
-        (Reference(np.zeros((31, 3)), np.zeros((30, 1))), "reference.states has shape (31, 3); expected (31, 2): the"),
+        (Reference(np.zeros((32, 2)), np.zeros((31, 1))), "reference.inputs has shape (31, 1); expected (30, 1), from"),
+        (Reference(np.zeros((31, 2)), np.zeros((30, 2))), "reference.inputs has shape (30, 2); expected (30, 1), from"),
+        (Reference(np.zeros((31, 3)), np.zeros((30, 1))), "reference.states has shape (31, 3); expected (31, 2), from"),
     ],
     ids=["short", "long", "two inputs", "three states"],
 )
 def test_a_reference_of_another_size_is_refused(reference: Reference, sentence: str) -> None:
-    """Horizon, states and inputs are those of the mission, for the plant and for the design."""
+    """Horizon, states and inputs are those of the finite-horizon run, for the plant and for the design."""
     assert refusal(lambda: reference.check(plant(), STEPS)).startswith(sentence)
     assert refusal(lambda: design.lossy_lqg(plant(), COST, price=1, reference=reference)).startswith(sentence)
 
@@ -119,7 +119,7 @@ def test_states_written_with_eleven_digits_are_a_motion_and_with_eight_are_none(
             policy = design.lossy_lqg(unstable, cost, price=1, reference=written)
             assert policy.tracking.final == written.states[-1]
         else:
-            assert "misses by" in refusal(lambda written=written: written.check(unstable, steps))
+            assert "differs by" in refusal(lambda written=written: written.check(unstable, steps))
 
 
 def test_a_reference_that_stands_still_at_zero_fits() -> None:
@@ -136,16 +136,16 @@ def test_a_reference_that_the_plant_cannot_follow_is_refused_at_the_first_step_t
         told = refusal(
             lambda wrong=wrong: design.lossy_lqg(plant(), COST, price=1, reference=Reference(wrong, exact.inputs))
         )
-        assert told.startswith(f"reference.states misses by 0.5 at step {step} what step {step - 1} and its input ")
+        assert told.startswith(f"reference.states differs by 0.5 at step {step} from A r + B f of step {step - 1}")
     late = np.roll(exact.inputs, 1)
-    assert "misses by" in refusal(lambda: Reference(exact.states, late).check(plant(), STEPS))
+    assert "differs by" in refusal(lambda: Reference(exact.states, late).check(plant(), STEPS))
 
 
 def test_a_reference_without_an_end_is_refused() -> None:
     """An average has no last step."""
     endless = Cost(COST.Q, COST.R)
     told = refusal(lambda: design.lossy_lqg(plant(), endless, price=1, reference=motion(1)))
-    assert told == "a reference is given without cost.horizon; expected both: the reference has an end"
+    assert told == "a reference is given without cost.horizon; expected both, since the reference is finite"
 
 
 def tracked(reference: Reference | None, network: Network, off: np.ndarray, price: float = 0.5) -> Loop:
@@ -156,7 +156,7 @@ def tracked(reference: Reference | None, network: Network, off: np.ndarray, pric
 
 
 def ran(loop: Loop, seed: int = 3, paths: int = 300) -> tuple[Run, np.ndarray]:
-    """Return a mission of many paths, and the states from first to last, (ticks + 1, n, paths)."""
+    """Return a finite-horizon run of many paths, and the states from first to last, (steps + 1, n, paths)."""
     program = loop.program()
     run = interpreter.run(program, loop.start(program, paths, seed), STEPS)
     last = [row for row, state in zip(run.states, program.states, strict=True) if state.name == "x"]
@@ -218,7 +218,7 @@ def test_another_plant_follows_the_reference_by_its_own_dynamics() -> None:
     actual = Plant(A + np.array([[0.0, 0.02], [-0.03, 0.0]]), 0.9 * B, np.zeros((2, 2)), mean=reference.states[0] + OFF)
     loop = close(actual, policy)
     assert not loop.nominal
-    assert set(loop.departures) >= {"the plant is not the one of the design"}
+    assert set(loop.violated_assumptions) >= {"the plant is not the one of the design"}
     run, x = ran(loop)
     u = run.outputs["applied 0"][:, None]
     assert x[1:] == pytest.approx(np.einsum("ij,kjp->kip", actual.A, x[:-1]) + actual.B[None] * u, abs=1e-10)
@@ -231,12 +231,12 @@ def test_another_plant_follows_the_reference_by_its_own_dynamics() -> None:
 
 
 def test_a_mission_of_another_length_is_refused() -> None:
-    """The reference ends where the mission ends."""
+    """The reference ends where the finite-horizon run ends."""
     policy = tracked(motion(1), NETWORKS[0], OFF).policy
     told = refusal(lambda: close(plant(), policy, cost=Cost(COST.Q, COST.R, horizon=STEPS + 1)))
-    assert told == "cost.horizon is 31, and the reference has 30 steps; expected the same"
+    assert told == "cost.horizon is 31, but the reference has 30 steps; expected equal lengths"
     other = Cost(2 * COST.Q, COST.R, horizon=STEPS)
-    assert "the cost is not the one of the design" in close(policy.model, policy, cost=other).departures
+    assert "the cost is not the one of the design" in close(policy.model, policy, cost=other).violated_assumptions
 
 
 SITES = (frozenset({"sensor", "controller"}),)
@@ -257,4 +257,4 @@ def test_the_number_one_cannot_be_assigned(step: Any) -> None:
     )
     assert close(plant(), Policy("pushes", steps, plant(), 1.0, sites=SITES), cost=COST).policy.sizes[ONE] == 1
     told = refusal(lambda: Policy("wrong", (*steps, step), plant(), 1.0))
-    assert told == "'one' is assigned; it is the number 1: expected another name"
+    assert told == "'one' is assigned, but denotes the number 1; expected another name"

@@ -10,7 +10,7 @@ from systems import System
 from taciturn import Network, Policy, Trigger, close
 from taciturn.loop import Loop
 from taciturn.model.policy import Acknowledged, Apply, Assign, Decide, Draw, Evaluate, Location, Received, Send
-from taciturn.model.trigger import Bell, Form, Scheduled
+from taciturn.model.trigger import Form, GaussianTerm, Scheduled
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.machine import Kernel
@@ -31,7 +31,7 @@ def differences(one: Run, other: Run) -> list[str]:
 
 
 def assert_parity(loop: Loop, program: Program, seed: int, paths: int = 11, ticks: int = 40) -> None:
-    """Check that NumPy and the parity build agree bit for bit."""
+    """Check that NumPy and the bit-exact build agree bit for bit."""
     states = loop.start(program, paths, seed)
     meaning = interpreter.run(program, states, ticks)
     assert all(np.isfinite(row).all() for row in meaning.outputs.values())
@@ -70,10 +70,11 @@ def every_feature(system: System, seed: int) -> Loop:
     clock = Location("clock", np.array([1, 2, 0]), initial=int(draws.integers(3)))
     mood = Location("mood", draws.integers(0, 2, (2, 3)), at="controller", on="send")
     heard = Location("heard", np.array([[0, 1], [0, 1]]), at="actuator", on=Received("actuator"))
+    bell = GaussianTerm(-0.4, np.eye(m) + 0.5)
     trigger = Trigger({
         "silent": Form(("estimate", "error"), Scheduled("mood", Psi), plus={"spent": 0.1}),
         "short": Form(("error",), square(m, 0.2), Scheduled("clock", draws.uniform(0, 1, 3))),
-        "full": Form(("error",), plus={"luck": 2.0, "spent": -0.05}, constant=0.3, bell=Bell(-0.4, np.eye(m) + 0.5)),
+        "full": Form(("error",), plus={"luck": 2.0, "spent": -0.05}, constant=0.3, bell=bell),
     })  # fmt: skip
     spent = (Form(("error",), square(m, 0.1), plus={"spent": 0.5}), Form(plus={"spent": 0.25}), Form(constant=1.0))
     kept, command = {"held": 0.9 * np.eye(m)}, {"command": np.eye(m)}

@@ -1,4 +1,4 @@
-"""The parity build has the bits of NumPy; the fast build decides as the parity build does."""
+"""The bit-exact build has the bits of NumPy; the fast build decides as the bit-exact build does."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ MASSES = {
 
 def masses(name: str) -> Loop:
     """Return a loop of the two masses."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     if name == "periodic":
         policy = design.periodic(problem.plant, problem.cost, every=3, actuation="model")
     elif name == "lossy":

@@ -19,7 +19,7 @@ BUILDS = ("parity", "fast")
 
 def masses() -> Loop:
     """Return the loop of the two masses."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     return problem.close(problem.design())
 
 

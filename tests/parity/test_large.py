@@ -49,7 +49,7 @@ def test_large_loops_agree_bit_for_bit(seed: int, n: int, precision: Precision) 
 
 
 def test_products_are_what_single_coefficients_would_give(monkeypatch: pytest.MonkeyPatch) -> None:
-    """To rounding, tick for tick, while the decisions agree."""
+    """To rounding, step for step, while the decisions agree."""
     loop = large(1, 18, 2, 4)
     blocked = loop.program()
     monkeypatch.setattr(ir, "BLOCK", 10**9)
@@ -119,7 +119,7 @@ def test_programs_with_numbers_of_their_own_agree_with_each_alone(precision: Pre
 @cache
 def two_masses() -> taciturn.Problem:
     """Return the problem, read once."""
-    return taciturn.load("two-mass")
+    return taciturn.load("two-mass-lqg")
 
 
 def masses(theta: float) -> Loop:
@@ -130,7 +130,7 @@ def masses(theta: float) -> Loop:
 
 @pytest.mark.evidence
 def test_a_bank_costs_and_sends_what_its_loops_do(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixty values of theta compile once, and each loop has the mean of its own path; one tick at a time or many."""
+    """Sixty values of theta compile once, and each loop has the mean of its own path; one step at a time or many."""
     compiled: list[str] = []
     compile_once = machine._load
     monkeypatch.setattr(machine, "_load", lambda text: compiled.append(text) or compile_once(text))
@@ -181,13 +181,13 @@ def test_a_bank_holds_loops_of_any_structure(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_what_a_bank_cannot_hold_is_refused() -> None:
-    """Nothing, something else, a mission, a loop that diverges, no threads."""
+    """Nothing, something else, a finite-horizon run, a loop that diverges, no threads."""
     loop = masses(0.2)
     assert len(Bank(each for each in [loop, loop]).run(2).cost) == 2
     for wrong in ([], iter([])):
         with pytest.raises(ProblemError, match="loops is empty"):
             Bank(wrong)
-    for wrong in (None, 5, loop, [taciturn.load("two-mass")]):
+    for wrong in (None, 5, loop, [taciturn.load("two-mass-lqg")]):
         with pytest.raises(ProblemError, match="loops is "):
             Bank(wrong)  # type: ignore[arg-type]
     for threads in (0, -1, 2.5, True):

@@ -1,4 +1,4 @@
-"""Programs with the function of a plant in them: the parity build has the bits of NumPy, the fast one its decisions."""
+"""Programs with the function of a plant in them: the bit-exact build agrees with NumPy, the fast one decides alike."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NAMES = ("pendulum-on-a-cart", "pendulum-by-encoders", "omni-heading")
 
 
 def built_in(name: str, precision: Precision) -> Loop:
-    """Return the loop of a built-in problem over a link that loses packets."""
+    """Return the loop of a built-in problem over a link that drops packets."""
     problem = load(name)
     return replace(close(problem.plant, problem.design(), Network("udp", 0.02), problem.cost), precision=precision)
 
@@ -75,7 +75,7 @@ def test_the_fast_build_decides_as_the_parity_build(name: str) -> None:
 
 @pytest.mark.parametrize("name", few(NAMES, quick=1, start=2))
 def test_the_plant_of_a_network_has_the_bits_of_numpy(name: str) -> None:
-    """Its tick as a Python function of numbers."""
+    """Its step as a Python function of numbers."""
     loop = built_in(name, "float64")
     program = loop.plant_program()
     turn, states = compile_python(program), loop.start(program, 1, 5)

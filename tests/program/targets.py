@@ -103,7 +103,7 @@ def every_operation(precision: Precision) -> Program:
 
 def printed_kinds() -> Iterator[tuple[str, Program]]:
     """Return programs of every kind by name: loops, clocks, jumps, functions, nonlinear plants, large matrices."""
-    two_mass = taciturn.load("two-mass")
+    two_mass = taciturn.load("two-mass-lqg")
     loops = {
         "two masses": two_mass.close(two_mass.design()),
         "a clock": two_mass.close(taciturn.design.periodic(two_mass.plant, two_mass.cost, every=3)),

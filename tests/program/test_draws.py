@@ -16,7 +16,7 @@ from taciturn.program.numpy import run
 from taciturn.program.ops import State
 
 WORD = (1 << 64) - 1
-PATHS, TICKS = 4096, 25_000  # 1e8 ticks
+PATHS, TICKS = 4096, 25_000  # 1e8 steps
 UNLIKELY = 1e-5  # probability below which a test of a law fails; the seeds are fixed
 
 
@@ -148,7 +148,7 @@ def test_the_normals_are_box_muller_to_the_claimed_errors() -> None:
 
 
 def summing(*powers: tuple[int, int, int, int]) -> Program:
-    """Return a program that sums a^i b^j c^k d^l over the ticks; a and b a pair, c and d that of the tick before."""
+    """Return a program that sums a^i b^j c^k d^l over the steps; a and b a pair, c and d that of the step before."""
     b = Builder()
     pair = [b.input("normal 0"), b.input("normal 1")]
     before = [b.state(State("before", i)) for i in range(2)]
@@ -211,7 +211,7 @@ def test_the_tails_hold_what_those_of_the_normal_law_hold(totals: dict[str, floa
 
 @pytest.fixture(scope="module")
 def recorded() -> tuple[np.ndarray, np.ndarray]:
-    """Return both normals of 1000 paths by 1500 ticks."""
+    """Return both normals of 1000 paths by 1500 steps."""
     outputs = run(drawing("normal 0", "normal 1"), seed_generators(11, 1000), 1500).outputs
     return outputs["normal 0"], outputs["normal 1"]
 
@@ -247,7 +247,7 @@ def test_successive_draws_are_independent(recorded: tuple[np.ndarray, np.ndarray
 
 
 def test_neighbouring_paths_are_independent(recorded: tuple[np.ndarray, np.ndarray]) -> None:
-    """Side by side, eight apart, and with a delay of one tick."""
+    """Side by side, eight apart, and with a delay of one step."""
     a, b = recorded
     pairs = [(a[:, 1:], a[:, :-1]), (a[:, 8:], b[:, :-8]), (a[1:, 1:], a[:-1, :-1])]
     assert min(dependence(*pair) for pair in pairs) > UNLIKELY

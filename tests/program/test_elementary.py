@@ -82,7 +82,7 @@ def units_off(case: Case, precision: Precision, found: np.ndarray, arguments: li
 @pytest.mark.parametrize("precision", few(PRECISIONS, quick=1))
 @pytest.mark.parametrize("name", CASES)
 def test_functions_have_all_digits_but_the_last(name: str, precision: Precision) -> None:
-    """Of arguments of every size, in their meaning, in the parity build and in the fast one."""
+    """Of arguments of every size, in their meaning, in the bit-exact build and in the fast one."""
     case = CASES[name]
     arguments = in_reach(case, precision, 1, 20_000)
     program = program_of(case.rule, len(arguments), precision)
@@ -221,7 +221,7 @@ def test_what_is_exact_is_exact(name: str, precision: Precision) -> None:
 
 @pytest.mark.parametrize("name", ["minimum", "maximum"])
 def test_the_smaller_of_what_is_no_number_is_none(name: str) -> None:
-    """On either side, and beside a number known now."""
+    """On either side, and next to a number known now."""
     odd = np.array([1.0, -2.0, np.nan, np.inf, -np.inf])
     x, y = (one.ravel() for one in np.meshgrid(odd, odd))
     both = program_of(lambda b, one, other: b.value(NUMBERS[name](b, one, other)), 2)

@@ -9,10 +9,10 @@ import pytest
 from parity.loops import same
 
 from taciturn import ProblemError
-from taciturn.model.trigger import Bell, Form
+from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.program.exponential import falling
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import run
 
@@ -46,7 +46,7 @@ def test_an_exponential_has_all_digits_of_its_precision(
 def test_an_exponential_has_the_same_bits_in_numpy_and_in_machine_code(
     precision: Literal["float64", "float32"],
 ) -> None:
-    """The parity build, at random places of every size."""
+    """The bit-exact build, at random places of every size."""
     x = np.exp(np.random.default_rng(1).uniform(-40, 8, 999))[None, None]
     program = exponential(precision)
     meaning = run(program, np.zeros((0, x.shape[2])), 1, x).outputs["found"]
@@ -57,9 +57,9 @@ def test_a_form_adds_its_bell_to_its_quadratic() -> None:
     """η'Ψη + h exp(−½η'Πη) + weight·s + constant."""
     rng = np.random.default_rng(3)
     Psi, Pi, eta, s = np.diag([1.0, -2.0]), np.array([[2.0, 0.5], [0.5, 1.0]]), rng.normal(size=(2, 7)), rng.random(7)
-    form = Form(("eta",), Psi, 0.25, {"s": 3.0}, Bell(-1.5, Pi))
+    form = Form(("eta",), Psi, 0.25, {"s": 3.0}, GaussianTerm(-1.5, Pi))
     builder = Builder()
-    tick = Tick(builder, {"eta": 2, "s": 1}, {"eta": "eta", "s": "s"}, ())
+    tick = TimeStep(builder, {"eta": 2, "s": 1}, {"eta": "eta", "s": "s"}, ())
     program = tick.finish({}, {"found": tick.form(form)})
     starts = {("eta", 0): eta[0], ("eta", 1): eta[1], ("s", 0): s}
     states = np.array([starts[state.name, state.index] for state in program.states])
@@ -71,8 +71,10 @@ def test_a_form_adds_its_bell_to_its_quadratic() -> None:
 def test_what_is_no_bell_is_refused() -> None:
     """An indefinite Π, one that is not square, or a bell over nothing."""
     with pytest.raises(ProblemError, match="Pi has the eigenvalue -1; expected a positive semidefinite matrix"):
-        Bell(1.0, np.diag([1.0, -1.0]))
+        GaussianTerm(1.0, np.diag([1.0, -1.0]))
     with pytest.raises(ProblemError, match="Pi has shape"):
-        Bell(1.0, [[1.0, 0.0]])
-    with pytest.raises(ProblemError, match="a form has a bell without signals; expected both, or neither"):
-        Form(bell=Bell(1.0, [[1.0]]))
+        GaussianTerm(1.0, [[1.0, 0.0]])
+    with pytest.raises(
+        ProblemError, match=r"a form has a Gaussian term \(bell\) without signals; expected both, or neither"
+    ):
+        Form(bell=GaussianTerm(1.0, [[1.0]]))

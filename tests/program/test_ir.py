@@ -93,7 +93,7 @@ def test_merging_and_dropping_leave_every_bit_of_the_outputs(seed: int, copies: 
 
 @law(8, 100, seed=SEEDS)
 def test_keeping_a_part_leaves_its_meaning(seed: int) -> None:
-    """What is kept has the bits it had beside what is dropped."""
+    """What is kept has the bits it had next to what is dropped."""
     program = random_program(seed)
     supplied = np.random.default_rng(seed).normal(size=(7, 2, 3))
     part = program.keep({"total"}, {"out 1"})
@@ -128,7 +128,7 @@ def test_states_that_start_apart_stay_apart() -> None:
 
 
 def test_states_that_part_late_stay_apart() -> None:
-    """A difference that takes three ticks to arrive is seen."""
+    """A difference that takes three steps to arrive is seen."""
     b = Builder()
     chains = [[b.state(State(name, i)) for i in range(3)] for name in "xy"]
     following = [*chains[0][1:], b.constant(1.0), *chains[1][1:], b.constant(2.0)]
@@ -235,7 +235,7 @@ def test_unused_inputs_constants_and_tables_disappear() -> None:
 @pytest.fixture(scope="module")
 def masses() -> Problem:
     """Return the two masses of the thesis."""
-    return taciturn.load("two-mass")
+    return taciturn.load("two-mass-lqg")
 
 
 def names(program: Program) -> set[str]:
@@ -244,7 +244,7 @@ def names(program: Program) -> set[str]:
 
 
 def test_an_ideal_link_makes_the_controllers_note_and_the_actuators_input_one_state(masses: Problem) -> None:
-    """What is sent and what is noted agree at every tick."""
+    """What is sent and what is noted agree at every step."""
     assert names(masses.close(masses.design()).program()) == {"x", "prior", "held", "generator"}
 
 

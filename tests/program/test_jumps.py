@@ -1,4 +1,4 @@
-"""Poisson jumps within a tick: the flow of each exactly, their number and their covariance."""
+"""Poisson jumps within a step: the flow of each exactly, their number and their covariance."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taciturn.model.plant import JumpNoise
 from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.simulation.average import completed_squares, plain_average
 
 PLANTS = {
@@ -25,14 +25,14 @@ PLANTS = {
 
 
 def program_of(noise: JumpNoise) -> Program:
-    """Return the program of what one tick adds, before its draws are drawn inside."""
-    tick = Tick(Builder(), {}, {}, ())
+    """Return the program of what one step adds, before its draws are drawn inside."""
+    tick = TimeStep(Builder(), {}, {}, ())
     return tick.finish({}, {f"w {i}": value for i, value in enumerate(add_jumps(tick, noise))})
 
 
 @pytest.mark.parametrize("name", PLANTS)
 def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
-    """Given waiting times and sizes, against matrix exponentials; what comes after the tick adds nothing."""
+    """Given waiting times and sizes, against matrix exponentials; what comes after the step adds nothing."""
     A = np.array(PLANTS[name])
     n, period, rate = len(A), 0.8, 3.0
     spread = np.diag(np.arange(1.0, n + 1))
@@ -56,8 +56,8 @@ def test_every_jump_flows_to_the_end_of_its_tick(name: str) -> None:
 
 
 def test_more_jumps_than_are_drawn_are_refused() -> None:
-    """A tick of a hundred jumps is close to Wiener noise, and the sentence says so."""
-    with pytest.raises(ProblemError, match=r"a tick of 10 s sees 100 jumps on average, too many .* or Wiener noise"):
+    """A step of a hundred jumps is close to Wiener noise, and the sentence says so."""
+    with pytest.raises(ProblemError, match=r"a step of 10 s has 100 jumps on average, too many .* or Wiener noise"):
         program_of(JumpNoise(np.zeros((1, 1)), Jumps(10.0, [[1.0]]), 10.0))
 
 
@@ -91,8 +91,8 @@ def test_the_identity_holds_under_jumps_with_the_full_state_and_is_not_claimed_w
     spread = np.hypot(exact.cost.standard_error, plain.cost.standard_error)
     assert abs(exact.cost.value - plain.cost.value) <= 4 * spread
     watched = ContinuousPlant([[0.0, 1.0], [0.0, -0.2]], [[0.0], [1.0]], jumps=jumps, C=[[1.0, 0.0]], V=[[0.01]])
-    assert close(watched, design.lqg(watched, cost, theta=0.5, period=0.3)).departures == (
-        "the noise jumps, and a filter's theory needs Gaussian noise",
+    assert close(watched, design.lqg(watched, cost, theta=0.5, period=0.3)).violated_assumptions == (
+        "the noise has jumps, but the filter's theory assumes Gaussian noise",
     )
     always = close(watched, design.all_time(watched, cost, period=0.3))
     assert always.nominal
@@ -100,7 +100,7 @@ def test_the_identity_holds_under_jumps_with_the_full_state_and_is_not_claimed_w
 
 
 def test_a_plant_with_jumps_has_the_intensity_of_their_rate_when_it_is_sampled() -> None:
-    """The covariance of a tick is that of Wiener noise with W = rate · covariance."""
+    """The covariance of a step is that of Wiener noise with W = rate · covariance."""
     jumps = Jumps(5.0, np.diag([0.0, 0.5]))
     plant = ContinuousPlant([[0.0, 1.0], [0.0, 0.0]], [[0.0], [1.0]], jumps=jumps)
     model = design.consistent(plant, Cost(np.eye(2), [[10.0]]), period=0.4).model

@@ -17,7 +17,7 @@ from taciturn.loop import Loop
 from taciturn.model.policy import ONE, Apply, Assign, Condition, Decide, Draw, Evaluate, Received, Send, Step
 from taciturn.model.trigger import Form, Scheduled
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.program.numpy import run
 
 SEEDS = st.integers(0, 2**32 - 1)
@@ -27,7 +27,7 @@ class Told:
     """A path of a loop as its steps are read aloud: matrices times vectors, one step after the other."""
 
     def __init__(self, loop: Loop) -> None:
-        """Start before the first tick."""
+        """Start before the first step."""
         self.loop, self.policy = loop, loop.policy
         self.signals = {name: np.zeros(size) for name, size in self.policy.sizes.items()} | dict(self.policy.initial)
         self.signals |= {"x": loop.problem.plant.mean, ONE: np.ones(1)}
@@ -37,7 +37,7 @@ class Told:
         self.arrived: dict[str, bool] = {}
 
     def tick(self, v: np.ndarray, uniforms: np.ndarray, w: np.ndarray) -> float:
-        """Take one tick with these normals and uniforms; return its stage cost."""
+        """Take one step with these normals and uniforms; return its stage cost."""
         problem, plant = self.loop.problem, self.loop.problem.plant
         self.uniforms = iter(uniforms)
         x = self.signals["x"]
@@ -142,7 +142,7 @@ def test_steps_that_are_functions_mean_what_they_say(system: System, seed: int) 
 
 @law(3, 40, system=systems(), name=st.sampled_from(sorted(POLICIES)), seed=SEEDS)
 def test_the_policies_of_the_catalogue_mean_what_they_say(system: System, name: str, seed: int) -> None:
-    """Hold and model, by the clock and by the trigger, remote and lossy, averages and missions."""
+    """Hold and model, by the clock and by the trigger, remote and lossy, averages and finite-horizon runs."""
     try:
         loop = closed(POLICIES[name](system))
     except TaciturnError:
@@ -155,7 +155,7 @@ def test_the_first_of_the_cheapest_labels_is_picked(seed: int, labels: int) -> N
     """Among up to five labels, with ties."""
     values = np.random.default_rng(seed).integers(0, 3, (20, labels)).astype(float)
     b = Builder()
-    tick = Tick(b, {}, {}, ())
+    tick = TimeStep(b, {}, {}, ())
     for i in range(labels):
         tick.signals[f"v {i}"] = [b.input(f"in {i}")]
     trigger = Trigger({f"label {i}": Form(plus={f"v {i}": 1.0}) for i in range(labels)})
@@ -168,7 +168,7 @@ def test_the_first_of_the_cheapest_labels_is_picked(seed: int, labels: int) -> N
 def test_a_signal_read_before_it_is_assigned_is_that_of_the_tick_before() -> None:
     """A delay is an order of events; so is the arrival of a packet."""
     b = Builder()
-    tick = Tick(b, {"old": 1, "new": 1}, {"new": np.array([7.0])}, ())
+    tick = TimeStep(b, {"old": 1, "new": 1}, {"new": np.array([7.0])}, ())
     tick.take(Assign("controller", "old", {"new": [[1.0]]}), {})
     tick.signals["new"] = [b.input("in 0")]
     program = tick.finish({}, {"old": tick.signals["old"][0]})
@@ -178,9 +178,9 @@ def test_a_signal_read_before_it_is_assigned_is_that_of_the_tick_before() -> Non
 
 
 def test_what_arrived_is_remembered_until_the_next_packet() -> None:
-    """Read before this tick's sending, it is what the tick before brought."""
+    """Read before this step's sending, it is what the step before brought."""
     b = Builder()
-    tick = Tick(b, {}, {}, ())
+    tick = TimeStep(b, {}, {}, ())
     before = tick.as_number(tick._not(tick.happened(Received("actuator"))[0]))
     tick.signals["v"] = [b.input("in 0")]
     tick.take(Decide("controller", "send", Trigger({"silent": Form(plus={"v": 1.0}), "send": Form()})), {})

@@ -27,7 +27,7 @@ Compiled = list[str]
 @pytest.fixture(scope="module")
 def loop() -> Loop:
     """Return the loop of the two masses."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     return problem.close(problem.design())
 
 
@@ -76,7 +76,7 @@ def test_damaged_machine_code_is_compiled_again(
     (kept,) = (tmp_path / "taciturn").iterdir()
     whole = kept.read_bytes()
     kept.write_bytes(damage or whole[:-1])
-    with pytest.warns(UserWarning, match="damaged; it is compiled again"):
+    with pytest.warns(UserWarning, match="damaged; the program is compiled again"):
         assert play() == first
     assert kept.read_bytes() == whole
     assert play() == first
@@ -180,7 +180,7 @@ def test_a_process_without_a_home_compiles_each_time(
 
 def test_a_sweep_over_theta_compiles_once(compiled: Compiled) -> None:
     """Programs that differ only in constants share machine code, and are still different programs."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     costs = []
     for theta in np.linspace(0.05, 1.0, 7):
         loop = problem.close(problem.changed({"theta": float(theta)}).design())
@@ -193,7 +193,7 @@ def test_a_sweep_over_theta_compiles_once(compiled: Compiled) -> None:
 def test_a_kernel_refuses_a_program_of_another_structure(loop: Loop) -> None:
     """Its memory would not be where the code expects it."""
     program, other = loop.program(), loop.reduced_program()
-    with pytest.raises(AssertionError, match="another structure"):
+    with pytest.raises(AssertionError, match="structure of the program differs"):
         Kernel(program).run(other, loop.start(other, 3, 0), 1)
 
 
@@ -204,13 +204,13 @@ def test_inputs_must_be_supplied_for_every_tick_and_path() -> None:
     kernel, states = Kernel(program), np.zeros((0, 3))
     with pytest.raises(AssertionError, match="none are supplied"):
         kernel.run(program, states, 2)
-    with pytest.raises(AssertionError, match="do not fit"):
+    with pytest.raises(AssertionError, match="does not fit"):
         kernel.run(program, states, 2, np.zeros((1, 1, 3)))
     assert kernel.run(program, states, 2, np.ones((2, 1, 3))).outputs["x"].sum() == 6
 
 
 def test_a_program_without_states_runs() -> None:
-    """A constant is summed over the ticks; no ticks or no paths sum to nothing."""
+    """A constant is summed over the steps; no steps or no paths sum to nothing."""
     b = Builder()
     program = b.finish([], {"x": b.constant(2.0)})
     kernel = Kernel(program)
@@ -231,7 +231,7 @@ class Absent:
 sys.meta_path.insert(0, Absent())
 import taciturn
 from taciturn.program.engine import prepare
-problem = taciturn.load("two-mass")
+problem = taciturn.load("two-mass-lqg")
 loop = problem.close(problem.design())
 with warnings.catch_warnings(record=True) as caught:
     warnings.simplefilter("always")
@@ -244,7 +244,7 @@ print([str(warning.message) for warning in caught if "llvmlite" in str(warning.m
 
 
 def test_without_llvmlite_the_loops_run_in_numpy_with_one_notice(loop: Loop, tmp_path: Path) -> None:
-    """Every number has the bits of the parity build."""
+    """Every number has the bits of the bit-exact build."""
     command = [sys.executable, "-c", WITHOUT_LLVM, str(tmp_path)]
     said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     assert said.count("llvmlite is missing") == 1

@@ -56,7 +56,7 @@ def test_a_uniform_lies_strictly_between_zero_and_one() -> None:
 
 def masses(precision: Precision = "float64") -> Loop:
     """Return the loop of the two masses."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     return replace(problem.close(problem.design()), precision=precision)
 
 
@@ -74,7 +74,7 @@ def test_the_bias_is_below_a_millionth_of_the_cost() -> None:
 
 def test_evaluations_in_single_precision_agree() -> None:
     """To six digits, on the same seed."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     single, double = (taciturn.evaluate(problem, precision=kind, steps=10**7) for kind in ("float32", "float64"))
     assert single.cost.value == pytest.approx(double.cost.value, rel=1e-6)
     assert single.cost.value != double.cost.value
@@ -97,7 +97,9 @@ def test_costs_beyond_the_range_of_single_precision_are_refused(scale: float) ->
     plant, cost = Plant([[1.2]], [[1.0]], [[scale]]), Cost([[1.0]], [[1.0]])
     loop = taciturn.close(plant, taciturn.design.lqg(plant, cost, theta=0.2))
     assert taciturn.average(loop, steps=100_000).rates["actuator"].value > 0.01
-    with pytest.raises(ProblemError, match=r"precision is 'float32', and a tick costs some .*beyond its range"):
+    with pytest.raises(
+        ProblemError, match=r"precision is 'float32', but the cost of a step is about .*outside its range"
+    ):
         replace(loop, precision="float32")
 
 
@@ -108,5 +110,5 @@ def test_what_single_precision_cannot_do_is_refused() -> None:
     plant, average = Plant([[1.2]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
     policy = taciturn.design.all_time(plant, average)
     loop = taciturn.close(plant, policy, cost=Cost([[1.0]], [[1.0]], discount=0.9))
-    with pytest.raises(ProblemError, match=r"weights of a discount of 0\.9"):
+    with pytest.raises(ProblemError, match=r"weights of the discount 0\.9"):
         replace(loop, precision="float32")

@@ -18,13 +18,13 @@ ONE = np.eye(1)
 def test_impulse_control_by_events_has_a_third_of_the_variance_of_periodic_control() -> None:
     """An integrator under Wiener noise that impulses reset: 3 at equal rate, as the threshold passes many looks.
 
-    With looks every tick the ratio is 3 + O(σ²/Y²): exactly, by quadrature; and as the policy simulates it.
+    With looks every step the ratio is 3 + O(σ²/Y²): exactly, by quadrature; and as the policy simulates it.
     """
     plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1e-9]])  # free inputs: L = −1
     ratios = {}
     for threshold in (10.0, 20.0, 40.0):
         found = solve_gaussian(Chain(ONE, ONE, ONE, threshold**2, ONE))
-        ratios[threshold] = (1 / found.rate - 1) / 2 / found.excess  # of periodic control, W(N − 1)/2 every N ticks
+        ratios[threshold] = (1 / found.rate - 1) / 2 / found.excess  # of periodic control, W(N − 1)/2 every N steps
         policy = design.absolute(plant, cost, threshold=threshold, error="state", actuation="model")
         loop = close(plant, policy)
         simulated = average(loop, steps=8_000_000)

@@ -52,7 +52,7 @@ def test_the_rate_of_the_open_loop_schedule_is_the_published_one(scale: float, s
 
 
 def test_a_plant_without_memory_is_scheduled_at_the_published_rate() -> None:
-    """A = 0: what the stochastic trigger weighs is drawn anew at every tick, so that its closed form is the same."""
+    """A = 0: what the stochastic trigger weighs is drawn anew at every step, so that its closed form is the same."""
     W, weight = np.array([[2.0, 0.5], [0.5, 1.0]]), np.array([[0.7, 0.2], [0.2, 0.4]])
     C, V = np.array([[1.0, 0.3]]), np.array([[0.5]])
     plant = Plant(np.zeros((2, 2)), np.eye(2), W, C=C, V=V)

@@ -51,7 +51,7 @@ def best(
 def test_the_best_control_without_acknowledgements_is_the_one_found_by_enumeration(
     a: float, losses: tuple[float, float]
 ) -> None:
-    """Cost and first input from every time at which the state is known, to the end of the mission."""
+    """Cost and first input from every time at which the state is known, to the end of the finite-horizon run."""
     b, (q, r, terminal), horizon = 0.7, (1.0, 0.5, 2.0), 12
     values, inputs = best(a, b, (q, r, terminal), losses, horizon)
     matrices = (np.array([[number]]) for number in (a, b, q, r, terminal))

@@ -86,7 +86,7 @@ def test_events_in_more_dimensions_improve_on_the_clock_by_two_over_n(n: int) ->
 
 
 def worse_than_the_clock(n: int, level: float, steps: int) -> tuple[float, float, float]:
-    """Return the cost of sends at max |x_i| > level over that of periodic ones, its standard error, and looks per wait.
+    """Return the cost of sends at max |x_i| > level over that of periodic ones, its standard error, checks per wait.
 
     Both are looked at as often: in N looks the periodic cost is n (N − 1)/2.
     """

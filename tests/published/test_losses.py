@@ -1,4 +1,4 @@
-"""A scalar plant over links that lose packets: independent losses (hadjicostis2002) and bursts of them (huang2007)."""
+"""A scalar plant over links that drop packets: independent losses (hadjicostis2002) and bursts of them (huang2007)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_the_variance_over_a_link_that_loses_packets_is_the_published_one(a: flo
 
 @pytest.mark.parametrize("steps", [2_000_000, pytest.param(2_000_000_000, marks=pytest.mark.evidence)])
 def test_the_variance_over_a_link_that_loses_bursts_is_the_sum_over_their_lengths(steps: int) -> None:
-    """W(1 + a²π/(1 − a²(1 − q))), which is finite iff a²(1 − q) < 1, with the share π = p/(p + q) of lost packets.
+    """W(1 + a²π/(1 − a²(1 − q))), which is finite iff a²(1 − q) < 1, with the share π = p/(p + q) of dropped packets.
 
     The link fails with the probability p and recovers with q. An error of j losses in a row has the variance
     W(a^{2j} − 1)/(a² − 1), and the j-th loss of a burst the probability πq(1 − q)^{j−1}. Here a⁴(1 − q) < 1 as well, so

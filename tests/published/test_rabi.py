@@ -22,9 +22,9 @@ CLOCK, LEFT, SEND = "clock", "left", "send"
 
 
 def sampled_once(thresholds: np.ndarray, steps: int) -> Averages:
-    """Return E ∫ e² of a Wiener process on [0, 1] that is sent once, when e² first exceeds the threshold of its tick.
+    """Return E ∫ e² of a Wiener process on [0, 1] that is sent once, when e² first exceeds the threshold of its step.
 
-    Ticks are 1/N apart. A sample sets the state to zero by an input, and the cost is Σ x²/N.
+    Steps are 1/N apart. A sample sets the state to zero by an input, and the cost is Σ x²/N.
     """
     N = len(thresholds)
     plant = Plant(ONE, ONE, ONE / N)
@@ -57,7 +57,7 @@ def sampled_once(thresholds: np.ndarray, steps: int) -> Averages:
 def test_one_sample_at_the_best_envelope_costs_a_quarter_of_the_root_of_three_less_one(
     fine: int, missions: int
 ) -> None:
-    """(√3 − 1)/4 where e² is compared with √3 (1 − t); ticks raise it by a multiple of 1/N, which two N tell apart."""
+    """(√3 − 1)/4 where e² is compared with √3 (1 − t); steps raise it by a multiple of 1/N, which two N tell apart."""
     costs = {}
     for N in (fine, fine // 4):
         left = 1 - np.arange(N) / N
@@ -69,7 +69,7 @@ def test_one_sample_at_the_best_envelope_costs_a_quarter_of_the_root_of_three_le
 
 
 def test_one_sample_at_the_best_time_costs_a_quarter() -> None:
-    """1/4 for the clock, which samples in the middle: (1 − 1/N²)/4 of N ticks."""
+    """1/4 for the clock, which samples in the middle: (1 − 1/N²)/4 of N steps."""
     N = 51
     middle = np.full(N, NEVER / 2)
     middle[N // 2] = -1.0
@@ -116,7 +116,7 @@ def test_a_wiener_process_over_a_link_that_loses_packets_costs_its_closed_form(
 ) -> None:
     """(5p + 1)/(6(1 − p)) of a level of 1: the mean square times the rate of tries, which has no unit of time.
 
-    Looks every tick pass the level by a little. Without losses, quadrature says by how much the product then differs
+    Looks every step pass the level by a little. Without losses, quadrature says by how much the product then differs
     from 1/6; losses add p/(1 − p) of the mean square at a try, which is 1/rate whatever the level.
     """
     published = (5 * loss + 1) / (6 * (1 - loss))

@@ -1,6 +1,6 @@
 """Integrators on one channel: TDMA against slotted ALOHA (blind2013), and against events with arbitration (cervin2008).
 
-Forty integrators with noise of variance 1 a tick share one packet a tick. The papers' own numbers depend on delays and
+Forty integrators with noise of variance 1 a step share one packet a step. The papers' own numbers depend on delays and
 slot lengths that Taciturn does not have; who wins does not.
 """
 
@@ -25,7 +25,7 @@ def shared(scheduler: SchedulerName, ticks: int, confidence: float = 0.0) -> Sha
 
 
 def excess(found: Sharing) -> tuple[float, float]:
-    """Return the variance of one integrator after the sends of a tick, and its standard error."""
+    """Return the variance of one integrator after the sends of a step, and its standard error."""
     return (found.cost.value - found.cost_all_time) / LOOPS, found.cost.standard_error / LOOPS
 
 

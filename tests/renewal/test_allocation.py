@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taciturn.renewal.allocation import Clocked, Sharer, allocate
+from taciturn.renewal.allocation import Clocked, LoopClass, allocate
 
 EXAMPLES = settings(max_examples=30, deadline=None)
 
@@ -65,7 +65,7 @@ def test_no_other_rates_of_the_same_load_cost_less(seed: int, kinds: int, share:
     """The allocation loads the channel as asked, and random rates of that load cost as much or more."""
     draws = np.random.default_rng(seed)
     sharers = [
-        Sharer(error(int(draws.integers(2**32))), int(draws.integers(1, 9)), int(draws.integers(1, 4)))
+        LoopClass(error(int(draws.integers(2**32))), int(draws.integers(1, 9)), int(draws.integers(1, 4)))
         for _ in range(kinds)
     ]
     looks = np.array([sharer.count / sharer.every for sharer in sharers])
@@ -86,14 +86,14 @@ def test_no_other_rates_of_the_same_load_cost_less(seed: int, kinds: int, share:
 
 def test_all_send_always_where_there_is_room() -> None:
     """Nothing costs anything then, and a send has no price."""
-    found = allocate([Sharer(error(1), 3), Sharer(error(2), 4, 2)], 5)
+    found = allocate([LoopClass(error(1), 3), LoopClass(error(2), 4, 2)], 5)
     assert found.rates.tolist() == [1.0, 1.0]
     assert found.price == 0.0
     assert found.costs.tolist() == [0.0, 0.0]
 
 
 def test_the_least_rate_is_where_a_clock_costs_just_as_much() -> None:
-    """At the rate a look costs at most the limit, at the next lower one more."""
+    """At the rate a check costs at most the limit, at the next lower one more."""
     unit = np.eye(1)
     grows = Clocked(1.5 * unit, unit, unit)
     rate = grows.least_rate(1e6)

@@ -1,4 +1,4 @@
-"""No first crossing is missed: not two that coincide, nor one beside a jump, nor the first of several."""
+"""No first crossing is missed: not two that coincide, nor one next to a jump, nor the first of several."""
 
 from __future__ import annotations
 

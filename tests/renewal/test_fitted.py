@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from taciturn.errors import ProblemError
-from taciturn.renewal._lattice import Lattice
+from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.dual import PRECISE
 from taciturn.renewal.fitted import PATHS, SNAPSHOTS, fit_schedule, keep_errors
@@ -94,12 +94,12 @@ def test_what_is_hardly_ever_sent_is_refused() -> None:
     """A price beyond what a stable error ever costs, and an error that nothing moves."""
     with pytest.raises(ProblemError, match=r"less than once in 5000 checks; expected a lower price or threshold"):
         fit_schedule(0.5 * UNIT, UNIT, UNIT, 100.0)
-    with pytest.raises(ProblemError, match=r"reaches no direction of the error that silence costs; expected some"):
+    with pytest.raises(ProblemError, match=r"reaches no direction of the error that Γ weighs; expected at least one"):
         fit_schedule(UNIT, 0 * UNIT, UNIT, 1.0)
 
 
 def test_where_every_error_is_sent_there_are_errors_to_fit_to() -> None:
-    """A price that no error is below: the schedule sends always, at its price."""
+    """A price that no error is below: the schedule sends every sample, at its price."""
     found = fit_schedule(UNIT, UNIT, UNIT, 1e-9)
     assert found.interval == pytest.approx(1.0, abs=1e-3)
     assert found.gain == pytest.approx(1e-9, rel=1e-2)

@@ -264,7 +264,7 @@ def test_directions_that_no_noise_reaches_or_nothing_sees_do_not_count():
 
 
 def test_an_error_that_the_trigger_does_not_see_adds_its_own_cost():
-    """A walk beside a scalar chain costs, per kept check, a unit for each check since the last send."""
+    """A walk next to a scalar chain costs, per kept check, a unit for each check since the last send."""
     chain = Chain(np.diag([0.5, 1.0]), UNIT, np.diag([1.0, 0.0]), 1.0, UNIT)
     found, alone = solve_gaussian(chain), solve_gaussian(scalar(0.5, 1.0))
     ages = np.arange(200.0)
@@ -316,14 +316,14 @@ def test_an_accuracy_out_of_reach_is_told():
 @pytest.mark.parametrize(
     ("chain", "sentence"),
     [
-        (Chain(np.eye(4), np.eye(4), np.eye(4), 1.0, np.eye(4)), "4 directions .* at most 3 .* simulate"),
-        (Chain(np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0, UNIT), "fills 1 of the 2 directions"),
-        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing is ever sent"),
-        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing is ever sent"),
-        (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "grow without bound where Ψ does not see"),
+        (Chain(np.eye(4), np.eye(4), np.eye(4), 1.0, np.eye(4)), "4 directions .* at most 3; simulate"),
+        (Chain(np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0, UNIT), "excites 1 of the 2 directions"),
+        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing would ever be sent"),
+        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing would ever be sent"),
+        (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "grow without bound in a direction"),
         (Chain(0.99 * np.eye(3), np.eye(3), np.eye(3), 1e4, np.eye(3)), "spread over too many standard deviations"),
-        (scalar(0.0, 81.0), "settle to .* simulate instead"),
-        (Chain(UNIT, JumpNoise(UNIT, Jumps(1.0, UNIT), 1.0), UNIT, 1.0, UNIT), "the noise comes in jumps"),
+        (scalar(0.0, 81.0), "have a relative error of .* simulate instead"),
+        (Chain(UNIT, JumpNoise(UNIT, Jumps(1.0, UNIT), 1.0), UNIT, 1.0, UNIT), "the noise consists of jumps"),
     ],
 )
 def test_what_no_quadrature_serves_is_refused_with_a_sentence(chain, sentence):
@@ -341,7 +341,7 @@ def test_intervals_are_asked_in_any_shape_and_refuse_what_is_no_number_of_checks
     assert intervals.quantile(1e-300) == 1
     assert Intervals(np.array([1.0, 0.5]), 0.0).quantile(0.9) == 2  # what is left after the last is sent at once
     for wrong in (-1, [0.5], np.nan, "3", True):
-        with pytest.raises(ProblemError, match="no whole number"):
+        with pytest.raises(ProblemError, match="is not an integer"):
             intervals.beyond(wrong)
     with pytest.raises(ProblemError, match="checks is 0"):
         intervals.probability(0)

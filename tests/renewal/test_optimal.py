@@ -214,7 +214,7 @@ def test_at_its_own_rate_the_optimum_has_less_excess_than_a_threshold_of_that_ra
 
 
 def test_a_scheduler_that_looks_costs_less_than_any_period():
-    """One send in so many checks, without a look, is dearer at the same price."""
+    """One send in so many checks, without a check, is dearer at the same price."""
     F, price = TURNING, 6.0
     found = solve_optimal(F, SKEW, UNIT, price)
     covariance, total, costs = np.zeros((2, 2)), price, [price]
@@ -294,7 +294,7 @@ def test_a_region_with_a_gap_is_refused():
     """A strongly sheared neutral chain keeps errors on either side of some that it sends."""
     F = np.array([[2.27, 2.91], [-0.557, -0.273]])
     Gamma = np.diag([0.0014, 0.0107])
-    with pytest.raises(NoQuadratureError, match=r"lie between errors that should be kept.*near-optimal"):
+    with pytest.raises(NoQuadratureError, match=r"lie between errors that should not be sent.*near-optimal"):
         solve_optimal(F, UNIT, Gamma, 1.0, 1e-3)
 
 
@@ -308,10 +308,10 @@ def test_a_region_with_a_gap_is_refused():
         ((UNIT, UNIT, UNIT, 0.0), "price is 0; expected 0 < price"),
         ((UNIT, UNIT, UNIT, np.nan), "price is nan"),
         ((UNIT, UNIT, UNIT, 1.0, 2.0), "accuracy is 2; expected 0 < accuracy < 1"),
-        ((np.eye(4), np.eye(4), np.eye(4), 1.0), "4 directions .* at most 3 .* 'near-optimal'"),
-        ((np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0), "fills 1 of the 2 .* 'near-optimal'"),
-        ((UNIT, UNIT, 0 * UNIT, 1.0), "nothing is ever sent"),
-        ((UNIT, 0 * UNIT, UNIT, 1.0), "nothing is ever sent"),
+        ((np.eye(4), np.eye(4), np.eye(4), 1.0), "4 directions .* at most 3; .* 'near-optimal'"),
+        ((np.array([[0, 1.0], [0, 0]]), np.diag([0, 1.0]), UNIT, 1.0), "excites 1 of the 2 .* 'near-optimal'"),
+        ((UNIT, UNIT, 0 * UNIT, 1.0), "nothing would ever be sent"),
+        ((UNIT, 0 * UNIT, UNIT, 1.0), "nothing would ever be sent"),
         (([[0.0]], [[1.0]], [[1.0]], 100.0), "a lower price, or near-optimal"),
     ],
 )

@@ -14,7 +14,7 @@ import taciturn
 from taciturn.analyse.renewal import chain_of
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
-from taciturn.renewal import _walk, paths
+from taciturn.renewal import _randomisation, paths
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.paths import expect_quicker, solve_paths
@@ -102,7 +102,7 @@ def test_directions_that_nothing_sees_do_not_count():
 
 
 def test_a_cost_of_what_the_trigger_does_not_see_counts():
-    """A walk beside independent draws costs a unit per kept check since the last send: p/(1 − p) in the mean."""
+    """A walk next to independent draws costs a unit per kept check since the last send: p/(1 − p) in the mean."""
     chain = Chain(np.diag([0.0, 1.0]), UNIT, np.diag([1.0, 0.0]), 1.0, np.diag([0.0, 1.0]))
     kept = scipy.special.erf(1 / np.sqrt(2))
     found = solve_paths(chain, standard_error=1e-3)
@@ -111,8 +111,8 @@ def test_a_cost_of_what_the_trigger_does_not_see_counts():
 
 def test_the_weights_of_resampled_paths_stay_unbiased(monkeypatch):
     """Resampled in every check, from pseudo-random numbers alone, the paths have the survival that is known."""
-    monkeypatch.setattr(_walk, "DEGENERATE", 2.0)
-    monkeypatch.setattr(_walk, "DIMENSIONS", 0)
+    monkeypatch.setattr(_randomisation, "DEGENERATE", 2.0)
+    monkeypatch.setattr(_randomisation, "DIMENSIONS", 0)
     unit = np.eye(1)
     chain = Chain(0.7 * unit, unit, unit, 4.0, unit)
     exact, found = solve_gaussian(chain), solve_paths(chain, standard_error=2e-3)
@@ -138,7 +138,7 @@ def test_points_that_fill_space_beat_pseudo_random_ones(monkeypatch):
     """On short intervals the same number of paths has a tenth of the standard error, or less."""
     chain = large_chain(1, 4, 2, delta=1.0)
     even = solve_paths(chain, standard_error=0.5)
-    monkeypatch.setattr(_walk, "DIMENSIONS", 0)
+    monkeypatch.setattr(_randomisation, "DIMENSIONS", 0)
     random = solve_paths(chain, standard_error=0.5)
     assert even.paths == random.paths
     assert even.rate.standard_error < random.rate.standard_error / 3
@@ -186,7 +186,7 @@ def test_a_seed_decides_every_digit():
 def test_truncated_draws_stay_on_their_chord_however_far_out_it_is(low, high):
     """Finite, ordered, between the ends, with the share of the chord; where that is no number, it is 0."""
     uniform = np.array([2.0**-31, 0.3, 0.5, 0.9, 1 - 2.0**-31])
-    draws, share = _walk._truncated(np.full(5, low), np.full(5, high), uniform)
+    draws, share = _randomisation._truncated(np.full(5, low), np.full(5, high), uniform)
     assert (draws >= low).all()
     assert (draws <= high).all()
     assert (np.diff(draws) >= 0).all()
@@ -204,11 +204,11 @@ def test_short_intervals_are_expected_to_be_quicker_by_paths():
 @pytest.mark.parametrize(
     ("chain", "sentence"),
     [
-        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing is ever sent"),
-        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing is ever sent"),
+        (Chain(UNIT, 0 * UNIT, UNIT, 1.0, UNIT), "nothing would ever be sent"),
+        (Chain(UNIT, UNIT, 0 * UNIT, 1.0, UNIT), "nothing would ever be sent"),
         (Chain(0 * UNIT, UNIT, UNIT, 60.0, UNIT), "after 4096 checks one of 1 errors is not sent yet"),
-        (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "cost more and more where Γ sees what Ψ"),
-        (Chain(UNIT, JumpNoise(UNIT, Jumps(1.0, UNIT), 1.0), UNIT, 1.0, UNIT), "the noise comes in jumps"),
+        (Chain(np.diag([0.5, 2.0]), UNIT, np.diag([1.0, 0]), 1.0, UNIT), "grows without bound in a direction"),
+        (Chain(UNIT, JumpNoise(UNIT, Jumps(1.0, UNIT), 1.0), UNIT, 1.0, UNIT), "the noise consists of jumps"),
     ],
 )
 def test_what_paths_do_not_solve_is_refused_with_a_sentence(chain, sentence):
@@ -248,5 +248,5 @@ def test_a_weight_of_rank_one_is_one_chord_whatever_rounding_makes_of_its_other_
         rates.append(solve_paths(chain_of(loop), standard_error=1e-3).rate.value)
     falls = -np.diff(rates[:-1])
     assert falls.max() < 1.1 * falls.min()
-    simulated = average(loop, steps=4_000_000, seed=1).rates["actuator"]
+    simulated = average(loop, steps=4_000_000, seed=1).rates["actuator"].scaled(loop.policy.tick)  # per check
     assert abs(rates[-1] - simulated.value) <= 4 * simulated.standard_error

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.optimal import solve_optimal
-from taciturn.renewal.rare import bound_rare_sends
+from taciturn.renewal.rare_sends import bound_rare_sends
 
 
 @settings(max_examples=4, deadline=None)

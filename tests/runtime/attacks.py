@@ -73,8 +73,8 @@ def capture(file: str, ticks: int, key: bytes | None, epoch: int = 1, **changes:
 
 
 def await_ticks(processes: Processes, role: str, ticks: int) -> None:
-    """Wait until a node has logged so many ticks, at most half a minute."""
+    """Wait until a node has logged so many steps, at most half a minute."""
     log, latest = processes.folder / f"{role}.jsonl", time.monotonic() + 30
     while not log.exists() or log.read_bytes().count(b"\n") < ticks:
-        assert time.monotonic() < latest, f"the {role} did not log {ticks} ticks"
+        assert time.monotonic() < latest, f"the {role} did not log {ticks} steps"
         time.sleep(0.01)

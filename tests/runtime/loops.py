@@ -31,7 +31,7 @@ def open_program(loop: Loop) -> Program:
 
 
 def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True) -> tuple[Records, np.ndarray]:
-    """Return what a loop shows, (ticks, paths) by name, and the draws of its policy, (ticks, draws, paths)."""
+    """Return what a loop shows, (steps, paths) by name, and the draws of its policy, (steps, draws, paths)."""
     program = open_program(loop)
     draws = np.random.default_rng(seed)
     normal = [name.startswith(NORMAL) for name in program.inputs]
@@ -44,13 +44,13 @@ def record(loop: Loop, ticks: int, seed: int, paths: int = 1, fast: bool = True)
 
 
 def column(records: Records, name: str, path: int = 0) -> np.ndarray:
-    """Return the entries of a signal, (ticks, entries)."""
+    """Return the entries of a signal, (steps, entries)."""
     keys = sorted((key for key in records if key.rpartition(" ")[0] == name), key=lambda key: int(key.split()[-1]))
     return np.array([records[key][:, path] for key in keys]).T
 
 
 def differing_ticks(loop: Loop, records: Records, draws: np.ndarray, path: int = 0) -> tuple[list[int], int]:
-    """Run the nodes on what a loop measured and lost; return the ticks in which a bit differs, and the packets sent."""
+    """Run the nodes on what a loop measured and lost; return the steps in which a bit differs, and the packets sent."""
     policy = loop.policy
     nodes = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
     y, applied = column(records, "y", path), column(records, "applied", path)

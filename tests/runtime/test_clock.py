@@ -1,4 +1,4 @@
-"""Listeners take the phase of the ticks from the packets that arrive."""
+"""Listeners take the phase of the steps from the packets that arrive."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TICK = 0.01
 @given(st.floats(-5e-4, 5e-4), st.integers(0, 2**32 - 1))
 @settings(max_examples=10)
 def test_the_phase_follows_a_clock_that_drifts(drift: float, seed: int) -> None:
-    """With packets up to half a tick late and clocks that differ by 500 ppm, ticks are told within a fifth of one."""
+    """With packets up to half a step late and clocks that differ by 500 ppm, steps are told within a fifth of one."""
     draws, phase, off = np.random.default_rng(seed), Phase(TICK), []
     for k in range(4000):
         began = 3.0 + k * TICK * (1 + drift)

@@ -37,7 +37,7 @@ from taciturn.model.places import roles
 from taciturn.program import numpy as interpreter
 from taciturn.program.draws import NORMAL
 from taciturn.runtime.node import Node
-from taciturn.runtime.nodes import Turns
+from taciturn.runtime.nodes import StepFunction
 from taciturn.runtime.packet import Packet
 
 NAMES = (
@@ -57,14 +57,14 @@ def build(name: str) -> Loop:
 
 
 def respond(system: control.NonlinearIOSystem, inputs: np.ndarray, start: object = 0) -> np.ndarray:
-    """Return what a system answers, (ticks, outputs), given its inputs, (ticks, inputs)."""
+    """Return what a system answers, (steps, outputs), given its inputs, (steps, inputs)."""
     times = np.arange(len(inputs)) * system.dt
     found = control.input_output_response(system, times, inputs.T, start, squeeze=False)
     return found.outputs.T
 
 
 def nodes_apart(loop: Loop, y: np.ndarray, seed: int) -> np.ndarray:
-    """Return what nodes that exchange packets apply and send, (ticks, outputs), on the draws of a seed."""
+    """Return what nodes that exchange packets apply and send, (steps, outputs), on the draws of a seed."""
     policy = loop.policy
     apart = {role: Node(policy, role, network=loop.network) for role in roles(policy)}
     together, own = Nodes(policy, loop.network, seed), drawn_by_the_policy(loop)
@@ -133,7 +133,7 @@ def test_bursts_and_clipped_inputs_are_those_of_the_nodes() -> None:
 
 
 def test_a_policy_for_a_continuous_plant_has_the_bits_of_its_nodes() -> None:
-    """An actuator that predicts between ticks; its system has the seconds of a tick."""
+    """An actuator that predicts between steps; its system has the seconds of a step."""
     plant = ContinuousPlant([[0.0, 1.0], [0.5, -0.2]], [[0.0], [1.0]], np.eye(2))
     loop = taciturn.close(plant, design.consistent(plant, WEIGHTS, period=0.1))
     assert assert_same(loop, seed=2)[:, -1].any()
@@ -191,7 +191,7 @@ def test_a_loop_in_python_control_has_the_bits_of_the_loop(lossy: bool) -> None:
     else:
         plant, policy = TWO, design.stochastic(TWO, WEIGHTS, scale=0.5)
     loop, ticks, seed = taciturn.close(plant, policy), 80, 4
-    program, turns = open_program(loop), Turns(loop.open_program(), loop.network, seed)
+    program, turns = open_program(loop), StepFunction(loop.open_program(), loop.network, seed)
     normal = [name for name in program.inputs if name.startswith(NORMAL)]
     z = np.random.default_rng(seed).standard_normal((ticks, len(normal)))
     supplied = np.empty((ticks, len(program.inputs), 1))
@@ -296,7 +296,7 @@ def test_what_is_no_plant_policy_or_loop_is_refused() -> None:
     policy = build("lossy tcp").policy
     loop = taciturn.close(policy.model, policy)
     with pytest.raises(ProblemError, match=r"thing is Problem\(.*; expected a Plant or a Cont"):
-        to_control(taciturn.load("two-mass"))
+        to_control(taciturn.load("two-mass-lqg"))
     for thing in (loop, policy.model):
         with pytest.raises(ProblemError, match=f"network is given for a {type(thing).__name__}; expected it for a Po"):
             to_control(thing, network=Network())
@@ -327,7 +327,7 @@ def test_without_python_control_one_sentence_says_what_to_install(monkeypatch: p
         with pytest.raises(ProblemError) as found:
             call()
         assert str(found.value) == (
-            "python-control is not installed; expected it for to_control and from_control: "
+            "python-control is not installed, but to_control and from_control require it: "
             "pip install 'taciturn[control]'"
         )
     assert Nodes(policy).step([1.0]).shape == (1,)

@@ -38,7 +38,7 @@ def changed(fates: dict, **what: float) -> dict:
 
 
 def test_chapter_7_over_three_processes_costs_and_sends_what_the_loop_does(tmp_path: Path) -> None:
-    """20 seeds of 1,000 ticks: cost and rate within three standard errors of the simulated loop."""
+    """20 seeds of 1,000 steps: cost and rate within three standard errors of the simulated loop."""
     file = chapter_7(tmp_path)
     expected = taciturn.evaluate(taciturn.load(file))
     runs = [run_network(file, ticks=1000, seed=seed) for seed in range(20)]
@@ -76,7 +76,7 @@ def test_links_that_do_worse_cost_what_their_losses_cost(tmp_path: Path, fault: 
 @pytest.mark.parametrize("kept", [True, False], ids=["with its state", "without its state"])
 @pytest.mark.parametrize("role", ["sensor", "controller", "actuator"])
 def test_a_node_that_is_killed_in_real_time_rejoins(tmp_path: Path, role: str, kept: bool) -> None:
-    """kill -9 at 50 Hz, and a start a moment later: the state stays bounded, and the loop goes on by itself."""
+    """kill -9 at 50 Hz, and a start a moment later: the state stays bounded, and the loop continues by itself."""
     away = []
 
     def kill(processes: Processes) -> None:
@@ -99,14 +99,14 @@ def test_a_node_that_is_killed_in_real_time_rejoins(tmp_path: Path, role: str, k
 
 @pytest.mark.parametrize("role", ["sensor", "controller", "actuator"])
 def test_a_clock_that_stands_still_and_jumps_is_borne(tmp_path: Path, role: str) -> None:
-    """A node is stopped for half a second and goes on: to it, the clock has jumped by 25 ticks."""
+    """A node is stopped for half a second and continues: to it, the clock has jumped by 25 steps."""
 
     def pause(processes: Processes) -> None:
         await_ticks(processes, role, 60)
         processes.running[role].pause(0.5)
 
     found = run_network(chapter_7(tmp_path), ticks=250, tick=TICK, seed=2, meanwhile=pause)
-    shown(f"{role} stopped for 25 ticks", found)
+    shown(f"{role} stopped for 25 steps", found)
     assert_added_up(found)
     assert found.reports["plant"]["largest_state"] < 100
     assert found.costs[-50:].mean() < 10.0

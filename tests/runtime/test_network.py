@@ -64,7 +64,7 @@ def patient() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def quiet(tmp_path_factory: pytest.TempPathFactory) -> NetworkRun:
-    """Return a run of 300 ticks that nothing disturbs."""
+    """Return a run of 300 steps that nothing disturbs."""
     with patient():
         return run_network(chapter_7(tmp_path_factory.mktemp("quiet")), ticks=TICKS, seed=2, key=KEY)
 
@@ -75,7 +75,7 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
     assert quiet.costs.tobytes() == by_hand(chapter_7(tmp_path), TICKS, 2).tobytes()
     assert_added_up(quiet)
     lost = quiet.datagrams["sensor"]["lost"]
-    assert quiet.datagrams["sensor"] == {"sent": TICKS, "delivered": TICKS - lost, "lost": lost}
+    assert quiet.datagrams["sensor"] == {"sent": TICKS, "delivered": TICKS - lost, "lost": lost, "marks": TICKS}
     assert 40 < lost < 110
     document = json.loads(json.dumps(quiet.document()))
     assert {"policy", "unit", "cost", "cost_all_time", "cost_bound", "rates", "datagrams", "seed", "seconds"} <= set(
@@ -85,7 +85,7 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
 
 
 def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
-    """One row per tick, and a picture of costs and sends."""
+    """One row per step, and a picture of costs and sends."""
     table = quiet.to_pandas()
     assert len(table) == len(quiet.costs) == TICKS
     assert table["sent_sensor"].all()
@@ -107,7 +107,7 @@ loss_bad = 0.7
 
 
 def assert_by_hand(folder: Path, problem: str, ticks: int) -> None:
-    """Check that processes and nodes in memory cost the same, bit for bit, at every tick."""
+    """Check that processes and nodes in memory cost the same, bit for bit, at every step."""
     if "[plant]" in problem:
         (folder / "problem.toml").write_text(problem, encoding="utf-8")
         problem = str(folder / "problem.toml")
@@ -118,7 +118,7 @@ def assert_by_hand(folder: Path, problem: str, ticks: int) -> None:
 
 
 @pytest.mark.parametrize(
-    "problem", few(["remote-scalar", "two-mass", DELAYED], 1, 2), ids=lambda text: text[:16].strip()
+    "problem", few(["remote-scalar", "two-mass-lqg", DELAYED], 1, 2), ids=lambda text: text[:16].strip()
 )
 def test_processes_do_what_nodes_in_memory_do(tmp_path: Path, problem: str) -> None:
     """Whichever node is ahead of another: the same bits as stepping the nodes one after the other."""
@@ -132,7 +132,7 @@ def test_processes_do_what_nodes_in_memory_do(tmp_path: Path, problem: str) -> N
     ids=["remote", "sampled", "pendulum", "consistent", "bursts", "tcp, delayed"],
 )
 def test_processes_do_what_nodes_in_memory_do_for_long(tmp_path: Path, problem: str) -> None:
-    """Every kind of link and place, two thousand ticks."""
+    """Every kind of link and place, two thousand steps."""
     horizon = taciturn.load(problem).cost.horizon if "[plant]" not in problem else None
     assert_by_hand(tmp_path, problem, horizon or 2000)
 
@@ -177,7 +177,7 @@ def test_doubled_packets_change_nothing_and_are_counted(tmp_path: Path, quiet: N
     assert_added_up(found)
     assert quiet.nominal
     assert found.document()["cost_bound"] is None
-    told = "the actuator link treats packets otherwise than the network of the design: no guarantee holds"
+    told = "the actuator link treats packets differently from the network of the design: no guarantee holds"
     assert told in found.notes
     for link, role in (("sensor", "controller"), ("actuator", "actuator")):
         doubled = found.reports[f"relay {link}"]["counters"]["duplicated"]
@@ -203,7 +203,7 @@ def test_a_killed_node_rejoins_from_its_state(tmp_path: Path, quiet: NetworkRun)
 
 
 def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
-    """100 ticks at 100 Hz by the clock: every datagram accounted for, lateness told."""
+    """100 steps at 100 Hz by the clock: every datagram accounted for, lateness told."""
     found = run_network(chapter_7(tmp_path), ticks=100, tick=0.01, seed=1)
     assert_added_up(found)
     assert len(found.costs) == 100
@@ -213,7 +213,7 @@ def test_in_real_time_nothing_is_lost_either(tmp_path: Path) -> None:
 
 def test_a_process_that_takes_too_long_is_not_told_to_have_ended(monkeypatch: pytest.MonkeyPatch) -> None:
     """One that listens too late, one that does not end when it is asked to, and one that has ended."""
-    silent = Process(["export", "two-mass", "--c", "/dev/null/nodes"], "the export")
+    silent = Process(["export", "two-mass-lqg", "--c", "/dev/null/nodes"], "the export")
     with monkeypatch.context() as patch:
         patch.setattr(Process, "alive", True)
         patch.setattr("taciturn.runtime.processes.PATIENCE", 0.0)

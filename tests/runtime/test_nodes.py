@@ -52,14 +52,14 @@ def assert_same(loop: Loop, ticks: int, seed: int, fast: bool) -> None:
 
 @pytest.mark.parametrize("name", few([*POLICIES, *CONTINUOUS], 9))
 def test_nodes_decide_as_the_numpy_program(name: str) -> None:
-    """Every policy with a tick: 200 ticks against NumPy itself."""
+    """Every policy with a step: 200 steps against NumPy itself."""
     assert_same(build(name), 200, 3, fast=False)
 
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", [*POLICIES, *CONTINUOUS])
 def test_nodes_decide_as_the_program_for_100_000_ticks(name: str) -> None:
-    """Every policy with a tick: 100,000 ticks in a row, against the build that has the bits of NumPy."""
+    """Every policy with a step: 100,000 steps in a row, against the build that has the bits of NumPy."""
     assert_same(build(name), 100_000, 4, fast=True)
 
 
@@ -94,7 +94,7 @@ def test_rounding_is_within_half_a_step() -> None:
 
 def test_a_rounded_loop_has_no_guarantee() -> None:
     """The theory knows no rounding: the loop says so."""
-    problem = taciturn.load("two-mass").changed({"network.payload": "int16", "network.actuator_range": 5.0})
+    problem = taciturn.load("two-mass-lqg").changed({"network.payload": "int16", "network.actuator_range": 5.0})
     found = taciturn.evaluate(problem, steps=200_000)
     assert found.cost_bound is None
     assert any("int16" in note for note in found.notes)
@@ -102,7 +102,7 @@ def test_a_rounded_loop_has_no_guarantee() -> None:
 
 def masses(role: str, **options: object) -> Node:
     """Return a node of the two masses, whose theory takes every packet to arrive."""
-    return Node(taciturn.load("two-mass").design(), role, **options)  # type: ignore[arg-type]
+    return Node(taciturn.load("two-mass-lqg").design(), role, **options)  # type: ignore[arg-type]
 
 
 def data(tick: int, sequence: int, value: float = 1.0, epoch: int = 0, link: str = "actuator", loop: int = 0) -> Packet:
@@ -126,7 +126,7 @@ def test_each_packet_is_counted_once() -> None:
 
 
 def test_the_newest_packet_of_a_tick_wins() -> None:
-    """Of two packets for one tick the later sequence is used, in whichever order they come."""
+    """Of two packets for one step the later sequence is used, in whichever order they come."""
     for order in ((0, 1), (1, 0)):
         node = masses("actuator")
         both = [data(0, 0, 1.0), data(0, 1, 2.0)]
@@ -147,6 +147,21 @@ def test_a_late_packet_is_used_where_none_may_be_lost_and_lost_where_some_are() 
     assert lossy.counters["late"] == 1
 
 
+def test_the_newest_command_wins() -> None:
+    """A late packet never replaces a newer one that a step has read, and of two late packets the newer one is used."""
+    node = masses("actuator")
+    node.step(0, packets=[data(0, 0, 1.0)])
+    node.step(2, packets=[data(2, 2, 3.0)])
+    assert node.step(3).input == (3.0,)
+    assert node.step(4, packets=[data(1, 1, 2.0)]).input == (3.0,)
+    assert node.counters["late"] == 1
+    assert node.step(6).input == (3.0,)
+    saved = node.save()
+    assert node.step(7, packets=[data(4, 4, 5.0), data(3, 3, 4.0)]).input == (5.0,)
+    node.restore(saved)
+    assert node.step(7, packets=[data(1, 5, 2.0)]).input == (3.0,)
+
+
 def test_a_lost_packet_degrades_where_none_may_be_lost_until_it_is_forgotten() -> None:
     """A gap in the sequence is seen at the next packet; after seven time constants the node is whole again."""
     node = masses("actuator")
@@ -161,7 +176,7 @@ def test_a_lost_packet_degrades_where_none_may_be_lost_until_it_is_forgotten() -
 
 
 def test_the_watchdog_makes_the_input_safe_and_lets_it_go() -> None:
-    """After so many silent ticks the input is the safe one; a mark ends the silence."""
+    """After so many silent steps the input is the safe one; a mark ends the silence."""
     for safe, expected in (("hold", (2.0,)), ("zero", (0.0,)), ((-1.5,), (-1.5,))):
         node = masses("actuator", watchdog=3, safe=safe)
         node.step(0, packets=[data(0, 0, 2.0)])
@@ -169,7 +184,39 @@ def test_the_watchdog_makes_the_input_safe_and_lets_it_go() -> None:
         assert not node.silent
         assert node.step(3).input == expected
         assert node.silent
-        assert node.step(4, packets=[Packet("mark", "actuator", 4, 0)]).input == (2.0,)
+        assert node.degraded
+        assert node.step(4).input == expected
+        assert node.reasons["silent"] == 1
+        assert node.step(5, packets=[Packet("mark", "actuator", 5, 0)]).input == (2.0,)
+
+
+def test_a_watchdog_without_a_safe_input_degrades_the_node_alone() -> None:
+    """A controller and an actuator that continue with the policy's input report that they receive nothing."""
+    model = taciturn.load("two-mass").design()
+    for watchdog in (None, 3):
+        actuator = Node(model, "actuator", watchdog=watchdog, safe=None)
+        controller = Node(model, "controller")
+        first = controller.step(0, [1.0, 0.5]).packets
+        inputs = [actuator.step(0, packets=first).input, *(actuator.step(tick).input for tick in range(1, 8))]
+        assert len(set(inputs)) == 8
+        assert actuator.silent == actuator.degraded == (watchdog is not None)
+
+
+def test_marks_are_sent_only_after_so_many_steps_without_a_packet() -> None:
+    """Every third step without data, never next to data; without a number, after every step."""
+    node = masses("controller")
+    marks = []
+    for tick in range(12):
+        packets, _ = node.step(tick, [0.0, 0.0] if tick != 4 else [100.0, 0.0])
+        marks.append((len(packets), len(node.mark(3))))
+    sent = [tick for tick, (data_sent, _) in enumerate(marks) if data_sent]
+    quiet = [tick for tick, (_, marked) in enumerate(marks) if marked]
+    assert 4 in sent
+    assert not set(sent) & set(quiet)
+    events = sorted(sent + quiet)
+    assert max(np.diff(events)) <= 3
+    assert all(tick - max([at for at in events if at < tick], default=-3) >= 3 for tick in quiet)
+    assert [len(node.mark()), len(node.mark())] == [1, 1]
 
 
 def test_a_tick_is_gone_through_once() -> None:
@@ -228,25 +275,25 @@ def test_what_is_no_state_of_this_node_is_refused() -> None:
     with pytest.raises(ProblemError, match=r"role 'controller'; expected 'actuator'"):
         masses("actuator").restore(saved)
     with pytest.raises(ProblemError, match="fingerprint"):
-        Node(taciturn.load("two-mass").changed({"theta": 0.2}).design(), "controller").restore(saved)
+        Node(taciturn.load("two-mass-lqg").changed({"theta": 0.2}).design(), "controller").restore(saved)
     with pytest.raises(ProblemError, match="no saved state"):
         masses("controller").restore({**saved, "memory": []})
 
 
 def test_bad_nodes_are_refused() -> None:
     """Roles that share a place, watchdogs without food, safe inputs of another size, measurements that are none."""
-    with pytest.raises(ProblemError, match="place of the controller"):
+    with pytest.raises(ProblemError, match="site of the controller"):
         masses("sensor")
     with pytest.raises(ProblemError, match="not a role"):
         masses("pilot")
-    with pytest.raises(ProblemError, match="no input to make safe"):
+    with pytest.raises(ProblemError, match="receives no packets"):
         masses("controller", watchdog=3)
     with pytest.raises(ProblemError, match="1 finite numbers"):
         masses("actuator", safe=(1.0, 2.0))
     for measurement in (None, [1.0], [float("nan"), 0.0]):
-        with pytest.raises(ProblemError, match="2 finite numbers at each tick"):
+        with pytest.raises(ProblemError, match="2 finite numbers at each step"):
             masses("controller").step(0, measurement)
-    with pytest.raises(ProblemError, match="no node evaluates"):
+    with pytest.raises(ProblemError, match="nodes cannot evaluate"):
         taciturn.load("wiener-double-integrator").changed({"kind": "optimal", "theta": None, "price": 0.1}).design()
 
 
@@ -258,12 +305,12 @@ def test_nodes_that_cannot_be_separated_are_refused() -> None:
 
     policy = taciturn.load("lossy-double-integrator").design()
     together = replace(policy, sites=(frozenset({"controller", "actuator"}),))
-    with pytest.raises(ProblemError, match="begins and ends at one place"):
+    with pytest.raises(ProblemError, match="begins and ends at one site"):
         Node(together, "controller")
     sent = next(i for i, step in enumerate(policy.steps) if isinstance(step, Send) and step.link == "actuator")
     changed = Assign("controller", "command", {"command": [[2.0]]})
     behind = replace(policy, steps=(*policy.steps[: sent + 1], changed, *policy.steps[sent + 1 :]))
-    with pytest.raises(ProblemError, match="command changes between the packet"):
+    with pytest.raises(ProblemError, match="command changes after the packet"):
         Node(behind, "actuator")
 
 

@@ -1,4 +1,4 @@
-"""Plants that are not linear beside nodes: over UDP, in python-control, and with nodes in C."""
+"""Plants that are not linear next to nodes: over UDP, in python-control, and with nodes in C."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_a_simulated_plant_that_gives_no_number_says_which() -> None:
         problem.design()
     ))  # fmt: skip
     simulated.move([0.0, 7.0, 0.0])
-    with pytest.raises(ProblemError, match=r"^the loop takes .* nan as state 2 at tick 2, from x = \[0.0, 1"):
+    with pytest.raises(ProblemError, match=r"^the loop drives .* nan as state 2 at step 2, from x = \[0.0, 1"):
         simulated.move([0.0, 0.0, 0.0])
 
 

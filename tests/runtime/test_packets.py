@@ -139,11 +139,19 @@ def test_keys_are_read_from_files_and_from_the_environment(tmp_path: Path, monke
     """Hexadecimal digits of 16 to 32 bytes; whatever else is refused in a sentence."""
     path = tmp_path / "key"
     path.write_text(KEY.hex() + "\n")
+    path.chmod(0o640)
+    with pytest.raises(ProblemError, match=r"has the mode 0640, with which other users can read it; expected 0600"):
+        read_key(path)
+    path.chmod(0o600)
     assert read_key(path) == KEY
     monkeypatch.setenv("TACITURN_KEY", KEY[:16].hex())
     assert read_key() == KEY[:16]
     monkeypatch.setenv("TACITURN_KEY", "")
-    assert read_key() is None
+    assert read_key(hosts=["127.0.0.1", "::1"]) is None
+    with pytest.raises(ProblemError, match=r"TACITURN_KEY is empty, so packets from and to 0\.0\.0\.0 would not be"):
+        read_key(hosts=["127.0.0.1", "0.0.0.0"])
+    monkeypatch.delenv("TACITURN_KEY")
+    assert read_key(hosts=["0.0.0.0"]) is None
     for text, sentence in (("00" * 15, "holds 15 bytes"), ("00" * 33, "holds 33 bytes"), ("secret", "hexadecimal")):
         path.write_text(text)
         with pytest.raises(ProblemError, match=sentence):
@@ -221,7 +229,7 @@ def fuzz(count: int, seed: int, key: bytes | None) -> Counter[str]:
             fate["accepted"] += 1
             assert key is None or datagram in genuine
             for node in nodes:
-                node.sort_in([packet])
+                node.sort_in(packet)
         if i % 997 == 0:
             for node in nodes:
                 node.step(node.tick + 1)

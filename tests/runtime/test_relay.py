@@ -15,11 +15,11 @@ from taciturn.errors import ProblemError
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.relay import EmulatedLink, Fate
 
-WIRE = Wire(taciturn.load("two-mass").design())
+WIRE = Wire(taciturn.load("two-mass-lqg").design())
 
 
 def datagram(k: int, kind: str = "data") -> bytes:
-    """Return packet k of tick k."""
+    """Return packet k of step k."""
     return WIRE.encode(Packet(kind, "actuator", k, k, (0.5,) if kind == "data" else ()))  # type: ignore[arg-type]
 
 
@@ -41,7 +41,7 @@ def test_losses_are_independent_with_their_probability(loss: float, seed: int) -
 @given(st.floats(0.05, 0.9), st.floats(0.05, 0.9), st.integers(0, 2**32))
 @settings(max_examples=5, deadline=None)
 def test_bursts_have_the_law_of_gilbert_and_elliott(to_bad: float, to_good: float, seed: int) -> None:
-    """Where bad loses everything and good nothing, turns and shares are those of the chain, from the first tick on."""
+    """Where bad loses everything and good nothing, turns and shares are those of the chain, from the first step on."""
     burst = Burst(to_bad, to_good, 0.0, 1.0)
     fate = Fate(seed, burst=burst)
     bad = np.array([fate.lost(k, k) for k in range(6000)])
@@ -101,7 +101,7 @@ def test_delays_are_kept_and_marks_overtake_nothing() -> None:
 
 
 def test_impossible_links_are_refused() -> None:
-    """Probabilities, times, and loss beside bursts; what is too short for a packet is dropped."""
+    """Probabilities, times, and loss next to bursts; what is too short for a packet is dropped."""
     for wrong in ({"loss": 1.5}, {"duplicate": -0.1}, {"delay": -1.0}, {"hold": -1}, {"seed": -1}):
         with pytest.raises(ProblemError, match="expected"):
             Fate(**wrong)  # type: ignore[arg-type]

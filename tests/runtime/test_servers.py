@@ -16,7 +16,7 @@ from taciturn.runtime.serve import NodeServer
 from taciturn.runtime.udp import Endpoint
 from taciturn.runtime.world import PlantServer
 
-PROBLEM = taciturn.load("two-mass")
+PROBLEM = taciturn.load("two-mass-lqg")
 POLICY = PROBLEM.design()
 WIRE = Wire(POLICY)
 TICK = 0.02
@@ -43,19 +43,19 @@ def soon(seconds: float) -> Callable[[], bool]:
 
 
 def measured(tick: int, epoch: int = 100, sequence: int | None = None) -> bytes:
-    """Return the measurement of a tick."""
+    """Return the measurement of a step."""
     number = tick if sequence is None else sequence
     return WIRE.encode(Packet("measurement", "plant", tick, number, (0.5, -0.5), epoch))
 
 
 def given(tick: int, value: float, epoch: int = 100, sequence: int | None = None) -> bytes:
-    """Return the input of a tick."""
+    """Return the input of a step."""
     return WIRE.encode(Packet("input", "plant", tick, tick if sequence is None else sequence, (value,), epoch))
 
 
 @pytest.mark.parametrize("tick", [None, TICK], ids=["virtual time", "real time"])
 def test_measurements_of_far_ticks_and_of_old_epochs_are_dropped(here: Endpoint, tick: float | None) -> None:
-    """A node goes on with the present: what cannot have begun, and what is old, changes nothing and is counted."""
+    """A node continues with the present: what cannot have begun, and what is old, changes nothing and is counted."""
     server = serving("controller", here, tick)
     with server.endpoint:
         to = server.endpoint.address
@@ -95,7 +95,7 @@ def test_an_answer_is_given_again_but_not_often(here: Endpoint) -> None:
 
 
 def test_refused_packets_do_not_move_the_clock(here: Endpoint) -> None:
-    """Copies of one old packet are counted, and the actuator keeps its ticks."""
+    """Copies of one old packet are counted, and the actuator keeps its steps."""
     server = serving("actuator", here, TICK)
     with server.endpoint:
         to, began = server.endpoint.address, time.monotonic()
@@ -112,7 +112,7 @@ def test_refused_packets_do_not_move_the_clock(here: Endpoint) -> None:
 
 
 def test_a_node_that_was_away_for_long_takes_the_clock_from_packets_far_ahead(here: Endpoint) -> None:
-    """After 190 ticks it drops what comes until eight packets in a row agree on the time, and uses the next."""
+    """After 190 steps it drops what comes until eight packets in a row agree on the time, and uses the next."""
     server = serving("actuator", here, TICK)
     with server.endpoint, ThreadPoolExecutor() as thread:
         running, began = thread.submit(server.run, 213, soon(5.0)), time.monotonic()
@@ -126,8 +126,30 @@ def test_a_node_that_was_away_for_long_takes_the_clock_from_packets_far_ahead(he
     assert report["counters"]["used"] >= 4
 
 
+def test_the_watchdog_runs_before_the_first_step(here: Endpoint) -> None:
+    """An actuator that receives only packets of another policy applies its safe input, is degraded, and says why."""
+    said: list[str] = []
+    node = Node(POLICY, "actuator", watchdog=5, safe=(-1.5,), epoch=100)
+    there = Endpoint(("127.0.0.1", 0))
+    server = NodeServer([node], WIRE, there, plant=here.address, tick=TICK, say=said.append)
+    with server.endpoint:
+        here.send(b"noise", there.address)
+        report = server.run(None, soon(12 * TICK))
+        packets = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.2)]
+        assert len(packets) >= 2
+        assert {(packet.values, packet.epoch, packet.tick) for packet in packets} == {((-1.5,), 99, 0)}
+        assert report["degraded"] == {"silent": 1}
+        assert len(said) == 1
+        assert "no usable packet for 5 steps" in said[0]
+        assert "1 malformed" in said[0]
+        here.send(WIRE.encode(Packet("data", "actuator", 7, 0, (0.1,), 100)), there.address)
+        server.run(8, soon(2.0))
+    assert not node.silent
+    assert node.step(9).input == (0.1,)
+
+
 def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> None:
-    """A plant applies at tick k what was computed for tick k, also where the next one has come already."""
+    """A plant applies at step k what was computed for step k, also where the next one has come already."""
     loop = PROBLEM.close(POLICY)
     with Endpoint(("127.0.0.1", 0)) as endpoint:
         plant = SimulatedPlant(loop, 1)
@@ -148,7 +170,7 @@ def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> 
     ("own", "other", "why", "told"),
     [
         (WIRE, Wire(PROBLEM.changed({"theta": 0.7}).design()), "foreign", "of another policy"),
-        (WIRE, Wire(POLICY, key=b"k" * 32), "foreign", "with and without a key"),
+        (WIRE, Wire(POLICY, key=b"k" * 32), "foreign", "with a key on one side only"),
         (Wire(POLICY, key=b"k" * 32), WIRE, "malformed", "too short for the tag of a key"),
         (Wire(POLICY, key=b"k" * 32), Wire(POLICY, key=b"l" * 32), "forged", "of another key"),
     ],
@@ -187,4 +209,4 @@ def test_a_plant_without_inputs_says_whom_it_waits_for(here: Endpoint, monkeypat
         assert said == []
         server.run(1, soon(1.5))
     assert 2 <= len(said) <= 3
-    assert f"tick 0 from the nodes behind {here.address[0]}:{here.address[1]}: do all of them run" in said[0]
+    assert f"step 0 from the nodes behind {here.address[0]}:{here.address[1]}: are all nodes running" in said[0]

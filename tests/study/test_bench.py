@@ -15,14 +15,14 @@ from taciturn.study import bench
 
 RUN = """
 import sys, taciturn
-found = taciturn.evaluate(taciturn.load("two-mass"), steps=int(float(sys.argv[1])))
+found = taciturn.evaluate(taciturn.load("two-mass-lqg"), steps=int(float(sys.argv[1])))
 lines = open("/proc/self/status").read().splitlines()
 print(found.steps, next(line.split()[1] for line in lines if line.startswith("VmHWM")))
 """
 
 
 def test_the_main_ratios_are_printed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """As one JSON document, and for people, from a tenth of the usual ticks."""
+    """As one JSON document, and for people, from a tenth of the usual steps."""
     monkeypatch.setattr(bench, "TICKS", bench.TICKS // 10)
     told: list[float] = []
     found = bench.bench(3, told.append)
@@ -40,7 +40,7 @@ def test_the_main_ratios_are_printed(capsys: pytest.CaptureFixture[str], monkeyp
 
 
 def test_the_contestants_run_the_same_law() -> None:
-    """Their rates of sending agree to the first ticks and standard errors."""
+    """Their rates of sending agree to the first steps and standard errors."""
     rates = {name: run(1)[1] for name, run in bench.contestants(bench.masses()).items()}
     assert max(rates.values()) - min(rates.values()) < 0.01
     assert min(rates.values()) > 0.5
@@ -49,7 +49,7 @@ def test_the_contestants_run_the_same_law() -> None:
 def test_without_an_engine_there_is_nothing_to_measure(monkeypatch: pytest.MonkeyPatch) -> None:
     """It says so."""
     monkeypatch.setattr(machine, "available", lambda: False)
-    with pytest.raises(ProblemError, match="llvmlite is missing"):
+    with pytest.raises(ProblemError, match="llvmlite is not installed"):
         bench.bench()
 
 

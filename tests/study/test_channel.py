@@ -50,7 +50,7 @@ def test_round_robin_gives_each_its_turn() -> None:
 
 
 def test_time_division_keeps_rates_and_capacity() -> None:
-    """Everyone's number of sends is its rate times the ticks, within one; intervals are the two nearest to 1/rate."""
+    """Everyone's number of sends is its rate times the steps, within one; intervals are the two nearest to 1/rate."""
     rates = np.repeat([0.4, 0.25, 0.125], [5, 4, 8])
     phases = np.concatenate([(np.arange(n) + 0.5) / n for n in (5, 4, 8)])
     access, everybody = TimeDivision(4, rates, phases), np.arange(17)
@@ -74,7 +74,7 @@ def test_a_saturated_random_access_carries_one_in_e() -> None:
 
 
 def test_two_who_meet_in_the_only_slot_both_fail() -> None:
-    """With one slot a tick has one packet, or none gets through."""
+    """With one slot a step has one packet, or none gets through."""
     access = RandomAccess(1, seed=3)
     grants = [access.grant(tick, np.arange(2), np.ones((50, 2))) for tick in range(40)]
     assert all((grant.sent.sum(axis=1) == (grant.busy == 1)).all() for grant in grants)
@@ -103,7 +103,7 @@ def test_the_machine_and_numpy_take_the_same_ticks(monkeypatch: pytest.MonkeyPat
 
 
 def test_a_loop_that_looks_half_as_often_counts_as_it_should() -> None:
-    """Round robin of loops that look at every tick and at every other one: exact rates and costs."""
+    """Round robin of loops that look at every step and at every other one: exact rates and costs."""
     slow = Group(UNIT, UNIT, 2 * UNIT, Form(constant=1.0), 8, every=2)
     quick = Group(UNIT, UNIT, UNIT, Form(constant=1.0), 8)
     channel = SharedChannel([slow, quick], RoundRobin(4, 16), channels=400)
@@ -150,7 +150,7 @@ def test_loops_that_all_can_send_always_cost_no_more() -> None:
 
 @pytest.mark.evidence
 def test_loops_that_decay_are_left_alone_where_sends_are_dear() -> None:
-    """Beside loops that wander, one that forgets quickly gets nothing, and nobody is refused."""
+    """Next to loops that wander, one that forgets quickly gets nothing, and nobody is refused."""
     calm = Problem(Plant([[0.2]], [[1.0]], [[1e-3]]), WALK.cost, Network(), "all-time", {})
     found = share_channel({"walk": WALK, "calm": calm}, copies=[50, 50], capacity=10, scheduler="tdma", ticks=2000)
     assert found.shares[1].rate.value == 0.0
@@ -225,7 +225,7 @@ def test_where_looks_meet_the_largest_loss_goes_first() -> None:
     for found in (price, largest, turns):
         assert found.cost.value > found.cost_periodic
         assert found.consistent is None
-        assert any("ticks fewer loops look than there are slots" in note for note in found.notes)
+        assert any("steps there are fewer checks than slots" in note for note in found.notes)
 
 
 def test_loops_without_noise_send_at_no_price() -> None:
@@ -239,9 +239,9 @@ def test_loops_without_noise_send_at_no_price() -> None:
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"network": Network(payload="int16", actuator_range=(1.0,))}, r"the channel is the network; expected none"),
-        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], function=lambda x, u, w: np.sin(x) + u + w)}, "linear plants"),
-        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], input_limit=[1.0])}, "on a channel"),
+        ({"network": Network(payload="int16", actuator_range=(1.0,))}, "the shared channel replaces the network"),
+        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], function=lambda x, u, w: np.sin(x) + u + w)}, "a linear plant"),
+        ({"plant": Plant([[1.0]], [[1.0]], [[1.0]], input_limit=[1.0])}, "on a shared channel"),
     ],
 )
 def test_what_loops_on_a_channel_cannot_have_is_refused(changed: dict[str, object], told: str) -> None:
@@ -266,9 +266,9 @@ def test_a_loop_that_gets_too_little_is_refused_with_the_rate_it_needs() -> None
     """One of two kinds is starved by equal turns, though not by the best rates; the least rate is that of a clock."""
     wild = Problem(Plant([[1.6]], [[1.0]], [[1.0]]), WALK.cost, Network(), "all-time", {})
     problems = {"calm": WALK, "wild": wild}
-    with pytest.raises(UnstableError, match=r"wild: .* get 0\.0\d+ sends per look each") as refused:
+    with pytest.raises(UnstableError, match=r"wild: .* send 0\.0\d+ times per check") as refused:
         share_channel(problems, copies=[100, 2], capacity=4, scheduler="round-robin", ticks=2000)
-    least = float(str(refused.value).split("expected at least ")[1].split(",")[0])
+    least = float(str(refused.value).split("expected at least ")[1].split(" ")[0])
     rates = least * np.array([0.9, 1.1])
     clocked = gather({"wild": wild}, [1])[0].clocked
     assert clocked.cost(rates[0]) > 1e6 > clocked.cost(rates[1])
@@ -350,7 +350,7 @@ def test_the_order_of_the_loops_does_not_matter() -> None:
 
 
 def test_progress_only_grows_and_ends_at_one() -> None:
-    """From the first rate of the first kind to the last tick."""
+    """From the first rate of the first kind to the last step."""
     told: list[float] = []
     share_channel(different(3, 3), copies=1, capacity=1, ticks=256, progress=told.append)
     assert told == sorted(told)

@@ -1,8 +1,9 @@
-"""The fair clock: exact, the best of what is tried, and never worse than what it contains."""
+"""The fair periodic control: exact, the best of what is tried, and never worse than what it contains."""
 
 from __future__ import annotations
 
 import itertools
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -13,7 +14,8 @@ from systems import System, systems
 
 import taciturn
 from taciturn import ContinuousPlant, Cost, Network, Plant, Problem, design
-from taciturn.study.clock import Clock, ClockPoint, lower_hull
+from taciturn.lqg.periodic import Held
+from taciturn.study.clock import Clock, ClockPoint, Ticked, lower_hull
 from taciturn.study.fair import clock_of, sampling_clock
 
 TANK = ContinuousPlant(
@@ -40,7 +42,7 @@ def of_plant(system: System, actuation: str) -> Problem:
 
 def test_the_clocks_of_the_two_masses_are_those_of_their_policies() -> None:
     """With a model the chord of neighbours, 4.7 % above all-time control at a quarter of the sends; hold by cycles."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     model, hold = (fair(problem.changed({"actuation": actuation})) for actuation in ("model", "hold"))
     base = problem.design().cost_all_time
     quarter = model.at(0.25)
@@ -64,8 +66,8 @@ def test_the_clocks_of_the_two_masses_are_those_of_their_policies() -> None:
 def test_rates_at_which_sampling_loses_a_mode_are_passed_over() -> None:
     """Every five steps is half a period of the undamped spring: an input that is held so long does not move it."""
     with pytest.raises(taciturn.UnstableError, match="holding the input for 5 steps"):
-        design.periodic(taciturn.load("two-mass").plant, taciturn.load("two-mass").cost, every=5)
-    curve = fair(taciturn.load("two-mass")).curve(1.0, 1 / 8)
+        design.periodic(taciturn.load("two-mass-lqg").plant, taciturn.load("two-mass-lqg").cost, every=5)
+    curve = fair(taciturn.load("two-mass-lqg")).curve(1.0, 1 / 8)
     assert (5,) not in [point.cycle for point in curve]
     assert curve[0].rate == 1
     assert curve[-1].rate <= 1 / 8
@@ -144,7 +146,7 @@ def test_the_weaker_clock_measures_only_when_it_sends() -> None:
     """Of outputs with noise it costs more than the fair one at every rate, of an exact full state the same."""
     problem = Problem(TANK, WEIGHTS, Network(), "excess", {"theta": 0.1, "period": 1.0})
     clock, weaker = fair(problem), sampling_clock(problem)
-    for rate in (0.6, 0.8667, 0.95):  # where a real period comes nearer to the rate than whole ticks
+    for rate in (0.6, 0.8667, 0.95):  # where a real period comes nearer to the rate than whole steps
         one, other = clock.at(rate), weaker.at(rate)
         assert one is not None
         assert other is not None
@@ -166,7 +168,7 @@ def test_the_weaker_clock_measures_only_when_it_sends() -> None:
 
 
 def test_a_sensor_that_is_scheduled_has_a_clock_of_queries() -> None:
-    """Where the variance asks every k ticks it is that clock itself; a trigger on the outputs is compared with it."""
+    """Where the variance asks every k steps it is that clock itself; a trigger on the outputs is compared with it."""
     plant = Plant([[1.2]], [[1.0]], [[1.0]], [[1.0]], [[0.1]])
     cost = Cost([[1.0]], [[1.0]])
     problem = Problem(plant, cost, Network(), "variance", {"threshold": 3.0})
@@ -186,13 +188,35 @@ def test_a_sensor_that_is_scheduled_has_a_clock_of_queries() -> None:
     [
         taciturn.load("rover"),
         taciturn.load("lossy-double-integrator"),
-        taciturn.load("two-mass").changed({"plant.input_limit": [1.0]}),
+        taciturn.load("two-mass-lqg").changed({"plant.input_limit": [1.0]}),
     ],
     ids=["mission", "loss", "clipped"],
 )
 def test_what_has_no_fair_clock_has_none(problem: Problem) -> None:
-    """A mission, links that lose, inputs that are clipped: their costs are not those of the design."""
+    """A finite-horizon run, links that lose, inputs that are clipped: their costs are not those of the design."""
     assert clock_of(problem, problem.designed()) is None
+
+
+def test_an_answer_does_not_depend_on_earlier_ones() -> None:
+    """Points of a trade-off share the results of a plant, and threads ask for them in any order."""
+    masses = taciturn.load("two-mass-lqg")
+
+    def fresh() -> Clock:
+        held = Held(masses.plant.A, masses.plant.B, masses.cost.Q, masses.cost.R, np.zeros((4, 1)), masses.plant.W)
+        return Ticked("hold", 1.0, lambda cycle: held.solve(cycle).cost, held.screen)
+
+    histories = [  # with the exact costs of their corners, other cycles than before were on the lower hull
+        (0.5881538391113281, 0.6925728776403365, 0.10189409983575998),
+        (0.24402923583984376, 0.22028481460922378, 0.1405708275893658),
+    ]
+    for rate, another, slowest in histories:
+        alone, shared = fresh().at(rate), fresh()
+        shared.at(another)
+        shared.curve(1.0, slowest)
+        with ThreadPoolExecutor(4) as pool:
+            found = list(pool.map(shared.at, [rate, another, rate, 0.41, rate]))
+        assert alone is not None
+        assert [found[0], found[2], found[4]] == [alone] * 3
 
 
 def test_the_lower_hull_ends_at_the_cheapest_point() -> None:
@@ -201,3 +225,32 @@ def test_the_lower_hull_ends_at_the_cheapest_point() -> None:
     hull = lower_hull(ClockPoint(rate, cost) for rate, cost in given)
     assert [(point.rate, point.cost) for point in hull] == [(0.2, 5.0), (0.5, 2.0), (0.8, 1.0)]
     assert lower_hull([]) == []
+
+
+def test_a_real_period_measures_as_often_as_the_policy_does() -> None:
+    """Between its sends it samples at equal spacing, no faster than the policy: cheaper than samples at sends alone."""
+    plant = taciturn.ContinuousPlant(
+        [[0.0, 1.0], [2.0, -0.3]], [[0.0], [1.0]], np.diag([0.0, 0.5]), C=[[1.0, 0.0]], V=[[0.001]]
+    )
+    cost = taciturn.Cost(np.diag([3.0, 0.5]), [[0.2]], [[0.1], [0.05]])
+    parameters = {"theta": 0.3, "period": 0.08, "actuation": "hold"}
+    problem = taciturn.Problem(plant, cost, taciturn.Network(), "excess", parameters)
+    clock = clock_of(problem, problem.designed())
+    assert clock is not None
+    for rate, samples in ((5.194, 2), (3.702, 3)):
+        found = clock.at(rate)
+        assert found is not None
+        spaced = taciturn.design.periodic(plant, cost, period=1 / rate / samples, every=samples)
+        alone = taciturn.design.periodic(plant, cost, period=1 / rate)
+        assert found.cost <= spaced.closed_form.cost * (1 + 1e-12)
+        assert spaced.closed_form.cost < 0.99 * alone.closed_form.cost
+
+
+def test_a_model_runs_between_the_sends_of_a_real_period_of_a_known_state_too() -> None:
+    """Three sends per second, between those of three and four steps: the input follows the model meanwhile."""
+    problem = taciturn.load("wiener-double-integrator").changed({"actuation": "model"})
+    found = fair(problem).at(3.0)
+    spaced = design.periodic(problem.plant, problem.cost, period=1 / 9, every=3, actuation="model").closed_form
+    assert found is not None
+    assert spaced is not None
+    assert found.cost <= spaced.cost * (1 + 1e-9)

@@ -1,4 +1,4 @@
-"""What fair clocks cost, computed again: sampled, solved and simulated in plain NumPy, without the library's own."""
+"""The cost of fair periodic control, computed again in plain NumPy without the library's own functions."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ import taciturn
 from taciturn import Network, Problem, design
 from taciturn.model.plant import ContinuousPlant, Plant
 
-PATHS, POINTS = 1000, 401  # of the simulation; of Simpson's rule over a tick
+PATHS, POINTS = 1000, 401  # of the simulation; of Simpson's rule over a step
 TANKS = Problem(TANK, WEIGHTS, Network(), "excess", {"theta": 0.1, "period": 1.0})
 PENDULUM = taciturn.load("inverted-pendulum")
-MASSES = taciturn.load("two-mass")
+MASSES = taciturn.load("two-mass-lqg")
 
 
 @dataclass(frozen=True)
 class Sampled:
-    """From tick to tick: x⁺ = Ax + Bu + w, cost [x; u]'M[x; u] and what the noise costs between ticks."""
+    """From step to step: x⁺ = Ax + Bu + w, cost [x; u]'M[x; u] and what the noise costs between steps."""
 
     A: np.ndarray
     B: np.ndarray
@@ -93,7 +93,7 @@ def gains(plant: Sampled, cycle: tuple[int, ...]) -> list[np.ndarray]:
 
 
 def simulated(plant: Sampled, cycle: tuple[int, ...], model: bool, ticks: int) -> np.ndarray:
-    """Return the cost per unit of time of each path, filtered at every tick and sent by the cycle."""
+    """Return the cost per unit of time of each path, filtered at every step and sent by the cycle."""
     n, p, draws = plant.states, len(plant.C), np.random.default_rng(5)
     prior = plant.W + np.eye(n)
     for _ in range(4000):

@@ -133,5 +133,8 @@ def test_a_lambda_is_refused_by_other_processes_in_a_sentence(tmp_path: Path) ->
     stated = replace(problem(tmp_path), plant=plant)
     grid: dict[str, list[object]] = {"theta": [0.1, 0.5]}
     assert (sweep(stated, grid, standard_error=0.05).refusal == "").all()
-    with processes(2) as pool, pytest.raises(ProblemError, match=r"^function is <function .*no other process can be"):
+    with (
+        processes(2) as pool,
+        pytest.raises(ProblemError, match=r"^function is <function .*other processes cannot import"),
+    ):
         sweep(stated, grid, executor=pool, standard_error=0.05)

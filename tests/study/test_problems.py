@@ -13,7 +13,7 @@ from taciturn.runtime.relay import Fate
 from taciturn.study.describe import describe
 from taciturn.study.periods import tune_period
 
-NAME: Any = "two-mass"
+NAME: Any = "two-mass-lqg"
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ NAME: Any = "two-mass"
 def test_a_name_is_no_problem(study: Callable[[Any], object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is read by ``load`` first."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(taciturn.ProblemError, match=r"is 'two-mass'; expected a Problem: taciturn\.load reads one"):
+    with pytest.raises(taciturn.ProblemError, match=r"is 'two-mass-lqg'; expected a Problem: taciturn\.load reads one"):
         study(NAME)
 
 
@@ -66,8 +66,8 @@ def test_files_are_read_by_their_name() -> None:
 @pytest.mark.parametrize(
     ("fates", "told"),
     [
-        ({"motor": Fate()}, "fates has the link 'motor'; expected of lqg: actuator"),
-        ({"sensor": Fate(loss=0.2)}, "fates has the link 'sensor'; expected of lqg: actuator"),
+        ({"motor": Fate()}, "fates has the link 'motor'; expected links of lqg: actuator"),
+        ({"sensor": Fate(loss=0.2)}, "fates has the link 'sensor'; expected links of lqg: actuator"),
         ({"actuator": 0.2}, r"fates\['actuator'\] is 0.2; expected a Fate"),
         ([Fate()], "fates is .*; expected a Mapping"),
     ],

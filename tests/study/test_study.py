@@ -16,7 +16,7 @@ from taciturn.study.reproduce import reproduce
 
 def test_evaluate_takes_the_closed_form_where_there_is_one() -> None:
     """A periodic policy is exact, and its simulation agrees."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     periodic = taciturn.Problem(problem.plant, problem.cost, problem.network, "periodic", {"every": 3})
     exact = taciturn.evaluate(periodic)
     simulated = taciturn.evaluate(periodic, method="simulation", steps=20_000_000)
@@ -28,7 +28,7 @@ def test_evaluate_takes_the_closed_form_where_there_is_one() -> None:
 
 def test_evaluate_reaches_the_default_precision() -> None:
     """The standard error is at most 1e-4 of the cost, and the document is valid JSON."""
-    found = taciturn.evaluate(taciturn.load("two-mass"))
+    found = taciturn.evaluate(taciturn.load("two-mass-lqg"))
     assert found.reached
     assert found.cost.standard_error <= 1e-4 * found.cost.value
     document = json.loads(json.dumps(found.document(), allow_nan=False))
@@ -47,7 +47,7 @@ def test_a_policy_without_noise_costs_nothing() -> None:
 
 def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
     """A grid of two keys: six points, two periodic curves, a picture, a document."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     found = taciturn.tradeoff(problem, {"theta": [0.01, 0.1, 1], "actuation": ["hold", "model"]}, standard_error=5e-4)
     assert [dict(point.values) for point in found.points[:2]] == [
         {"theta": 0.01, "actuation": "hold"},
@@ -60,7 +60,7 @@ def test_the_tradeoff_holds_points_curve_and_guarantee() -> None:
         assert point.evaluation.cost.value < point.evaluation.cost_bound
     json.dumps(found.document(), allow_nan=False)
     labels = [text.get_text() for text in found.plot().axes[0].get_legend().get_texts()]
-    assert {"lqg, hold", "lqg, model", "fair clock, hold", "fair clock, model"} <= set(labels)
+    assert {"lqg, hold", "lqg, model", "periodic control, hold", "periodic control, model"} <= set(labels)
 
 
 def test_a_continuous_tradeoff_counts_per_second() -> None:
@@ -109,12 +109,12 @@ def test_jumps_behind_a_filter_are_compared_with_a_clock() -> None:
 def test_a_mistake_in_the_last_cell_is_told_before_the_first_runs() -> None:
     """Nothing is simulated for a grid with a wrong value."""
     with pytest.raises(taciturn.ProblemError, match="theta is -1"):
-        taciturn.tradeoff(taciturn.load("two-mass"), {"theta": [10.0, -1.0]}, progress=pytest.fail)
+        taciturn.tradeoff(taciturn.load("two-mass-lqg"), {"theta": [10.0, -1.0]}, progress=pytest.fail)
 
 
 def test_a_trajectory_keeps_everything() -> None:
     """Sends happen exactly when the trigger exceeds its threshold; input changes only then; the estimate is close."""
-    problem = taciturn.load("two-mass")
+    problem = taciturn.load("two-mass-lqg")
     loop = problem.close(problem.design())
     path = taciturn.simulate(loop, 400, seed=2)
     sent = path.sends["actuator"]
@@ -148,8 +148,8 @@ def test_the_trigger_of_a_trajectory_is_the_one_that_decides(kind: str) -> None:
 
 
 def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
-    """Four panels; one row per tick."""
-    problem = taciturn.load("two-mass").changed({"actuation": "model"})
+    """Four panels; one row per step."""
+    problem = taciturn.load("two-mass-lqg").changed({"actuation": "model"})
     path = taciturn.simulate(problem.close(problem.design()), 50)
     assert [axis.get_ylabel() for axis in path.plot().axes] == ["state", "input", "trigger", "sends"]
     table = path.to_pandas()
@@ -158,7 +158,7 @@ def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
     assert (table[["y1", "y2"]] == path.measurement).all(axis=None)
 
 
-@pytest.mark.parametrize("name", ["two-mass", "double-integrator"])
+@pytest.mark.parametrize("name", ["two-mass-lqg", "double-integrator"])
 def test_what_was_measured_brings_nodes_to_the_same_decisions(name: str) -> None:
     """The nodes are given nothing but the path's measurements; noise stands in these."""
     problem = taciturn.load(name)
@@ -172,7 +172,7 @@ def test_what_was_measured_brings_nodes_to_the_same_decisions(name: str) -> None
 
 @pytest.mark.evidence
 def test_chapter_2_is_reproduced() -> None:
-    """Tables 2.1 and 2.2 and Figure 2.2, printed beside computed."""
+    """Tables 2.1 and 2.2 and Figure 2.2, printed next to computed."""
     found = reproduce("chapter2")
     first, second, figure = found.tables
     assert (len(first.rows), len(second.rows), len(figure.rows)) == (6, 2, 8)
@@ -191,7 +191,7 @@ def test_chapter_2_is_reproduced() -> None:
 def test_averages_and_missions_are_not_traded_off_in_one_table() -> None:
     """Their costs count differently: per step, and in all."""
     problem = taciturn.load("remote-scalar")
-    with pytest.raises(taciturn.ProblemError, match="mixes averages and missions"):
+    with pytest.raises(taciturn.ProblemError, match="mixes averages and finite-horizon runs"):
         taciturn.tradeoff(problem, {"cost.discount": [1.0, 0.9]})
 
 
@@ -208,7 +208,7 @@ def test_a_picture_shows_the_rate_of_every_link() -> None:
 
 
 def test_a_discounted_rate_weighs_each_send_as_its_cost() -> None:
-    """(1−α)Σα^kσ_k, exactly from the schedule and by simulation: queries at the ticks 2, 4, 6, …."""
+    """(1−α)Σα^kσ_k, exactly from the schedule and by simulation: queries at the steps 2, 4, 6, …."""
     plant = taciturn.Plant([[2.0]], [[1.0]], [[0.01]], [[3.0]], [[0.02]], mean=[1.0])
     cost = taciturn.Cost([[1.0]], [[2.0]], discount=0.8)
     problem = taciturn.Problem(plant, cost, taciturn.Network(), "remote-lqg", {"theta": 0.2, "zeta": 1.6})

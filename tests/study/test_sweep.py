@@ -22,8 +22,10 @@ import taciturn
 from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
 from taciturn._dask import dask_workers
 from taciturn.model.network import Network
-from taciturn.study.sweep import save_whole, table_of
+from taciturn.study.store import save_whole
+from taciturn.study.sweep import table_of
 
+MASSES = load("two-mass-lqg")
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
 EFFORT = 3e-3  # standard error
 
@@ -31,7 +33,7 @@ EFFORT = 3e-3  # standard error
 @pytest.fixture(scope="module")
 def whole() -> xarray.Dataset:
     """Return a small sweep, computed here."""
-    return sweep(load("two-mass"), GRID, standard_error=EFFORT, seed=3)
+    return sweep(MASSES, GRID, standard_error=EFFORT, seed=3)
 
 
 def test_a_cell_is_the_evaluation_with_its_seed(whole: xarray.Dataset) -> None:
@@ -41,7 +43,7 @@ def test_a_cell_is_the_evaluation_with_its_seed(whole: xarray.Dataset) -> None:
     for theta in GRID["theta"]:
         for actuation in GRID["actuation"]:
             cell = whole.sel(theta=theta, actuation=actuation)
-            changed = load("two-mass").changed({"theta": theta, "actuation": actuation})
+            changed = MASSES.changed({"theta": theta, "actuation": actuation})
             found = taciturn.evaluate(changed, seed=cell.seed.item(), standard_error=EFFORT)
             assert cell.cost.item() == found.cost.value
             assert cell.cost_standard_error.item() == found.cost.standard_error
@@ -59,7 +61,7 @@ def test_a_cell_is_the_evaluation_with_its_seed(whole: xarray.Dataset) -> None:
 
 def test_numbers_are_the_same_however_they_are_written() -> None:
     """1 and 1.0, theta and policy.theta, lists and arrays; what is large fits a file."""
-    problem = load("two-mass")
+    problem = MASSES
     one = sweep(problem, {"theta": [1], "cost.R": [[[1]]]}, steps=2000)
     other = sweep(problem, {"policy.theta": np.array([1.0]), "cost.R": np.ones((1, 1, 1))}, steps=2000, seed=0)
     assert one.cost.item() == other.cost.item()
@@ -70,19 +72,19 @@ def test_numbers_are_the_same_however_they_are_written() -> None:
 
 
 def test_costs_that_count_differently_are_not_in_one_grid() -> None:
-    """A mission beside an average."""
-    with pytest.raises(ProblemError, match="the grid mixes cost per mission and cost per step; expected one"):
+    """A finite-horizon run next to an average."""
+    with pytest.raises(ProblemError, match="the grid mixes cost in total and cost per step; expected one unit"):
         sweep(load("lossy-double-integrator"), {"cost.horizon": [100, None]}, steps=2000)
 
 
 def test_a_cell_is_the_same_in_every_grid(whole: xarray.Dataset) -> None:
     """Reversed, and alone; another seed gives other draws."""
     turned = {name: values[::-1] for name, values in GRID.items()}
-    back = sweep(load("two-mass"), turned, standard_error=EFFORT, seed=3)
+    back = sweep(MASSES, turned, standard_error=EFFORT, seed=3)
     assert back.sortby("theta").sortby("actuation").identical(whole)
-    alone = sweep(load("two-mass"), {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=3)
+    alone = sweep(MASSES, {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=3)
     xarray.testing.assert_identical(alone, whole.sel(theta=[1.0], actuation=["model"]))
-    other = sweep(load("two-mass"), {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=4)
+    other = sweep(MASSES, {"theta": [1.0], "actuation": ["model"]}, standard_error=EFFORT, seed=4)
     assert other.cost.item() != alone.cost.item()
 
 
@@ -91,9 +93,7 @@ def test_threads_and_processes_give_the_same_bits(whole: xarray.Dataset) -> None
     pools: list[Executor] = [ThreadPoolExecutor(3), ProcessPoolExecutor(2, get_context("spawn"))]
     for pool in pools:
         with pool:
-            xarray.testing.assert_identical(
-                sweep(load("two-mass"), GRID, executor=pool, standard_error=EFFORT, seed=3), whole
-            )
+            xarray.testing.assert_identical(sweep(MASSES, GRID, executor=pool, standard_error=EFFORT, seed=3), whole)
 
 
 @pytest.mark.evidence
@@ -104,7 +104,7 @@ def test_a_dask_cluster_gives_the_same_bits(whole: xarray.Dataset) -> None:
         distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster,
         dask_workers(cluster.scheduler_address) as executor,
     ):
-        found = sweep(load("two-mass"), GRID, executor=executor, standard_error=EFFORT, seed=3)
+        found = sweep(MASSES, GRID, executor=executor, standard_error=EFFORT, seed=3)
     xarray.testing.assert_identical(found, whole)
 
 
@@ -116,7 +116,7 @@ from pathlib import Path
 from mpi4py.futures import MPIPoolExecutor
 
 import taciturn
-from taciturn.study.sweep import save_whole
+from taciturn.study.store import save_whole
 
 if __name__ == "__main__":
     name, grid, effort, out = sys.argv[1:]
@@ -141,20 +141,20 @@ def by_two_ranks(folder: Path, name: str, grid: dict[str, list[Any]], **effort: 
 @pytest.mark.evidence
 def test_two_ranks_of_mpi_give_the_same_bits(whole: xarray.Dataset, tmp_path: Path) -> None:
     """By the pip package of an MPI."""
-    xarray.testing.assert_identical(by_two_ranks(tmp_path, "two-mass", GRID, standard_error=EFFORT), whole)
+    xarray.testing.assert_identical(by_two_ranks(tmp_path, "two-mass-lqg", GRID, standard_error=EFFORT), whole)
 
 
 def test_what_cannot_be_answered_is_told_and_the_rest_is_there() -> None:
     """A threshold below zero, at the end of an axis or within: a warning, its cells missing, its reason kept."""
     with pytest.warns(UserWarning, match=r"^1 of 2 cells have no answer, first at theta=-2: theta is -2; expected"):
-        assert np.isnan(sweep(load("two-mass"), {"theta": [0.1, -2]}, standard_error=EFFORT).cost.values).tolist() == [
+        assert np.isnan(sweep(MASSES, {"theta": [0.1, -2]}, standard_error=EFFORT).cost.values).tolist() == [
             False,
             True,
         ]
     with pytest.warns(
         UserWarning, match=r"^2 of 6 cells have no answer, first at theta=-1, actuation=hold: theta is -1"
     ):
-        found = sweep(load("two-mass"), {**GRID, "theta": [0.1, -1, 3.0]}, standard_error=EFFORT)
+        found = sweep(MASSES, {**GRID, "theta": [0.1, -1, 3.0]}, standard_error=EFFORT)
     assert found.refusal.sel(theta=-1, actuation="model").item().startswith("theta is -1; expected")
     missing = np.isnan(found.cost.values)
     assert missing.tolist() == [[False] * 2, [True] * 2, [False] * 2]
@@ -183,7 +183,7 @@ def test_links_bounds_and_matrices_have_their_columns() -> None:
     both = sweep(load("remote-scalar"), {"zeta": [0.5, 1.5]}, standard_error=1e-2)
     assert {"rate_actuator", "rate_sensor"} <= set(both)
     weights = {"kind": ["absolute"], "threshold": [0.1], "theta": [None], "weight": [[[1.0]], [[2.0]]]}
-    found = sweep(load("two-mass"), weights, standard_error=1e-2)
+    found = sweep(MASSES, weights, standard_error=1e-2)
     assert found.weight.values.tolist() == ["[[1.0]]", "[[2.0]]"]
     line = Problem(
         Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "excess", {"actuation": "model"}
@@ -200,7 +200,7 @@ def test_progress_only_grows_and_ends_at_one(tmp_path: Path) -> None:
     """Here, on a pool, and where all is there already."""
     for executor in (None, ThreadPoolExecutor(2), None):
         seen: list[float] = []
-        sweep(load("two-mass"), GRID, executor=executor, store=tmp_path, standard_error=EFFORT, progress=seen.append)
+        sweep(MASSES, GRID, executor=executor, store=tmp_path, standard_error=EFFORT, progress=seen.append)
         assert seen == sorted(seen)
         assert seen[-1] == 1.0
 
@@ -224,9 +224,9 @@ class Dying(Executor):
 
 
 def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> None:
-    """One sentence; a second run goes on where it ended."""
+    """One sentence; a second run continues where it ended."""
     with pytest.raises(ProblemError, match=r"failed after 1 of 6 cells \(RuntimeError: the line is cut\); expected"):
-        sweep(load("two-mass"), GRID, executor=Dying(), store=tmp_path, standard_error=EFFORT, seed=3)
+        sweep(MASSES, GRID, executor=Dying(), store=tmp_path, standard_error=EFFORT, seed=3)
     assert len(list((tmp_path / "cells").glob("*/*"))) == 1
 
 
@@ -236,39 +236,39 @@ def test_an_executor_that_dies_loses_nothing_that_came_back(tmp_path: Path) -> N
         ({}, "there are no values; expected a name with at least one value"),
         ({"theta": []}, "there are no values"),
         ({"theta": "0.1"}, "the values of theta are '0.1'; expected a list"),
-        ({"theta": [0.1, 0.1]}, "theta has the value 0.1 twice; expected each once"),
+        ({"theta": [0.1, 0.1]}, "theta has the value 0.1 twice; expected each value once"),
         ({"thta": [0.1]}, "policy.thta is not a parameter of lqg; .* Did you mean 'theta'"),
-        ({"method": [1]}, "method names a dimension that labels cannot select; expected policy.method"),
+        ({"method": [1]}, "the dimension name method is reserved by xarray; expected policy.method"),
         ({"theta": [-1.0, -2.0]}, "theta is -1; expected 0 ≤ theta"),
-        ({"theta": [0.1], "policy.theta": [0.2]}, "theta and policy.theta are the same, or one in the other"),
+        ({"theta": [0.1], "policy.theta": [0.2]}, "theta and policy.theta are the same, or one contains the other"),
         ({"plant.initial.mean": [[0.0]], "plant.initial": [{}]}, "plant.initial.mean and plant.initial are the same"),
-        ({"policy.a.b": [1, 2]}, "policy.a.b is no key; expected a key of "),
+        ({"policy.a.b": [1, 2]}, "policy.a.b is not a key; expected a key of "),
         ({"theta": [1j]}, "a value of theta is 1j; expected numbers, words, lists or arrays"),
         ({"theta": np.array(0.1)}, "the values of theta are .*; expected a list"),
         ([("theta", [0.1])], r"over is .*; expected a Mapping"),
-        ({"seed": [1, 2]}, r"seed is no key of a problem; expected a sweep for each seed \(--seed, seed=\)"),
+        ({"seed": [1, 2]}, r"seed is not a key of a problem; expected one sweep for each seed \(--seed, seed=\)"),
         ({3: [0.1]}, "a name in over is 3; expected a str"),
     ],
 )
 def test_what_cannot_be_swept_is_refused(over: dict[str, Any], sentence: str) -> None:
     """Before anything runs."""
     with pytest.raises(ProblemError, match=sentence):
-        sweep(load("two-mass"), over)
+        sweep(MASSES, over)
 
 
 def test_an_executor_is_one() -> None:
     """Not its class, and no word."""
     for wrong in ("processes", ThreadPoolExecutor):
         with pytest.raises(ProblemError, match=r"executor is .*; expected an Executor"):
-            sweep(load("two-mass"), {"theta": [0.1]}, executor=wrong, steps=2000)  # type: ignore[arg-type]
+            sweep(MASSES, {"theta": [0.1]}, executor=wrong, steps=2000)  # type: ignore[arg-type]
 
 
 def test_a_bound_that_no_cell_has_is_refused() -> None:
     """A held input resets no error; a confidence is a probability."""
-    with pytest.raises(ProblemError, match="no send of lqg resets the error"):
-        sweep(load("two-mass"), {"theta": [0.1]}, confidence=0.99)
+    with pytest.raises(ProblemError, match="a send of lqg does not reset the error"):
+        sweep(MASSES, {"theta": [0.1]}, confidence=0.99)
     with pytest.raises(ProblemError, match="confidence is 2"):
-        sweep(load("two-mass"), {"theta": [0.1]}, confidence=2)
+        sweep(MASSES, {"theta": [0.1]}, confidence=2)
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense", "", "foo://x:1"])
@@ -284,7 +284,7 @@ def test_no_scheduler_answers(address: str) -> None:
 
 @pytest.mark.evidence
 def test_a_worker_killed_in_a_dask_sweep_costs_its_cells_only(whole: xarray.Dataset, tmp_path: Path) -> None:
-    """As soon as something came back, one of two worker processes is killed; the other and its successor go on."""
+    """As soon as something came back, one of two worker processes is killed; the other and its successor continue."""
     distributed: Any = pytest.importorskip("distributed")
     killed: list[int] = []
 
@@ -299,9 +299,7 @@ def test_a_worker_killed_in_a_dask_sweep_costs_its_cells_only(whole: xarray.Data
         ) as cluster,
         dask_workers(cluster.scheduler_address) as executor,
     ):
-        found = sweep(
-            load("two-mass"), GRID, executor=executor, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill
-        )
+        found = sweep(MASSES, GRID, executor=executor, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill)
     assert killed
     xarray.testing.assert_identical(found, whole)
     assert len(list((tmp_path / "cells").glob("*/*"))) == 6
@@ -322,9 +320,9 @@ def test_a_killed_process_of_a_pool_is_a_sentence_and_the_next_run_goes_on(
         ProcessPoolExecutor(2, get_context("spawn")) as pool,
         pytest.raises(ProblemError, match=r"the executor failed after [1-5] of 6 cells \(BrokenProcessPool.*run again"),
     ):
-        sweep(load("two-mass"), GRID, executor=pool, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill)
+        sweep(MASSES, GRID, executor=pool, store=tmp_path, standard_error=EFFORT, seed=3, progress=kill)
     assert len(list((tmp_path / "cells").glob("*/*"))) in range(1, 6)
-    xarray.testing.assert_identical(sweep(load("two-mass"), GRID, store=tmp_path, standard_error=EFFORT, seed=3), whole)
+    xarray.testing.assert_identical(sweep(MASSES, GRID, store=tmp_path, standard_error=EFFORT, seed=3), whole)
 
 
 def peak() -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,12 @@ from counts import few
 
 import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
-from taciturn.design.catalogue import CATALOGUE, KNOBS
+from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.problem.parameters import check_parameters
 from taciturn.study.budget import budget_of
+from taciturn.study.search import Goal
 
-MASSES, JUMPS = taciturn.load("two-mass"), taciturn.load("double-integrator")
+MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
 SETTINGS: dict[str, dict[str, Any]] = {
     "lqg": {"theta": 3.0},
@@ -46,7 +48,7 @@ def test_a_rate_is_met_wherever_the_search_starts(kind: str) -> None:
     assert found.confidence == (1 if rate.standard_error == 0 else pytest.approx(0.99, abs=0.013))
     assert found.evaluation.reached
     assert found.beyond is None
-    assert found.parameter.name == KNOBS[kind][0].name
+    assert found.parameter.name == TRADEOFF_PARAMETERS[kind][0].name
     again = taciturn.evaluate(found.problem, standard_error=3e-3, seed=7)
     other = next(iter(again.rates.values()))
     assert abs(other.value - 0.4) <= 5 * np.hypot(rate.standard_error, other.standard_error) + 1e-8
@@ -84,32 +86,38 @@ def test_percent_are_of_sending_always() -> None:
     ):
         found, same = tune(problem, **percent), tune(problem, **number)
         assert found.parameter.value == pytest.approx(same.parameter.value, rel=1e-9)
-    assert budget_of(integrator, KNOBS["consistent"][0], "rate", "30%") == pytest.approx(3.0)  # ten looks a second
+    assert budget_of(integrator, TRADEOFF_PARAMETERS["consistent"][0], "rate", "30%") == pytest.approx(
+        3.0
+    )  # ten looks a second
     excess = with_policy("excess", integrator, delta=None)
-    assert budget_of(excess, KNOBS["excess"][0], "rate", "50%") == pytest.approx(5.0)
+    assert budget_of(excess, TRADEOFF_PARAMETERS["excess"][0], "rate", "50%") == pytest.approx(5.0)
     mission = taciturn.load("rover")
-    assert budget_of(mission, KNOBS["remote-lqg"][0], "rate", "50%") == 0.5
+    assert budget_of(mission, TRADEOFF_PARAMETERS["remote-lqg"][0], "rate", "50%") == 0.5
 
 
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": "+5%"}, "rate is '+5%'; expected a number, or percent as 50%"),
-        (MASSES, {"cost": "5%"}, "cost is '5%'; expected a number, or percent as +5%"),
+        (MASSES, {"rate": "+5%"}, "rate is '+5%'; expected a number, or a percentage such as 50%"),
+        (MASSES, {"cost": "5%"}, "cost is '5%'; expected a number, or a percentage such as +5%"),
         (MASSES, {"cost": "-5%"}, "cost is '-5%'; expected"),
         (MASSES, {"rate": "0%"}, "rate is 0; expected 0 < rate"),
         (MASSES, {"rate": "0.3"}, "rate is '0.3'; expected a number"),
         (
             with_policy("periodic", taciturn.load("two-mass-continuous"), theta=None),
             {"rate": "50%"},
-            "sending always has another one at every period, which is sought; expected a number",
+            "of sending every sample depends on the period, which is tuned; expected a number",
         ),
         (
             taciturn.load("pendulum-on-a-cart"),
             {"cost": "+5%"},
-            "the cost of sending always is not known, as the plant is not linear",
+            "the cost of sending every sample is unknown, since the plant is not linear",
         ),
-        (with_policy("integral", JUMPS, period=None, slope=5.0, alpha=0.9), {"rate": "5%"}, "integral has no ticks"),
+        (
+            with_policy("integral", JUMPS, period=None, slope=5.0, alpha=0.9),
+            {"rate": "5%"},
+            "integral has no sampling steps",
+        ),
     ],
 )
 def test_percent_of_what_is_not_known_are_refused(problem: Problem, budget: dict[str, Any], words: str) -> None:
@@ -173,7 +181,7 @@ def test_a_held_input_is_tuned_to_a_cycle_of_intervals() -> None:
     assert by_cost.parameter.value == (4, 3)
     assert by_cost.beyond is not None
     assert by_cost.evaluation.cost.value <= 0.9 < by_cost.beyond.evaluation.cost.value
-    with pytest.raises(ProblemError, match="is below that of sending at every tick"):
+    with pytest.raises(ProblemError, match="is below that of sending at every step"):
         tune(problem, cost=0.7)
 
 
@@ -203,7 +211,7 @@ def test_links_have_knobs_of_their_own() -> None:
     ("problem", "budget", "words"),
     [
         (MASSES, {"rate": 0.05}, "it reaches rates from 0.20"),
-        (MASSES, {"cost": 10.0}, "expected a cost in between"),
+        (MASSES, {"cost": 10.0}, "expected a cost within this range"),
         (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "it reaches rates from 0.58"),
         (MASSES, {}, "expected one of them"),
         (MASSES, {"rate": 0.3, "cost": 1.0}, "expected one of them"),
@@ -222,22 +230,22 @@ def test_what_cannot_be_met_is_one_sentence(problem: Problem, budget: dict[str, 
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above that of sending at every tick; expected at most 1"),
+        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above that of sending at every step; expected at most 1"),
         (MASSES, {"rate": 1e308}, "expected at most 1"),
         (
             MASSES,
             {"cost": 0.5},
-            "the cost 0.5 per step is below that of sending at every tick; expected at least 0.733",
+            "the cost 0.5 per step is below that of sending at every step; expected at least 0.733",
         ),
-        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above that of sending at every tick"),
-        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below that of sending at every tick"),
-        (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost 50 per mission is below"),
+        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above that of sending at every step"),
+        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below that of sending at every step"),
+        (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost 50 in total is below"),
     ],
 )
 def test_what_no_tick_is_left_for_is_refused_at_the_first_look(
     problem: Problem, budget: dict[str, Any], words: str
 ) -> None:
-    """More sends than ticks, or less cost than with all of them."""
+    """More sends than steps, or less cost than with all of them."""
     looks: list[float] = []
     with pytest.raises(ProblemError) as caught:
         tune(problem, **budget, progress=looks.append)
@@ -246,7 +254,7 @@ def test_what_no_tick_is_left_for_is_refused_at_the_first_look(
 
 
 def test_a_period_may_be_shorter_than_the_one_to_start_from() -> None:
-    """Its ticks are what is sought: neither their rate nor their cost is a limit."""
+    """Its steps are what is sought: neither their rate nor their cost is a limit."""
     clock = with_policy("periodic", INTEGRATOR, period=0.5, actuation="model")
     found = tune(clock, rate=8.0)
     assert found.parameter.value == pytest.approx(1 / 8)
@@ -254,12 +262,12 @@ def test_a_period_may_be_shorter_than_the_one_to_start_from() -> None:
 
 
 def test_every_kind_has_a_knob_that_it_knows() -> None:
-    """The catalogue and its knobs name the same kinds and their own parameters."""
-    assert set(KNOBS) == set(CATALOGUE)
-    for kind, knobs in KNOBS.items():
-        for knob in knobs:
+    """The catalogue and its tuning parameters name the same kinds and their own parameters."""
+    assert set(TRADEOFF_PARAMETERS) == set(CATALOGUE)
+    for kind, tunings in TRADEOFF_PARAMETERS.items():
+        for tuning in tunings:
             with pytest.raises(ProblemError) as caught:
-                check_parameters(kind, {knob.name: "word"})
+                check_parameters(kind, {tuning.name: "word"})
             assert "not a parameter" not in str(caught.value)
 
 
@@ -269,3 +277,13 @@ def test_the_document_is_that_of_evaluate_with_the_parameter() -> None:
     assert found["parameter"] == {"name": "every", "value": 3, "standard_error": 0.0}
     assert found["beyond"]["value"] == 2
     assert {"policy", "cost", "rates", "cost_all_time", "reached"} <= set(found)
+
+
+def test_a_confidence_is_claimed_only_where_it_holds() -> None:
+    """No rate exceeds that of every sample; an error that cannot be trusted gives no confidence."""
+    found = taciturn.evaluate(taciturn.load("two-mass-lqg"), steps=20_000)
+    above = Goal("rate", 1.0, None)
+    assert above.confidence(found) == 1.0
+    near = Goal("rate", found.rates["actuator"].value, None)
+    assert near.confidence(found) == pytest.approx(0.5)
+    assert near.confidence(replace(found, trusted=False)) is None

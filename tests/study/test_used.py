@@ -54,7 +54,7 @@ def expect_no_property_ignored(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", SOME)
 def test_some_kinds_use_or_refuse_every_property(kind: str) -> None:
-    """One whose loop runs, one that is designed for a network, one without ticks, and one that is solved."""
+    """One whose loop runs, one that is designed for a network, one without steps, and one that is solved."""
     expect_no_property_ignored(kind)
 
 
@@ -88,7 +88,7 @@ def test_a_link_that_carries_no_packet_has_no_properties(given: Mapping[str, Any
     with pytest.raises(ProblemError) as refused:
         close(FULL, policy, network, COST)
     assert str(refused.value) == (
-        f"network.{name} is given, and no node of excess receives a packet on the sensor link; expected properties of "
+        f"network.{name} is given, but no node of excess receives a packet on the sensor link; expected properties of "
         f"the actuator link only: remove network.{name}"
     )
 
@@ -102,17 +102,17 @@ def test_a_packet_that_nobody_receives_cannot_be_lost() -> None:
     lossy, weights = Network("udp", sensor_loss=0.1), Cost(ONE, ONE)
     with pytest.raises(ProblemError, match="no node of mine receives a packet on the sensor link; expected"):
         close(SCALAR, deaf, lossy, weights)
-    assert close(SCALAR, hearing, lossy, weights).departures
-    with pytest.raises(ProblemError, match="no packet of mine tells its receiver what it does not hold"):
+    assert close(SCALAR, hearing, lossy, weights).violated_assumptions
+    with pytest.raises(ProblemError, match="receivers of all packets of mine already have"):
         close(SCALAR, hearing, Network(payload="float32"), weights)
 
 
 def test_a_range_has_an_entry_for_each_number_of_its_packet() -> None:
     """Or one for all; it is looked at when the loop is closed, and not when it runs."""
     policy = design.excess(FULL, COST, theta=0.3)
-    with pytest.raises(ProblemError, match="the range of a packet has 2 entries; expected one, or 1: as the packet"):
+    with pytest.raises(ProblemError, match="the range of a packet has 2 entries; expected 1 or 1, one per entry"):
         close(FULL, policy, Network(payload="int16", actuator_range=(1.0, 2.0)), COST)
-    with pytest.raises(ProblemError, match=r"network.actuator_range is missing, and network.payload is 'int16'"):
+    with pytest.raises(ProblemError, match=r"network.actuator_range is missing, but network.payload is 'int16'"):
         close(FULL, policy, Network(payload="int16"), COST)
 
 
@@ -120,10 +120,10 @@ def test_acknowledgements_that_no_node_uses_are_reported() -> None:
     """They change nothing, and a policy that needs none may run where there are some."""
     policy = design.excess(FULL, COST, theta=0.3)
     told = "no node uses the acknowledgements of protocol 'tcp'"
-    assert told in close(FULL, policy, Network("tcp", 0.1), COST).departures
-    assert told not in close(FULL, policy, Network("udp", 0.1), COST).departures
+    assert told in close(FULL, policy, Network("tcp", 0.1), COST).violated_assumptions
+    assert told not in close(FULL, policy, Network("udp", 0.1), COST).violated_assumptions
     lossy = design.lossy_lqg(FULL, COST, price=0.1, network=Network("tcp", 0.1, 0.2))
-    assert close(FULL, lossy).departures == ()
+    assert close(FULL, lossy).violated_assumptions == ()
 
 
 def test_a_limit_of_the_design_alone_is_refused_and_the_same_limit_in_both_is_used() -> None:
@@ -132,17 +132,19 @@ def test_a_limit_of_the_design_alone_is_refused_and_the_same_limit_in_both_is_us
     other = Plant(0.9 * FULL.A, FULL.B, FULL.W, input_limit=[1.0])
     policy = design.lqg(limited[0], COST, theta=0.3)
     for plant in (FULL, limited[1]):
-        with pytest.raises(ProblemError, match=r"plant.input_limit is given, and the plant that is simulated instead"):
+        with pytest.raises(
+            ProblemError, match=r"plant.input_limit is given, but plant.actual, which is simulated instead"
+        ):
             close(plant, policy, None, COST)
     assert close(other, policy, None, COST).problem.plant.input_limit == [1.0]
     unlimited = close(other, design.lqg(FULL, COST, theta=0.3), None, COST)
-    assert "inputs are clipped (input_limit)" in unlimited.departures
+    assert "inputs are clipped (input_limit)" in unlimited.violated_assumptions
 
 
 def test_a_function_of_the_design_alone_is_refused() -> None:
     """Another plant that is linear is simulated, and the function would be forgotten."""
     bent = Plant(FULL.A, FULL.B, FULL.W, function=lambda x, u, w: FULL.A @ x + FULL.B @ u + w)
-    with pytest.raises(ProblemError, match=r"plant.function is given, and the plant that is simulated instead"):
+    with pytest.raises(ProblemError, match=r"plant.function is given, but plant.actual, which is simulated instead"):
         close(FULL, design.lqg(bent, COST, theta=0.3), None, COST)
 
 
@@ -167,5 +169,5 @@ def test_options_of_a_simulation_are_noted_where_nothing_is_simulated() -> None:
 def test_a_grid_has_each_value_once() -> None:
     """In a tradeoff as in a sweep; 1 and 1.0 are one value."""
     problem = Problem(SCALAR, Cost(ONE, ONE), Network(), "lqg", {"theta": 0.5})
-    with pytest.raises(ProblemError, match="theta has the value 1 twice; expected each once"):
+    with pytest.raises(ProblemError, match="theta has the value 1 twice; expected each value once"):
         taciturn.tradeoff(problem, {"theta": [1, 0.5, 1.0]})

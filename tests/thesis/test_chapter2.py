@@ -36,7 +36,7 @@ def run(actuation: str, theta: float, trigger: str) -> Averages:
     """Return cost and rate of one entry, precise enough for the tables."""
     epsilon = {"epsilon": EPSILON} if trigger == "separate" else {}
     values = {"theta": theta, "trigger": trigger, "actuation": actuation, **epsilon}
-    problem = taciturn.load("two-mass").changed(values)
+    problem = taciturn.load("two-mass-lqg").changed(values)
     return average(problem.close(problem.design()), seed=20, standard_error=COST_ERROR)
 
 
@@ -67,14 +67,14 @@ def test_model_based_actuation_of_table_2_2(trigger: str, cost: float, rate: flo
 
 def test_all_time_cost_to_six_digits() -> None:
     """J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) of the exact matrices."""
-    assert taciturn.load("two-mass").design().cost_all_time == pytest.approx(0.733478, abs=5e-7)
+    assert taciturn.load("two-mass-lqg").design().cost_all_time == pytest.approx(0.733478, abs=5e-7)
 
 
 def test_guaranteed_bound_of_table_2_1() -> None:
     """(1+θ) J_all as printed."""
     printed = {0.01: 0.7408, 0.1: 0.8068, 0.5: 1.1002, 1.0: 1.4670, 5.0: 4.4009, 10.0: 8.0683}
     for theta, bound in printed.items():
-        guarantee = taciturn.load("two-mass").changed({"theta": theta}).design().guarantee
+        guarantee = taciturn.load("two-mass-lqg").changed({"theta": theta}).design().guarantee
         assert guarantee is not None
         assert guarantee.cost == pytest.approx(bound, abs=5e-5)
 
@@ -114,7 +114,7 @@ def test_event_triggered_control_beats_both_clocks_at_its_rate() -> None:
 @pytest.mark.parametrize("actuation", ["hold", "model"])
 def test_completed_squares_and_the_plain_average_give_the_same_cost(actuation: str) -> None:
     """Two estimators, two programs (innovations form and full plant), one number to 1e-3 of it."""
-    problem = taciturn.load("two-mass").changed({"actuation": actuation})
+    problem = taciturn.load("two-mass-lqg").changed({"actuation": actuation})
     loop = problem.close(problem.design())
     squares = average(loop, seed=1, standard_error=2e-5)
     plain = average(loop, plain_average(loop), seed=2, standard_error=1.5e-4)

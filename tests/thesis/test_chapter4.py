@@ -54,7 +54,7 @@ def test_the_printed_slope() -> None:
 
 def test_the_printed_alpha_is_not_admissible() -> None:
     """α = 1.50 violates α ≤ L(α), as L(1.5) = 1.47742."""
-    with pytest.raises(ProblemError, match=r"alpha is 1.5, and the mean interval L\(alpha\) that follows is 1\.47"):
+    with pytest.raises(ProblemError, match=r"alpha is 1.5, but the resulting mean interval L\(alpha\) is 1\.47"):
         design.integral(DOUBLE, COST, slope=9.1557, alpha=1.5, h_max=2.0)
 
 

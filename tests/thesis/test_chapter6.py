@@ -1,4 +1,4 @@
-"""Chapter 6 of the thesis: a robot's mission of 60 steps, with a schedule for the camera."""
+"""Chapter 6 of the thesis: a robot's finite-horizon run of 60 steps, with a schedule for the camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Chapter 7 of the thesis: control over links that lose packets, and tracking over them."""
+"""Chapter 7 of the thesis: control over links that drop packets, and tracking over them."""
 
 from __future__ import annotations
 

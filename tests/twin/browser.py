@@ -1,7 +1,7 @@
 """A headless Chromium for the pages of runs, and a command that takes their pictures.
 
 ``python tests/twin/browser.py URL OUT.png [--ticks 100] [--size 1280x800] [--dark]`` waits until the page at a URL has
-so many ticks of a round. It needs Chromium, as of Debian's package, and Playwright, as of pip.
+so many steps of a round. It needs Chromium, as of Debian's package, and Playwright, as of pip.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def await_true(tab: Any, expression: str, patience: float = 8.0) -> None:
 
 
 def await_ticks(tab: Any, count: int, patience: float = 8.0) -> None:
-    """Wait until a page has drawn so many ticks of a round."""
+    """Wait until a page has drawn so many steps of a round."""
     await_true(tab, f"+document.body?.dataset.rows >= {count}", patience)
 
 
@@ -66,7 +66,7 @@ def main() -> None:
     parser.add_argument("--ticks", type=int, default=100, help="of a round that are to be there")
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--dark", action="store_true")
-    parser.add_argument("--patience", type=float, default=300.0, help="seconds to wait for the ticks")
+    parser.add_argument("--patience", type=float, default=300.0, help="seconds to wait for the steps")
     given = parser.parse_args()
     if lacks := missing():
         raise SystemExit(lacks)

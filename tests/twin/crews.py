@@ -76,7 +76,7 @@ def model(robot: Robot) -> Identification:
 
 
 def short_mission(name: str, ticks: int, folder: Path, **policy: float) -> str:
-    """Return a problem file with the first ticks of a robot's mission."""
+    """Return a problem file with the first steps of a robot's mission."""
     tables: dict[str, Any] = stand_in(name).tables(policy)
     tables["cost"] = {**tables["cost"], "horizon": ticks}
     if "reference" in tables:

@@ -11,20 +11,22 @@ from PIL import Image, ImageDraw
 from taciturn.twin.page import About
 
 LINKS = ("sensor", "actuator")
+PRICE = "price per packet, in units of the cost; a higher price means fewer packets"
 ROVER = About(
-    "rover", "remote-lqg", 0.3, 120, ("x [m]",), ("torque [Nm]",), LINKS, 2.5, (), ("price", 0.0, 0.1), 0.01, 1,
+    "rover", "remote-lqg", 0.3, 120, ("x [m]",), ("torque [Nm]",), LINKS, (0.2, 0.0), 2.5, (),
+    ("price", 0.0, 0.1), PRICE, 0.01, 1,
 )  # fmt: skip
 CIRCLE = tuple((0.8 * math.cos(k / 40), 0.6 * math.sin(k / 20)) for k in range(252))
 OMNI = About(
     "omni", "lossy-lqg", 0.05, 252, ("x [m]", "y [m]", "heading [rad]"), ("v_x [m/s]", "v_y [m/s]", "ω [rad/s]"),
-    LINKS, None, CIRCLE, ("theta", 0.001, 10.0), 0.5, 3,
+    LINKS, (0.2, 0.1), None, CIRCLE, ("theta", 0.001, 10.0), "theta is a share (no unit)", 0.5, 3,
 )  # fmt: skip
 
 
 def rows(about: About, count: int) -> list[dict[str, Any]]:
-    """Return so many ticks of a round."""
+    """Return so many steps of a round."""
     found: list[dict[str, Any]] = []
-    sends = dict.fromkeys(about.links, 0)
+    sends, drops = dict.fromkeys(about.links, 0), dict.fromkeys(about.links, 0)
     for k in range(count):
         if about.robot == "omni":
             x, y = about.reference[k % len(about.reference)]
@@ -35,14 +37,24 @@ def rows(about: About, count: int) -> list[dict[str, Any]]:
         sent = {"sensor": int(k % 3 == 0), "actuator": int(k % 9 == 0)}
         arrived = {"sensor": int(sent["sensor"] and k % 5 != 0), "actuator": sent["actuator"]}
         sends = {link: sends[link] + sent[link] for link in about.links}
+        drops = {link: drops[link] + sent[link] - arrived[link] for link in about.links}
         found.append({
             "tick": k, "time": k * about.tick, "state": state, "input": inputs,
             "estimate": None if 20 <= k < 24 else [value + 0.02 * math.sin(k / 4) for value in state],
             "trigger": 0.1 * (k % 9) ** 4 / 4096, "threshold": 0.05 if k % 50 else None,
-            "sent": sent, "arrived": arrived, "cost": 2.0 * (1 - math.exp(-k / 40)),
-            "rate": {link: sends[link] / (k + 1) for link in about.links}, "degraded": int(60 <= k < 70),
+            "sent": sent, "arrived": arrived, "packets": sends, "drops": drops,
+            "cost": 2.0 * (1 - math.exp(-k / 40)), "degraded": int(60 <= k < 70),
         })  # fmt: skip
     return found
+
+
+def every_sample(about: About, count: int) -> list[dict[str, Any]]:
+    """Return so many steps of the loop that sends every sample."""
+    return [
+        {"tick": k, "state": [0.9 * x for x in row["state"]], "cost": 0.8 * row["cost"],
+         "packets": dict.fromkeys(about.links, k + 1)}
+        for k, row in enumerate(rows(about, count))
+    ]  # fmt: skip
 
 
 def picture(about: About, row: dict[str, Any], size: tuple[int, int] = (320, 240)) -> bytes:

@@ -74,7 +74,7 @@ def test_a_body_stands_where_it_is_put(robot: Robot) -> None:
 @settings(max_examples=10)
 @given(by=st.floats(-3.0, 3.0), turn=st.floats(-9.0, 9.0))
 def test_a_kidnapped_robot_is_moved_by_exactly_that(robot: Robot, by: float, turn: float) -> None:
-    """Before and after, and twice; a heading goes on beyond ±π, and while the robot moves."""
+    """Before and after, and twice; a heading continues beyond ±π, and while the robot moves."""
     body = Body(robot, 2)
     body.act([0.4] * len(robot.inputs))
     body.flow(0.2)
@@ -214,6 +214,6 @@ def test_a_body_that_is_thrown_out_of_the_range_of_numbers_is_refused(
     for robot in ROBOTS.values():
         body = Body(robot)
         body.push(1e12, 1.0)
-        with pytest.raises(ProblemError, match="left the range of numbers"):
+        with pytest.raises(ProblemError, match="the coordinates of the rigid bodies are out of range"):
             body.flow(1.0)
     assert list(tmp_path.iterdir()) == []

@@ -40,12 +40,12 @@ def question(tick: int, sequence: int | None = None, loop: int = 0) -> bytes:
 
 
 def mark(tick: int) -> bytes:
-    """Return what says that a tick is over."""
+    """Return what says that a step is over."""
     return QUESTION.encode(Packet("mark", "sensor", tick, tick))
 
 
 def light(tick: int, sequence: int, value: float = 0.0) -> bytes:
-    """Return what can be seen in a tick."""
+    """Return what can be seen in a step."""
     return CAMERA.encode(Packet("measurement", "plant", tick, sequence, (value,) * LIGHT))
 
 
@@ -61,7 +61,7 @@ class Bench:
         )
 
     def give(self, *datagrams: bytes) -> list[tuple[str, int]]:
-        """Give datagrams to the server until it has taken all, and return kind and tick of what comes out."""
+        """Give datagrams to the server until it has taken all, and return kind and step of what comes out."""
         for datagram in datagrams:
             self.asking.send(datagram, self.endpoint.address)
         self.server.run(lambda: True)
@@ -93,14 +93,14 @@ def test_nothing_is_rendered_that_nobody_asks_for(bench: Bench) -> None:
 
 
 def test_a_question_waits_for_its_light_and_marks_wait_behind_it(bench: Bench) -> None:
-    """Who has the mark of a tick has the picture, whatever overtakes on the way to the camera."""
+    """Who has the mark of a step has the picture, whatever overtakes on the way to the camera."""
     assert bench.give(question(3), mark(3)) == []
     assert bench.give(light(2, 2)) == []
     assert bench.give(light(3, 3)) == [("data", 3), ("mark", 3)]
 
 
 def test_the_light_of_the_tick_is_taken_and_the_newest_of_it(bench: Bench) -> None:
-    """The world may be a tick ahead; within a tick it shines again as the robot moves, and old light comes too late."""
+    """The world may be a step ahead; within a step it shines again as the robot moves, and old light comes too late."""
     bench.give(light(4, 10, 1.0), light(4, 12, 3.0), light(4, 11, 2.0), light(5, 13, 9.0), question(4))
     assert bench.camera.taken[0][0] == (3.0,) * LIGHT
 
@@ -116,7 +116,7 @@ def test_a_question_that_comes_again_gets_the_same_picture_again(bench: Bench) -
 
 
 def test_faults_happen_in_their_ticks() -> None:
-    """A dead camera answers nothing, though the tick goes by; a cover and the light are the renderer's."""
+    """A dead camera answers nothing, though the step goes by; a cover and the light are the renderer's."""
     faults = [parse_fault(text) for text in ("camera@0.6+0.6", "cover@1.2+0.3", "light@1.5+0.3=0.4")]
     bench = Bench(faults)
     asked = [part for tick in range(7) for part in (light(tick, tick), question(tick), mark(tick))]
@@ -140,7 +140,7 @@ def test_what_is_not_for_a_camera_is_counted_and_nothing_else(bench: Bench) -> N
 
 
 def test_a_question_is_a_packet_of_the_sensor_link_without_numbers() -> None:
-    """It has the sequence and the tick of what answers it, and nodes that measure numbers refuse it."""
+    """It has the sequence and the step of what answers it, and nodes that measure numbers refuse it."""
     datagram = question(5, 3)
     packet = CAMERA.decode(datagram)
     assert packet == Packet("data", "sensor", 5, 3)

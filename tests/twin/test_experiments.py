@@ -98,7 +98,7 @@ def test_the_rover_comes_home_whatever_happens(fault: str) -> None:
 
 @pytest.mark.parametrize(("name", "tick"), [("rover", 0.1), ("omni", 0.1)])
 def test_by_the_clock_it_goes_as_in_virtual_time(name: str, tick: float) -> None:
-    """The rover's ticks in a third of their time, the omni's in theirs: as many questions, and about the same path."""
+    """The rover's steps in a third of their time, the omni's in theirs: as many questions, and about the same path."""
     run = run_twin(crew(name), Setup(seed=1, tick=tick), compare=False)
     still = run_twin(crew(name), Setup(seed=1), compare=False)
     assert run.trial.sent["sensor"].sum() == still.trial.sent["sensor"].sum()
@@ -126,7 +126,7 @@ def tab() -> Iterator[Any]:
 
 
 def test_a_twin_is_watched_paused_pushed_and_turned_in_a_browser(tab: Any) -> None:
-    """Values move, the picture is there, a pause stops the ticks, the slider ends the round and sets the next."""
+    """Values move, the picture is there, a pause stops the steps, the slider ends the round and sets the next."""
     from threading import Event, Thread
 
     said: list[str] = []
@@ -144,7 +144,7 @@ def test_a_twin_is_watched_paused_pushed_and_turned_in_a_browser(tab: Any) -> No
             browser.await_ticks(tab, 6, 60.0)
             browser.await_true(tab, "document.querySelector('#picture').naturalWidth === 640", 30.0)
             tab.locator("#push").click()
-            tab.get_by_text("somebody has pushed the robot").wait_for(timeout=20_000)
+            tab.get_by_text("push of both robots: 4 N for 0.3 s").wait_for(timeout=20_000)
             tab.locator("#pause").click()
             tab.wait_for_selector("#status[data-state=paused]")
             tab.wait_for_timeout(1000)
@@ -153,10 +153,10 @@ def test_a_twin_is_watched_paused_pushed_and_turned_in_a_browser(tab: Any) -> No
             assert tab.evaluate(rows) == still
             tab.locator("#pause").click()
             browser.await_ticks(tab, still + 1, 20.0)
-            box = tab.locator("#knob").bounding_box()
+            box = tab.locator("#parameter").bounding_box()
             tab.mouse.click(box["x"] + 0.3 * box["width"], box["y"] + box["height"] / 2)
             tab.get_by_text("round 1,").wait_for(timeout=60_000)
-            value = float(tab.locator("#knob-value").inner_text())
+            value = float(tab.locator("#parameter-value").inner_text())
             assert 0 < value < 0.1  # which was 0.5
             browser.await_ticks(tab, 6, 60.0)
         finally:

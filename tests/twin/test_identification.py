@@ -57,7 +57,7 @@ def test_the_rover_is_the_integrator_that_the_physics_makes_it(monkeypatch: pyte
     assert abs(rover.A_free[0, 0] - 1) < 0.02
     assert 1e-5 < rover.W[0, 0] < 5e-4
     assert 1e-10 < rover.V[0, 0] < 1e-6
-    # a run of 8 steps whose disturbance forgets within two ticks: some 4 draws, of which the root is good to 35 %
+    # a run of 8 steps whose disturbance forgets within two steps: some 4 draws, of which the root is good to 35 %
     assert rover.held_out[0] == pytest.approx(np.sqrt(rover.W[0, 0] + 2 * rover.V[0, 0]), rel=0.6)
     document = json.loads(json.dumps(rover.document()))
     assert document["robot"] == "rover"

@@ -65,20 +65,20 @@ def changed(robot: Robot, **tables: Any) -> taciturn.Problem:
 
 
 def test_a_policy_for_another_plant_is_refused() -> None:
-    """Other sizes, another tick, another output, no end, another kind of policy, nodes that share a place."""
+    """Other sizes, another step, another output, no end, another kind of policy, nodes that share a place."""
     rover, omni = ROBOTS["rover"], ROBOTS["omni"]
     tables = tables_of(rover, model(rover), {})
     plant: dict[str, Any] = tables["plant"]
     endless = {"Q": [[1.0]], "R": [[1.0]]}
     cases = [
-        (omni, taciturn.load("rover"), "another plant than the omni"),
-        (rover, taciturn.load("two-mass"), "another plant than the rover"),
+        (omni, taciturn.load("rover"), "is not that of the omni"),
+        (rover, taciturn.load("two-mass-lqg"), "is not that of the rover"),
         (rover, taciturn.load("two-mass-continuous"), "is continuous"),
         (rover, changed(rover, plant={**plant, "dt": 0.2}), "dt = 0.2"),
         (rover, changed(rover, plant={**plant, "C": [[2.0]]}), "C that is not I"),
         (rover, changed(rover, cost=endless), "no cost.horizon"),
         (rover, changed(rover, cost=endless, policy={"kind": "lqg", "theta": 0.1}), "no cost.horizon"),
-        (rover, changed(rover, policy={"kind": "remote-lqg", "zeta": 0.004, "controller": "actuator"}), "one place"),
+        (rover, changed(rover, policy={"kind": "remote-lqg", "zeta": 0.004, "controller": "actuator"}), "same site"),
     ]  # fmt: skip
     for robot, problem, sentence in cases:
         with pytest.raises(ProblemError, match=sentence):

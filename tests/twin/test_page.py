@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import http.client
 import re
 import socket
 import struct
@@ -16,11 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from twin.feeds import OMNI, ROVER, picture, rows
+from twin.feeds import OMNI, ROVER, every_sample, picture, rows
 from twin.readers import JSON, Reader, ask, call
 
 from taciturn.errors import ProblemError
-from taciturn.twin import feed, server
+from taciturn.twin import connections, feed, server
 from taciturn.twin.page import Page
 
 ROOT = Path(__file__).parents[2]
@@ -31,14 +30,18 @@ def test_a_reader_is_told_the_round_row_by_row(page: Page) -> None:
     """What is said of the round, a row as it was put, arrays as lists, and a note."""
     reader = Reader(page)
     kind, about = reader.next()
-    assert (kind, about["robot"], about["knob"]) == ("begin", "rover", ["price", 0.0, 0.1])
+    assert (kind, about["robot"], about["parameter"]) == ("begin", "rover", ["price", 0.0, 0.1])
     page.put(ROWS[0])
     assert reader.next() == ("tick", ROWS[0])
     page.put({**ROWS[1], "state": np.array([0.5]), "cost": np.float32(0.25), "tick": np.int64(1)})
     kind, row = reader.next()
     assert (row["state"], row["cost"], row["tick"]) == ([0.5], 0.25, 1)
-    page.note("camera: no marker seen")
-    assert reader.next() == ("note", "camera: no marker seen")
+    page.compare(every_sample(ROVER, 1)[0])
+    assert reader.next() == ("compared", every_sample(ROVER, 1)[0])
+    page.note("no marker in the picture", 1)
+    assert reader.next() == ("note", {"text": "no marker in the picture", "step": 1})
+    page.wait("round 2: starting the processes")
+    assert reader.next() == ("wait", "round 2: starting the processes")
 
 
 def test_a_page_that_joins_late_is_told_the_whole_round(page: Page) -> None:
@@ -211,8 +214,9 @@ def test_the_files_of_the_page_are_served_and_name_no_other_server(page: Page) -
 def test_what_is_vendored_is_what_the_list_says() -> None:
     """Every file by its digest, with version and licence."""
     text = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
-    listed = dict(re.findall(r"`(src/[^`]+)` \| `(\w{64})`", text))
-    vendored = [*ROOT.glob("src/taciturn/twin/web/uPlot*"), *ROOT.glob("src/taciturn/export/fmi/*")]
+    listed = dict(re.findall(r"`((?:src|docs)/[^`]+)` \| `(\w{64})`", text))
+    places = "src/taciturn/twin/web/uPlot*", "src/taciturn/export/fmi/*", "docs/_static/fonts/*"
+    vendored = [path for place in places for path in ROOT.glob(place)]
     assert set(listed) == {str(path.relative_to(ROOT)) for path in vendored}
     for name, digest in listed.items():
         assert hashlib.sha256((ROOT / name).read_bytes()).hexdigest() == digest, name
@@ -222,7 +226,7 @@ def test_what_is_vendored_is_what_the_list_says() -> None:
 
 
 def test_clients_that_go_away_leave_no_trace(page: Page, capfd: pytest.CaptureFixture[str]) -> None:
-    """In the middle of a stream, of a request, or before they say anything: no traceback, and the run goes on."""
+    """In the middle of a stream, of a request, or before they say anything: no traceback, and the run continues."""
     for said in (
         b"GET /events HTTP/1.0\r\nHost: localhost\r\n\r\n",
         b"POST /ask HTTP/1.0\r\nContent-Le",
@@ -242,20 +246,19 @@ def test_clients_that_go_away_leave_no_trace(page: Page, capfd: pytest.CaptureFi
 
 
 def test_seats_are_limited_and_become_free(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whoever comes when all are taken is sent away at once."""
-    monkeypatch.setattr(server, "SEATS", 2)
+    """A client that finds all seats taken gets an answer that says so."""
+    monkeypatch.setattr(connections, "SEATS", 2)
     monkeypatch.setattr(server, "PULSE", 0.05)
     readers = [Reader(page), Reader(page)]
     assert [reader.next()[0] for reader in readers] == ["begin", "begin"]
-    with pytest.raises((http.client.RemoteDisconnected, ConnectionResetError)):
-        call(page, "GET", "/")
+    status, text = call(page, "GET", "/")
+    assert (status, b"too many pages of this run are open; close one" in text) == (503, True)
+    assert ask(page, "push", 1) == 503
     readers[0].close()
     for _ in range(100):
-        try:
-            assert call(page, "GET", "/")[0] == 200
+        if call(page, "GET", "/")[0] == 200:
             break
-        except (http.client.RemoteDisconnected, ConnectionResetError):
-            time.sleep(0.02)
+        time.sleep(0.02)
     else:
         pytest.fail("the seat is still taken")
 
@@ -266,17 +269,19 @@ def test_seats_are_limited_and_become_free(page: Page, monkeypatch: pytest.Monke
         ({"state": [1.0, 2.0]}, r"state of a row has 2 numbers; expected 1: x \[m\]"),
         ({"estimate": []}, "estimate of a row has 0 numbers; expected 1"),
         ({"sent": {"sensor": 1}}, "sent of a row lacks the link 'actuator'"),
-        ({"cost": float("nan")}, "the row of tick 0 holds a number that is not finite; expected None"),
+        ({"cost": float("nan")}, "the row of step 0 holds a number that is not finite; expected None"),
         ({"input": np.array([np.inf])}, "holds a number that is not finite"),
-        ({"cost": 1j}, r"cannot be sent \(it holds a complex\)"),
+        ({"cost": 1j}, r"cannot be sent \(a value has the type complex\)"),
     ],
 )
 def test_a_row_that_could_not_be_drawn_is_refused(page: Page, change: dict[str, Any], says: str) -> None:
     """With one sentence, and no page hears of it."""
     with pytest.raises(ProblemError, match=says):
         page.put({**ROWS[0], **change})
-    with pytest.raises(ProblemError, match="a row lacks 'rate', 'degraded'; expected the keys tick, time"):
-        page.put({key: value for key, value in ROWS[0].items() if key not in ("rate", "degraded")})
+    with pytest.raises(ProblemError, match="a row lacks 'drops', 'degraded'; expected the keys tick, time"):
+        page.put({key: value for key, value in ROWS[0].items() if key not in ("drops", "degraded")})
+    with pytest.raises(ProblemError, match="a row lacks 'state'; expected the keys tick, state, cost, packets"):
+        page.compare({"tick": 0, "cost": 0.0, "packets": {"sensor": 1, "actuator": 1}})
     page.put(ROWS[1])
     assert Reader(page).take(2)[1] == ("tick", ROWS[1])
 
@@ -287,10 +292,12 @@ def test_a_row_that_could_not_be_drawn_is_refused(page: Page, change: dict[str, 
         (lambda: replace(ROVER, tick=0.0), "tick is 0; expected 0 < tick"),
         (lambda: replace(ROVER, ticks=0), "ticks is 0; expected a whole number, at least 1"),
         (lambda: replace(ROVER, value=0.2), "price is 0.2; expected 0 ≤ price ≤ 0.1"),
-        (lambda: replace(ROVER, knob=("price", -1.0, 1.0)), "the least price is -1; expected 0 ≤"),
-        (lambda: replace(ROVER, knob=("price", 1.0, 1.0)), "the largest price is 1; expected 1 <"),
+        (lambda: replace(ROVER, parameter=("price", -1.0, 1.0)), "the least price is -1; expected 0 ≤"),
+        (lambda: replace(ROVER, parameter=("price", 1.0, 1.0)), "the largest price is 1; expected 1 <"),
+        (lambda: replace(ROVER, losses=(0.1,)), "losses has 1 numbers; expected one for each of"),
+        (lambda: replace(ROVER, losses=(0.1, 2.0)), "the loss of the actuator link is 2; expected 0 ≤"),
         (lambda: replace(ROVER, bound=float("inf")), "bound is inf; expected a finite number"),
-        (lambda: replace(OMNI, states=("x [m]",)), "states has 1 names; expected at least 2 of the robot 'omni'"),
+        (lambda: replace(OMNI, states=("x [m]",)), "states has 1 names; expected at least 2 for the robot 'omni'"),
         (lambda: replace(OMNI, reference=((1.0,),)), "reference holds a state of 1 numbers; expected 2 to 3"),
     ],
 )

@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from counts import few
 from twin.browser import await_ticks, await_true, browse, missing
-from twin.feeds import OMNI, ROVER, picture, rows
+from twin.feeds import OMNI, PRICE, ROVER, every_sample, picture, rows
 
 from taciturn.twin import server
 from taciturn.twin.page import Page
 
-WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 740}
 ROWS = rows(ROVER, 40)
 
 
@@ -93,24 +93,79 @@ def test_what_a_run_does_is_shown_while_it_does_it(tabs: Tabs, page: Page, about
     if about is OMNI:
         page.begin(OMNI)
     tab, told = tabs.open(page.url), rows(about, 40)
-    panels = ("path", "input", "trigger", "raster", "cost", "rate")
+    panels = ("path", "input", "trigger", "raster", "cost", "packets")
     for row in told[:2]:
         page.put(row)
     await_ticks(tab, 2)
     before = {panel: drawn(tab, panel) for panel in panels}
     for row in told[2:]:
         page.put(row)
+    for row in every_sample(about, 40):
+        page.compare(row)
     await_ticks(tab, 40)
     assert [panel for panel in panels if drawn(tab, panel) == before[panel]] == []
     now = [float(cell) for cell in tab.locator("#now tbody tr").first.locator("td").all_text_contents()]
     assert now == pytest.approx([told[39]["state"][0], told[39]["estimate"][0]], rel=5e-4)
     assert float(tab.locator("#cost .legend").inner_text().split()[1]) == pytest.approx(told[39]["cost"], rel=5e-4)
     assert ("guaranteed" in tab.inner_text("#cost")) == (about.bound is not None)
-    assert f"tick 40 of {about.ticks}" in tab.inner_text("#progress")
+    assert f"40 of {about.ticks} steps" in tab.inner_text("#progress")
+    assert tab.inner_text("#compared") == "after 40 steps"
+    compared = [row.locator("td").all_text_contents() for row in tab.locator("#compare tbody tr").all()]
+    assert [cells[2] for cells in compared] == ["125 %", "35 %", "13 %"]  # 1/0.8, 14/40, 5/40
+    assert float(compared[0][1]) == pytest.approx(0.8 * told[39]["cost"], rel=5e-4)
     page.begin(replace(about, round=9))
     page.put(told[0])
     await_true(tab, "document.body.dataset.rows === '1'")
-    assert "round 9, tick 1 of" in tab.inner_text("#progress")
+    assert "round 9, 1 of" in tab.inner_text("#progress")
+
+
+def test_charts_appear_with_the_first_step_and_show_it(tabs: Tabs, page: Page) -> None:
+    """Before, the page shows what the run prepares; a new round replaces the charts of the last one by its own."""
+    page.wait("round 1: starting the processes")
+    tab = tabs.open(page.url)
+    await_true(tab, "document.getElementById('waiting').textContent.startsWith('round 1: starting')")
+    assert not tab.is_visible("main")
+    page.begin(ROVER)
+    page.compare(every_sample(ROVER, 1)[0])
+    tab.wait_for_selector("#push:enabled")
+    assert not tab.is_visible("main")
+    page.put(ROWS[0])
+    await_ticks(tab, 1)
+    assert tab.is_visible("main")
+    assert not tab.is_visible("#waiting")
+    coloured = """panel => { const canvas = document.querySelector(`#${panel} canvas`);
+        const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+        let found = 0;
+        for (let i = 0; i < data.length; i += 4)
+          found += Math.abs(data[i] - data[i + 2]) > 60 && data[i + 3] > 100; // neither ink nor the grid
+        return found; }"""
+    assert [
+        panel for panel in ("path", "input", "trigger", "cost", "packets") if not tab.evaluate(coloured, panel)
+    ] == []
+    page.put(ROWS[1])
+    await_ticks(tab, 2)
+    page.wait("round 2: starting the processes")
+    page.begin(replace(ROVER, round=2))
+    await_true(tab, "document.getElementById('progress').textContent === 'round 2'")
+    assert tab.evaluate("document.body.dataset.rows") == "2"  # the charts of round 1 remain until round 2 has a step
+    page.put(ROWS[0])
+    await_true(tab, "document.body.dataset.rows === '1'")
+
+
+def test_designed_drops_are_one_sentence_and_the_parameter_is_explained(tabs: Tabs, page: Page) -> None:
+    """The events list the unusual alone, at their steps; the meaning of the slider is next to it and read with it."""
+    for row in ROWS:
+        page.put(row)
+    page.note("the picture shows no marker", 7)
+    tab = tabs.open(page.url)
+    await_ticks(tab, 40)
+    tab.wait_for_selector("#events li")
+    drops = sum(row["sent"]["sensor"] - row["arrived"]["sensor"] for row in ROWS)
+    sentence = f"{drops} of 14 packets dropped on the sensor link, as designed (p = 0.2)"
+    assert tab.inner_text("#drops") == sentence  # the actuator link of this round drops nothing
+    assert tab.locator("#events li").all_text_contents() == ["step 7the picture shows no marker"]
+    assert tab.inner_text("#meaning") == PRICE
+    assert tab.get_attribute("#parameter", "aria-describedby") == "meaning"
 
 
 @pytest.mark.evidence
@@ -125,14 +180,16 @@ def test_a_tab_that_joins_late_shows_the_same(tabs: Tabs, page: Page) -> None:
         await_ticks(tab, 40)
         await_true(tab, "document.getElementById('picture').naturalWidth === 320")
         assert tab.is_visible("#picture")
-        assert "camera: <b>no marker</b> seen" in tab.inner_text("#log")  # as text
+        assert "camera: <b>no marker</b> seen" in tab.inner_text("#events")  # as text
     assert both[0].inner_text("#now") == both[1].inner_text("#now")
 
 
 @pytest.mark.evidence
 def test_the_picture_is_the_newest(tabs: Tabs, page: Page) -> None:
     """However fast they come, the last one is shown."""
+    page.put(ROWS[0])
     tab = tabs.open(page.url)
+    await_ticks(tab, 1)
     assert tab.is_visible("#blind")
     for k in range(30):
         page.show(picture(ROVER, ROWS[0], (64 + k, 48)))
@@ -143,27 +200,27 @@ def test_the_picture_is_the_newest(tabs: Tabs, page: Page) -> None:
 def test_the_slider_acts_when_it_is_released(tabs: Tabs, page: Page) -> None:
     """Its ends are the least (here 0) and the largest value; while it is held nothing is asked."""
     tab = tabs.open(page.url)
-    tab.wait_for_selector("#knob:enabled")
-    assert tab.inner_text("#knob-value") == "0.01"
+    tab.wait_for_selector("#parameter:enabled")
+    assert tab.inner_text("#parameter-value") == "0.01"
     for key, value in (("End", 0.1), ("Home", 0.0)):
-        tab.focus("#knob")
+        tab.focus("#parameter")
         tab.keyboard.press(key)
         assert await_asked(page) == [("value", value)]
-    box = tab.locator("#knob").bounding_box()
+    box = tab.locator("#parameter").bounding_box()
     tab.mouse.move(box["x"] + 9, box["y"] + box["height"] / 2)
     tab.mouse.down()
     tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2, steps=5)
-    await_true(tab, "!document.getElementById('knob-value').textContent.endsWith('→ 0')")
+    await_true(tab, "!document.getElementById('parameter-value').textContent.endsWith('→ 0')")
     assert page.asked() == []
     tab.mouse.up()
     [(what, value)] = await_asked(page)
     assert what == "value"
     assert 0.0008 < value < 0.00125  # half way up four decades: 0.001, by a pixel
     page.begin(replace(ROVER, value=0.05))
-    await_true(tab, "document.getElementById('knob-value').textContent === '0.05'")
+    await_true(tab, "document.getElementById('parameter-value').textContent === '0.05'")
     page.begin(replace(OMNI, value=0.1))  # above 0 the middle is the geometric mean: 0.1² = 0.001 · 10
-    await_true(tab, "document.getElementById('knob-name').textContent === 'theta'")
-    assert tab.input_value("#knob") == "500"
+    await_true(tab, "document.getElementById('parameter-name').textContent === 'theta'")
+    assert tab.input_value("#parameter") == "500"
 
 
 @pytest.mark.evidence
@@ -177,7 +234,7 @@ def test_pause_and_push_reach_the_run_and_the_other_tabs(tabs: Tabs, page: Page)
     first.click("#pause")
     assert await_asked(page) == [("pause", 1.0)]
     second.wait_for_selector("#status[data-state=paused]")
-    assert second.inner_text("#pause") == "Go on"
+    assert second.inner_text("#pause") == "Resume"
     second.click("#pause")
     assert await_asked(page) == [("pause", 0.0)]
     first.wait_for_selector("#status[data-state=connected]")
@@ -227,10 +284,10 @@ def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
     assert values[1:] + threshold == [1e-6, 0.1, None, 0.05, 0.05]
     for plain in ([-1.0, 1e-6, 0.1], [0.0, 0.0, 0.0], [None, None, None], [1.0, 2.0, 0.0]):
         assert tab.evaluate(scaled, [plain, plain]) == [False, [plain, plain]]
-    for k, (value, title) in enumerate([(1e-6, "trigger (log; 0 at the bottom)"), (0.01, "trigger")], 10):
+    for k, (value, title) in enumerate([(1e-6, "trigger (log scale; 0 at the bottom)"), (0.01, "trigger")], 10):
         page.begin(replace(ROVER, round=k))
         page.put({**ROWS[0], "trigger": value, "threshold": 0.05})
-        await_true(tab, f"document.getElementById('progress').textContent.includes('round {k}, tick 1')")
+        await_true(tab, f"document.getElementById('progress').textContent.includes('round {k}, 1 of')")
         assert tab.inner_text("#trigger h2") == title
 
 
@@ -238,6 +295,7 @@ def test_triggers_over_decades_are_logarithmic(tabs: Tabs, page: Page) -> None:
 def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no word comes, and no end of the connection either, the page listens anew after some seconds."""
     monkeypatch.setattr(server, "PULSE", 60.0)
+    page.put(ROWS[0])
     page.note("hello")
     tab = tabs.open("about:blank")
     tab.clock.install()
@@ -246,8 +304,8 @@ def test_a_run_that_falls_silent_is_called_again(tabs: Tabs, page: Page, monkeyp
     with tab.expect_request("**/events?"):
         tab.clock.fast_forward(8000)
     tab.wait_for_selector("#status[data-state=connected]")
-    tab.wait_for_selector("#log li")
-    assert tab.inner_text("#log ol").count("hello") == 1  # what is told again is not written twice
+    tab.wait_for_selector("#events li")
+    assert tab.inner_text("#events ol").count("hello") == 1  # what is told again is not written twice
 
 
 def test_the_marks_of_the_raster_differ_in_shape(tabs: Tabs, page: Page) -> None:

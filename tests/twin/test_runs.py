@@ -52,7 +52,7 @@ def bits(trial: Trial) -> tuple[bytes, ...]:
 
 @pytest.mark.evidence
 def test_the_rover_is_driven_by_pictures_that_are_asked_for(tmp_path: Path, quiet: TwinRun) -> None:
-    """It asks by the schedule of its policy, sees within millimetres, and repeats bit for bit, also beside another."""
+    """It asks by the schedule of its policy, sees within millimetres, and repeats bit for bit, also next to another."""
     file = short_mission("rover", TICKS["rover"], tmp_path)
     run = run_twin(stand_in("rover"), Setup(runs=2, seed=3), file=file, compare=False)
     accounted(run.trial)
@@ -139,6 +139,6 @@ def test_what_goes_wrong_does_and_is_told(tmp_path: Path, quiet: TwinRun) -> Non
     assert trial.arrived["actuator"][0, 0] == 0 < trial.sent["actuator"][0, 0]
     assert trial.inputs[0, 0, 0] == 0.0  # the robot stands until the next packet comes
     step = np.diff(trial.poses[0, :, 0])
-    assert step[13] - step[12] == pytest.approx(0.1, abs=0.05)  # pushed aside within a tick
+    assert step[13] - step[12] == pytest.approx(0.1, abs=0.05)  # pushed aside within a step
     assert run.cost_bound is None
     assert quiet.cost_bound is not None

@@ -121,7 +121,7 @@ def test_what_is_pink_and_no_marker_is_not_believed() -> None:
     for x, y, wide, high in ((0.3, 0, 30, 22), (0.3, 0, 5, 4), (0.3, 0, 25, 3), (0.3, 0.3, 11, 8)):
         assert eye.see(with_pink(empty, x, y, wide, high)) is None
     assert eye.see(with_pink(clear, 0.2, 0.0, 11, 8)) is None
-    near = eye.see(with_pink(clear, 0.3, 0.4, 9, 6))  # beside the track it does not disturb
+    near = eye.see(with_pink(clear, 0.3, 0.4, 9, 6))  # next to the track it does not disturb
     assert near is not None
     assert near[0] == pytest.approx(0.7, abs=3e-3)
 

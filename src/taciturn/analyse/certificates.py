@@ -1,8 +1,9 @@
 """Certificates of switched linear loops by quadratic Lyapunov functions, each verified before it is returned.
 
-V(z) = z'P_iz where the action i is taken, or one P for all. An inequality that must hold only where i is taken now (and
-j next) is asked everywhere after multiples, not negative, of the margins by which i (and j) is the cheapest were
-subtracted: the S-procedure. The constants of the trigger, times these multiples, add up to a residual β.
+V(z) = z'P_iz if the action i is taken; some certificates use one P for all actions. Some inequalities must hold only if
+i is taken now (and j next). The S-procedure subtracts non-negative multiples of the margins by which i (and j) has the
+lowest cost, and then requires the inequality everywhere. The constants of the trigger, times these multiples, add up to
+a residual β.
 """
 
 from __future__ import annotations
@@ -15,34 +16,35 @@ from itertools import product
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.analyse.inequalities import Inequalities, Inequality, Solution, Square, Widest
 from taciturn.analyse.switched import Switched
 from taciturn.errors import ProblemError
 
-MARGINS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)  # of the inequalities, in coordinates of unit size; the first that verifies
-HALVINGS = 13  # of the interval in which the decay rate is sought: to 1.3e-4
-LAST = 1 - 1e-6  # the slowest decay that is asked for
-SPARE = 1.05  # by how much a gain may exceed the least one, for a smaller residual
-SHARES = (0.9, 0.6, 0.2)  # of 1 − ρ², at which a smaller residual is sought
+MARGINS = (1e-8, 1e-7, 1e-6, 1e-5, 1e-4)  # tried in this order for the inequalities, in coordinates of unit size
+HALVINGS = 13  # bisections of the interval of the decay rate, to 1.3e-4
+LAST = 1 - 1e-6  # slowest decay that is tried
+SPARE = 1.05  # factor by which a gain may exceed the least one, for a smaller residual
+SHARES = (0.9, 0.6, 0.2)  # shares of 1 − ρ² that are tried for a smaller residual
 BELOW = 1 - 1e-6  # share of a computed eigenvalue that is claimed
-RARELY = 1e-3  # weight of what is paid once beside what is paid at every tick
-ABOVE = 1 + 1e-14  # by which a claimed number exceeds the product that it is
-BETA = 0  # unknown scalars: the residual,
-GAMMA = TAU = 1  # the square of the gain, what V may be below the stage cost,
-ONCE = 2  # what V may be below 0
+RARELY = 1e-3  # weight of the one-time constant relative to the residual per step
+ABOVE = 1 + 1e-14  # factor that covers the rounding of a claimed product
+BETA = 0  # indices of the unknown scalars: the residual,
+GAMMA = TAU = 1  # the square of the gain, or the amount by which V may be below the stage cost,
+ONCE = 2  # and the amount by which V may be below 0
 
 
 class NoCertificateError(ProblemError):
-    """No solution of the inequalities was found, or none that can be verified."""
+    """No solution of the inequalities was found, or the solution could not be verified."""
 
 
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """What was proved: the inequalities and a solution that satisfies them, rounding included.
+@dataclass(frozen=True, eq=False, repr=False)
+class Certificate(Displayed):
+    """A proof: the inequalities and a solution that is verified with bounds on rounding errors.
 
     Args:
-        inequalities: what was solved.
-        solution: P of each action (or one for all), and the multipliers.
+        inequalities: the inequalities that were solved.
+        solution: the matrix P of each action (or one for all), and the multipliers.
     """
 
     inequalities: Inequalities
@@ -50,21 +52,21 @@ class Certificate:
 
     @property
     def matrices(self) -> tuple[Array, ...]:
-        """P of each action, or one for all."""
+        """The matrix P of each action, or one for all."""
         return self.solution.matrices
 
 
-@dataclass(frozen=True, eq=False)
-class Decay:
-    """Without noise V(z⁺) ≤ ρ²V(z) + β: the state shrinks by ρ per tick, to nothing where β is 0.
+@dataclass(frozen=True, eq=False, repr=False)
+class Decay(Displayed):
+    """A decay rate of the loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero.
 
     Args:
-        rate: ρ per tick.
-        residual: β, 0 where the trigger has no constants.
-        overshoot: of a trigger without constants, |z_k| ≤ overshoot · ρ^k |z_0|; else None.
-        limit: per tick, what the stage cost ends below; 0 where the state vanishes.
-        proof_of_limit: None where the limit is 0.
-        proof: of the rate.
+        rate: ρ per step.
+        residual: β, which is 0 if the trigger has no constants.
+        overshoot: factor in |z_k| ≤ overshoot · ρ^k |z_0| if the trigger has no constants; otherwise None.
+        limit: bound below which the stage cost finally falls; 0 if the state converges to zero.
+        proof_of_limit: proof of the limit, or None if the limit is 0.
+        proof: proof of the rate.
     """
 
     rate: float
@@ -75,15 +77,15 @@ class Decay:
     proof: Certificate
 
 
-@dataclass(frozen=True, eq=False)
-class Gain:
-    """Σ stage cost ≤ γ² Σ|w|² + β·ticks + once, for every noise w, from z = 0 on.
+@dataclass(frozen=True, eq=False, repr=False)
+class Gain(Displayed):
+    """An l2 gain: Σ stage cost ≤ γ² Σ|w|² + β·steps + once, for every noise signal w and z_0 = 0.
 
     Args:
         value: γ, from noise in units of its standard deviation to the root of the stage cost.
-        residual: β per tick, 0 where the trigger has no constants.
-        once: 0 where the trigger has no constants.
-        proof: P of each action.
+        residual: β per step, which is 0 if the trigger has no constants.
+        once: the constant of the inequality, which is 0 if the trigger has no constants.
+        proof: proof with a matrix P for each action.
     """
 
     value: float
@@ -92,13 +94,13 @@ class Gain:
     proof: Certificate
 
 
-@dataclass(frozen=True, eq=False)
-class Moment:
+@dataclass(frozen=True, eq=False, repr=False)
+class Moment(Displayed):
     """A bound on the long-run average of the stage cost, or of |Xz|², under white noise of unit covariance.
 
     Args:
-        value: per tick.
-        proof: one P for all actions: E[z⁺'Pz⁺] ≤ z'Pz − form + bound.
+        value: the bound, per step.
+        proof: proof with one P for all actions: E[z⁺'Pz⁺] ≤ z'Pz − form + bound.
     """
 
     value: float
@@ -106,20 +108,20 @@ class Moment:
 
 
 def find_decay(loop: Switched) -> Decay:
-    """Return a rate at which the loop without noise forgets its state.
+    """Return a proven decay rate of the loop without noise.
 
-    The least ρ with F_i'P_jF_i ⪯ ρ²P_i after the S-procedure at i and at j, P_i ≻ 0 where i is taken; found by halving,
-    every ρ on the way verified.
+    The result is the least ρ with F_i'P_jF_i ⪯ ρ²P_i after the S-procedure at i and at j, and P_i ≻ 0 if i is taken. A
+    bisection finds it, and verifies each ρ that it tries.
 
     Args:
-        loop: the matrices.
+        loop: matrices of the loop.
 
     Raises:
-        NoCertificateError: none below 1 is found.
+        NoCertificateError: no decay rate below 1 is found.
 
     Source: heemels2013
 
-    Example: the state halves whatever is done.
+    Example: the state halves in every step.
 
         >>> one = np.eye(1)
         >>> loop = Switched(("a",), (one / 2,), one, (one,), (0 * one,), (0.0,), one, 0.0, 0.0, 0)
@@ -130,8 +132,8 @@ def find_decay(loop: Switched) -> Decay:
     found = _falling(loop, widest, LAST)
     if found is None:
         raise NoCertificateError(
-            f"no quadratic functions of {loop.states} coordinates, one for each of {len(loop.labels)} actions, are "
-            f"proved to fall by {1 - LAST:.0e} per tick; expected a trigger that sends more often"
+            f"no decay by {1 - LAST:.0e} per step is proved with quadratic functions of {loop.states} coordinates, one "
+            f"for each of {len(loop.labels)} actions; expected a trigger that sends more often"
         )
     low, rate = 0.0, LAST
     for _ in range(HALVINGS):
@@ -149,16 +151,16 @@ def find_decay(loop: Switched) -> Decay:
 
 
 def find_gain(loop: Switched) -> Gain:
-    """Return a bound on what noise of any kind does to the cost.
+    """Return a bound on the l2 gain from any noise to the cost.
 
-    The least γ with V(F_iz + Gw) − z'P_iz + z'M_iz ≤ γ²|w|² + β after the S-procedure at i and at j, and then the least
-    β at 1.05 γ.
+    The function first finds the least γ with V(F_iz + Gw) − z'P_iz + z'M_iz ≤ γ²|w|² + β after the S-procedure at i and
+    at j, and then the least β for 1.05 γ.
 
     Args:
-        loop: the matrices.
+        loop: matrices of the loop.
 
     Raises:
-        NoCertificateError: none is found, or nothing disturbs the loop.
+        NoCertificateError: no bound is found, or the loop has no noise.
 
     Source: heemels2013
 
@@ -170,7 +172,9 @@ def find_gain(loop: Switched) -> Gain:
         2.0
     """
     if not loop.G.shape[1]:
-        raise NoCertificateError("nothing disturbs the loop (W and V are zero); expected noise, for a gain")
+        raise NoCertificateError(
+            "the loop has no noise (W and V are zero), so it has no gain from noise to cost; expected W or V not zero"
+        )
     unit = _unit_of(loop.M)
     proof = _minimised(_gain(loop, unit, None), {GAMMA: 1.0}, "gain")
     square = float(proof.solution.scalars[GAMMA])
@@ -182,16 +186,17 @@ def find_gain(loop: Switched) -> Gain:
 
 
 def bound_cost(loop: Switched) -> Moment:
-    """Return a bound on the average stage cost per tick under white noise, ``constant`` included.
+    """Return a bound on the average stage cost per step under white noise, ``constant`` included.
 
-    The least β with F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, tr(PGG') + what that leaves of c ≤ β, P ⪰ 0. The
-    noise must be white with zero mean and unit covariance, Gaussian or not.
+    The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
+    residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or
+    not.
 
     Args:
-        loop: the matrices.
+        loop: matrices of the loop.
 
     Raises:
-        NoCertificateError: none is found.
+        NoCertificateError: no bound is found.
 
     Source: heemels2013
 
@@ -206,10 +211,10 @@ def bound_cost(loop: Switched) -> Moment:
 
 
 def bound_state(loop: Switched) -> Moment:
-    """Return a bound on the average square of the plant's state, E|x|², by the inequalities of :func:`bound_cost`.
+    """Return a bound on the mean square of the plant's state, E|x|², by the inequalities of :func:`bound_cost`.
 
     Raises:
-        NoCertificateError: none is found.
+        NoCertificateError: no bound is found.
 
     Source: heemels2013
     """
@@ -217,10 +222,10 @@ def bound_state(loop: Switched) -> Moment:
 
 
 class _Asked:
-    """The inequalities of a certificate while they are being listed.
+    """A list of the inequalities of a certificate, to which inequalities are added.
 
     Args:
-        loop: the matrices.
+        loop: matrices of the loop.
         matrices: number of unknown matrices.
         scalars: number of unknown scalars before the multipliers.
     """
@@ -238,15 +243,15 @@ class _Asked:
         scalars: Sequence[tuple[int, Array]] = (),
         left: Inequality | None = None,
     ) -> None:
-        """List an inequality that must hold wherever these actions are taken.
+        """Add an inequality that must hold whenever these actions are taken.
 
         Args:
-            constant: what it has beside its terms.
+            constant: constant term of the inequality.
             squares: terms of the unknown matrices.
-            where: (i, T): the action i is taken at T z.
+            where: pairs (i, T), meaning that the action i is taken at T z.
             scalars: terms of the unknown scalars.
-            left: the (1, 1) inequality to which the constants of the trigger are added, times their multipliers;
-                omitted: they do not matter.
+            left: the (1, 1) inequality to which the constants of the trigger, times their multipliers, are added;
+                if omitted, these constants are ignored.
         """
         terms, numbers = list(scalars), [] if left is None else list(left.scalars)
         for action, T in where:
@@ -262,12 +267,12 @@ class _Asked:
             self.listed.append(Inequality(left.constant, left.squares, [each for each in numbers if each[1].any()]))
 
     def all(self) -> Inequalities:
-        """Return what was listed."""
+        """Return all inequalities that were added."""
         return Inequalities(self.sizes, self.scalars, tuple(self.listed))
 
 
 def _falling(loop: Switched, widest: Widest, rate: float) -> tuple[Certificate, float] | None:
-    """Return the proof that V falls by ρ² per tick, and the t with V ≥ t|z|² up to a number; or None."""
+    """Return the proof that V decreases by ρ² per step, and t with V ≥ t|z|² up to a constant; None if it fails."""
     asked, found = _decay(loop, rate, 0.0), widest.at(rate**2)
     if found is None:
         return None
@@ -277,7 +282,7 @@ def _falling(loop: Switched, widest: Widest, rate: float) -> tuple[Certificate, 
 
 
 def _decay(loop: Switched, rate: float, least: float) -> Inequalities:
-    """List P_i ⪰ least and P_i ⪯ 1 for each action, and the fall of V by ρ², less β, from each to each."""
+    """Return P_i ⪰ least and P_i ⪯ 1 for each action, and V(z⁺) ≤ ρ²V(z) + β for each pair of actions."""
     unit, actions = np.eye(loop.states), range(len(loop.labels))
     asked = _Asked(loop, len(actions), 1)
     for i in actions:
@@ -292,7 +297,7 @@ def _decay(loop: Switched, rate: float, least: float) -> Inequalities:
 
 
 def _limit(loop: Switched, rate: float) -> tuple[float, Certificate]:
-    """Return what the stage cost ends below without noise: the least β/(1 − ρ²) + τ, V + τ ≥ the stage cost."""
+    """Return the final bound on the stage cost without noise: the least β/(1 − ρ²) + τ with V + τ ≥ the stage cost."""
     best: tuple[float, Certificate] | None = None
     error: NoCertificateError | None = None
     for share in SHARES:
@@ -314,7 +319,7 @@ def _limit(loop: Switched, rate: float) -> tuple[float, Certificate]:
 
 
 def _ending(loop: Switched, decay: float, unit: float) -> Inequalities:
-    """List V + τ ≥ the stage cost, in a unit of it, and V(z⁺) ≤ decay·V + β."""
+    """Return V + τ ≥ the stage cost, in the given unit, and V(z⁺) ≤ decay·V + β."""
     one, number, actions = np.eye(loop.states), np.ones((1, 1)), range(len(loop.labels))
     asked = _Asked(loop, len(actions), 2)
     for i in actions:
@@ -327,7 +332,7 @@ def _ending(loop: Switched, decay: float, unit: float) -> Inequalities:
 
 
 def _gain(loop: Switched, unit: float, square: float | None) -> Inequalities:
-    """List P_i ⪰ 0 where i is taken, and the dissipation; γ² is unknown and β dropped, or γ² given and β unknown."""
+    """Return P_i ⪰ 0 if i is taken, and the dissipation inequality: γ² unknown without β, or γ² given and β unknown."""
     r, q, actions = loop.states, loop.G.shape[1], range(len(loop.labels))
     now, noise = np.eye(r, r + q), np.diag([0.0] * r + [1.0] * q)
     asked, unlimited = _Asked(loop, len(actions), 3), square is None
@@ -344,7 +349,7 @@ def _gain(loop: Switched, unit: float, square: float | None) -> Inequalities:
 
 
 def _moment(loop: Switched, forms: Sequence[Array], constant: float) -> Moment:
-    """Return the bound on the average of z'M_iz + constant."""
+    """Return a bound on the average of z'M_iz + constant."""
     one, number, unit = np.eye(loop.states), np.ones((1, 1)), _unit_of(forms)
     asked = _Asked(loop, 1, 1)
     asked.ask(0 * one, [(1.0, 0, one)])
@@ -357,10 +362,10 @@ def _moment(loop: Switched, forms: Sequence[Array], constant: float) -> Moment:
 
 
 def _minimised(asked: Inequalities, weights: Mapping[int, float], what: str) -> Certificate:
-    """Return the least Σ weight·scalar that can be verified.
+    """Return a verified solution with the least Σ weight·scalar.
 
     Raises:
-        NoCertificateError: none can.
+        NoCertificateError: no solution is found or verified.
     """
     missed = None
     for margin in MARGINS:
@@ -373,7 +378,7 @@ def _minimised(asked: Inequalities, weights: Mapping[int, float], what: str) -> 
         missed = asked.shortfall(settled)
         if missed == 0:
             return Certificate(asked, settled)
-    reason = "the solver finds none" if missed is None else f"the solver's miss an inequality by {missed:.2g}"
+    reason = "the solver finds none" if missed is None else f"the solution violates an inequality by {missed:.2g}"
     raise NoCertificateError(
         f"no {what} is proved by quadratic functions of {asked.sizes[0]} coordinates ({reason}); "
         "expected a trigger that sends more often"
@@ -381,7 +386,7 @@ def _minimised(asked: Inequalities, weights: Mapping[int, float], what: str) -> 
 
 
 def _unit_of(forms: Sequence[Array]) -> float:
-    """Return the power of two nearest to the largest trace, so that dividing by it rounds nothing."""
+    """Return the power of two nearest to the largest trace; a division by it is exact."""
     largest = max(float(np.trace(form)) for form in forms)
     return _power_of_two(largest) if largest > 0 else 1.0
 

@@ -1,4 +1,4 @@
-"""Linear matrix inequalities as data: the solver finds a solution, and a bound on rounding proves that it is one."""
+"""Linear matrix inequalities as data: a solver finds a solution, and bounds on rounding errors prove it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ import numpy as np
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._cvxpy import Minimum
+from taciturn._display import Displayed
 
 UNIT = 2.0**-53  # relative rounding error of one operation
 Square = tuple[float, int, Array]
-"""weight, k, T: the term weight · T'P_kT."""
+"""The triple (weight, k, T) of a term weight · T'P_kT."""
 
 
-@dataclass(frozen=True, eq=False)
-class Inequality:
-    """constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0.
+@dataclass(frozen=True, eq=False, repr=False)
+class Inequality(Displayed):
+    """The inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0.
 
     Args:
-        constant: (n, n), symmetric.
-        squares: (weight, k, T) of each term of an unknown matrix.
-        scalars: (j, S) of each term of an unknown scalar, S (n, n) symmetric.
+        constant: symmetric matrix, (n, n).
+        squares: the triple (weight, k, T) of each term with an unknown matrix.
+        scalars: the pair (j, S) of each term with an unknown scalar; S is symmetric, (n, n).
     """
 
     constant: Array
@@ -30,20 +31,20 @@ class Inequality:
     scalars: Sequence[tuple[int, Array]] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """Values of the unknowns: symmetric matrices, and scalars that are not negative."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Displayed):
+    """Values of the unknowns: symmetric matrices and non-negative scalars."""
 
     matrices: tuple[Array, ...]
     scalars: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Inequalities:
-    """Inequalities in symmetric matrices of given sizes and in so many scalars s ≥ 0.
+@dataclass(frozen=True, eq=False, repr=False)
+class Inequalities(Displayed):
+    """Inequalities in symmetric matrices of given sizes and in a given number of scalars s ≥ 0.
 
     Args:
-        sizes: of the unknown matrices P_k.
+        sizes: sizes of the unknown matrices P_k.
         scalars: number of the unknown scalars.
         listed: the inequalities.
     """
@@ -53,11 +54,11 @@ class Inequalities:
     listed: tuple[Inequality, ...]
 
     def minimise(self, weights: Mapping[int, float], margin: float) -> Solution | None:
-        """Return a solution with the least Σ weight·scalar, every inequality held by a margin, or None.
+        """Return the solution with the least Σ weight·scalar that satisfies every inequality with a margin, or None.
 
         Args:
-            weights: of the scalars, those not named 0.
-            margin: the least eigenvalue that is asked of every inequality.
+            weights: weights of the scalars by index; the others have weight 0.
+            margin: least eigenvalue that the left side of every inequality must have.
         """
         blocks = [(A, 0 * A, b - margin * np.eye(len(b))) for A, b in map(self.block, self.listed)]
         objective, signed = np.zeros(blocks[0][0].shape[1]), self.signed
@@ -67,14 +68,14 @@ class Inequalities:
         return None if found is None else self.solution(found)
 
     def shortfall(self, solution: Solution) -> float:
-        """Return 0 where the solution provably satisfies every inequality, else by how much one may be missed."""
+        """Return 0 if the solution provably satisfies every inequality; otherwise the largest possible violation."""
         if len(solution.scalars) and not solution.scalars.min() >= 0:
             return float("inf")
-        with np.errstate(all="ignore"):  # what overflows is no proof
+        with np.errstate(all="ignore"):  # an overflow makes the proof fail
             return max((_shortfall(one, solution) for one in self.listed), default=0.0)
 
     def raised(self, solution: Solution, index: int) -> Solution:
-        """Return the solution with one scalar raised as far as the (1, 1) inequalities in which it stands alone ask."""
+        """Return the solution with one scalar increased as far as the (1, 1) inequalities in this scalar require."""
         scalars = np.array(solution.scalars)
         for one in self.listed:
             weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
@@ -85,17 +86,17 @@ class Inequalities:
         return Solution(solution.matrices, scalars)
 
     def value(self, position: int, solution: Solution) -> Array:
-        """Return the left side of an inequality, as computed."""
+        """Return the computed left side of an inequality."""
         return _evaluated(self.listed[position], solution)[0]
 
     @property
     def signed(self) -> range:
-        """Where the scalars stand among all unknowns."""
+        """Indices of the scalars among all unknowns."""
         first = sum(size * (size + 1) // 2 for size in self.sizes)
         return range(first, first + self.scalars)
 
     def solution(self, values: Array) -> Solution:
-        """Return the unknowns as matrices and scalars."""
+        """Return the vector of unknowns as matrices and scalars."""
         matrices: list[Array] = []
         at = 0
         for size in self.sizes:
@@ -107,7 +108,7 @@ class Inequalities:
         return Solution(tuple(matrices), np.maximum(values[at:], 0.0))
 
     def block(self, one: Inequality) -> tuple[Array, Array]:
-        """Return the matrix of the unknowns, (n², unknowns), and the constant."""
+        """Return the coefficient matrix of the unknowns, (n², unknowns), and the constant."""
         n = len(one.constant)
         starts = np.cumsum([0, *(size * (size + 1) // 2 for size in self.sizes)])
         A = np.zeros((n, n, int(starts[-1]) + self.scalars))
@@ -122,15 +123,15 @@ class Inequalities:
 
 
 class Widest:
-    """The solution with the largest margin of all inequalities between two lists of them, the same but for numbers.
+    """The solution with the largest common margin, for inequalities between two lists of the same structure.
 
     Args:
-        first: the inequalities at 0.
-        last: those at 1; in between they are linear.
+        first: the inequalities at share 0.
+        last: the inequalities at share 1; at other shares they are interpolated linearly.
     """
 
     def __init__(self, first: Inequalities, last: Inequalities) -> None:
-        """Write the problem down; the margin is the last unknown, at most 1."""
+        """Set up the problem; the margin is the last unknown, at most 1."""
         blocks: list[tuple[Array, Array, Array]] = []
         for (A, b), (B, _) in zip(map(first.block, first.listed), map(last.block, last.listed), strict=True):
             less = -np.eye(len(b)).reshape(-1, 1)
@@ -141,23 +142,24 @@ class Widest:
         self._first, self._minimum = first, Minimum(objective, blocks, first.signed)
 
     def at(self, share: float) -> Solution | None:
-        """Return the solution so far from the first to the last, or None where there is none with a margin."""
+        """Return the solution at a share from 0 (first) to 1 (last), or None if no solution has a positive margin."""
         found = self._minimum.at(share)
         return None if found is None or found[-1] <= 0 else self._first.solution(found[:-1])
 
 
 def _shortfall(one: Inequality, solution: Solution) -> float:
-    """Return 0 where the inequality provably holds, else by how much its least eigenvalue may be below 0.
+    """Return 0 if the inequality provably holds; otherwise how far its least eigenvalue may be below 0.
 
-    Every entry is computed with at most so many operations that its error is at most γ times the sum of the moduli of
-    what is added up, γ = ku/(1 − ku), which bounds the norm of the error; a Cholesky factorisation that succeeds after
-    as much, and γ_{n+1}/(1 − γ_{n+1}) of the trace, is taken from the diagonal proves the rest [rump2006].
+    Every entry is computed with at most k operations, so its error is at most γ = ku/(1 − ku) times the sum of the
+    absolute values of its terms. This bounds the norm of the error. The bound, and γ_{n+1}/(1 − γ_{n+1}) times the
+    trace, are subtracted from the diagonal. If a Cholesky factorisation then succeeds, the inequality is proved
+    [rump2006].
     """
     value, size, terms = _evaluated(one, solution)
     if not np.isfinite(size).all():
         return float("inf")
     n = len(value)
-    rounding = 2 * _gamma(terms) * float(size.sum(axis=1).max(initial=0.0))  # of ``size`` itself too
+    rounding = 2 * _gamma(terms) * float(size.sum(axis=1).max(initial=0.0))  # 2: includes the rounding of ``size``
     factoring = 2 * _gamma(n + 2) * (float(np.abs(np.diag(value)).sum()) + n * rounding)
     allowance = rounding + factoring + np.finfo(np.float64).tiny
     try:
@@ -169,7 +171,7 @@ def _shortfall(one: Inequality, solution: Solution) -> float:
 
 
 def _evaluated(one: Inequality, solution: Solution) -> tuple[Array, Array, int]:
-    """Return the left side, the sum of the moduli of what it is made of, and the operations that an entry takes."""
+    """Return the left side, the sum of the absolute values of its terms, and the number of operations per entry."""
     value, size, terms = np.array(one.constant), np.abs(one.constant), 1
     for weight, k, T in one.squares:
         P = solution.matrices[k]

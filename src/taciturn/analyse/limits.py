@@ -1,4 +1,4 @@
-"""How far a policy is from the best: what no scheduling of its controller can cost less than, at its own rate."""
+"""Lower bounds on the cost of all schedules of a controller at a given rate, and the optimal schedule."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn._arrays import Array, count, instance, number
+from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -17,24 +18,24 @@ from taciturn.model.theory import Reset
 if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum
 
-USUAL = 0.999  # confidence of a bound
-CLOSE = 0.02  # of the rate: how near to it the schedule sends whose price is taken
+USUAL = 0.999  # default confidence of a bound
+CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8
-FIRST = 1.5  # price over the threshold with about the same rate
-FEW = 300  # errors that the search for a price is fitted to
-EASY = 0.97  # sends per tick from which on nothing is to be told from sending always
+FIRST = 1.5  # initial ratio of the price to the threshold with about the same rate
+FEW = 300  # number of errors to which the search for a price fits
+EASY = 0.97  # sends per step from which on the bound is the cost of sending every sample
 
 
-@dataclass(frozen=True)
-class LowerBound:
-    """No scheduling of a controller that sends at a rate costs less.
+@dataclass(frozen=True, repr=False)
+class LowerBound(Displayed):
+    """A lower bound on the cost of all schedules of a controller at a given rate.
 
     Args:
-        cost: in the units of the cost.
-        confidence: with which that holds, one-sided.
-        rate: sends per tick.
-        price: of a send, for which the bound is taken, in the units of the cost times ticks: at another rate r per tick
-            the same bound is cost + price·(rate − r).
+        cost: the bound, in units of the cost.
+        confidence: one-sided confidence of the bound.
+        rate: sends per step.
+        price: price of a send for which the bound is computed, in units of the cost times steps; at another rate r per
+            step the bound is cost + price·(rate − r).
     """
 
     cost: float
@@ -43,29 +44,29 @@ class LowerBound:
     price: float
 
     def at_rate(self, rate: float) -> float:
-        """Return what the same price says at another rate of sends per tick."""
+        """Return the lower bound at another rate of sends per step, for the same price."""
         return self.cost + self.price * (self.rate - rate)
 
 
 def bound_below(
     loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
-    """Return what no scheduling of a loop's controller can cost less than, at a rate of sends per tick.
+    """Return a lower bound on the cost of all schedules of a loop's controller, at a given rate of sends per step.
 
-    Whatever decides, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. At any
-    price λ of a send E[(1−σ)e'Γe + λσ] ≥ g, so that J ≥ J_all + g − λ·rate: a line below every schedule. λ is that of a
-    nearly optimal schedule with the rate asked for, g by duality (``renewal/dual``).
+    For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
+    price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
+    which a nearly optimal schedule has the given rate; duality gives g (``renewal/dual``).
 
     Args:
-        loop: of the design, whose actuator runs a model; Gaussian noise.
-        rate: sends per tick, in (0, 1].
-        confidence: in (0, 1).
-        seed: of the draws.
-        progress: called with the fraction done.
+        loop: loop of the design, with Gaussian noise and an actuator that runs a model.
+        rate: sends per step, in (0, 1].
+        confidence: confidence of the bound, in (0, 1).
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
 
     Raises:
-        ProblemError: no send resets an error of the loop, the noise comes in jumps, or the rate is too low for a bound
-            that says more than J_all.
+        ProblemError: no send resets an error of the loop, the noise consists of jumps, or the rate is so low that the
+            bound would not exceed J_all.
 
     Source: cogill2007, rogers2002
 
@@ -83,7 +84,7 @@ def bound_below(
     if rate > 1 + 1e-9:
         raise ProblemError(f"rate is {rate:g}; expected a number at most 1")
     base = loop.policy.cost_all_time
-    if rate >= EASY or not reset.square.any():
+    if rate >= EASY or not reset.weight.any():
         return LowerBound(base, confidence, rate, 0.0)
     from taciturn.renewal.dual import bound_schedules
     from taciturn.renewal.fitted import fit_schedule
@@ -91,31 +92,34 @@ def bound_below(
     F = loop.problem.plant.A
     told = Stages(progress)
     price = _price_of(F, reset, rate, told.stage(0.0, 0.4))
-    fitted = fit_schedule(F, reset.covariance, reset.square, price, seed)
+    fitted = fit_schedule(F, reset.covariance, reset.weight, price, seed)
     told(0.5)
     rest = told.stage(0.5, 1.0)
-    found = bound_schedules(F, reset.covariance, reset.square, price, fitted, confidence, seed, rest)
+    found = bound_schedules(F, reset.covariance, reset.weight, price, fitted, confidence, seed, rest)
     if found.gain <= price * rate:
-        raise ProblemError(f"at {rate:g} sends per tick no bound above sending always is found; expected a higher rate")
+        raise ProblemError(
+            f"at {rate:g} sends per step no bound above the cost of sending every sample is found; "
+            "expected a higher rate"
+        )
     return LowerBound(base + found.gain - price * rate, confidence, rate, price)
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the best schedule of a loop's controller at a price per send, solved by quadrature.
+    """Return the optimal schedule of a loop's controller at a price per send, solved by quadrature.
 
     Args:
-        loop: of the design, whose actuator runs a model; Gaussian noise, at most three states that count.
-        price: λ > 0, of a send, in the units of the cost times those of time.
-        accuracy: relative; omitted: 1e-8, in three dimensions 1e-6.
-        progress: called with the fraction done.
+        loop: loop of the design, with Gaussian noise, an actuator that runs a model, and at most three relevant states.
+        price: price λ > 0 of a send, in units of cost times time.
+        accuracy: relative accuracy; default: 1e-8, or 1e-6 in three dimensions.
+        progress: callback that receives the fraction done.
 
     Returns:
-        Rate and excess per tick, their errors, the distribution of the intervals, the schedule itself. The cost is the
-        all-time cost and the excess.
+        Rate and excess per step, their errors, the distribution of the intervals, and the schedule. The cost is the
+        cost of sending every sample plus the excess.
 
     Raises:
-        ProblemError: no send resets an error of the loop, or the noise comes in jumps.
-        NoQuadratureError: more than three states, or hardly anything is sent.
+        ProblemError: no send resets an error of the loop, or the noise consists of jumps.
+        NoQuadratureError: there are more than three states, or sends are extremely rare.
 
     Source: cogill2007
 
@@ -132,34 +136,34 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progr
     reset = resets(loop)
     number("price", price, 0.0)
     return solve_optimal(
-        loop.problem.plant.A, reset.covariance, reset.square, price / loop.policy.tick, accuracy, progress
+        loop.problem.plant.A, reset.covariance, reset.weight, price / loop.policy.tick, accuracy, progress
     )
 
 
 def resets(loop: Loop) -> Reset:
-    """Return the error of a loop that a send resets, and that Gaussian noise alone moves.
+    """Return the error of a loop that a send resets and that only Gaussian noise drives.
 
     Raises:
-        ProblemError: there is none.
+        ProblemError: the loop has no such error.
     """
     instance("loop", loop, Loop)
-    if loop.departures:
-        raise ProblemError(f"{loop.departures[0]}; expected the loop of the design for a lower bound")
+    if loop.violated_assumptions:
+        raise ProblemError(f"{loop.violated_assumptions[0]}; expected the loop of the design for a lower bound")
     if loop.policy.reset is None or loop.horizon is not None:
         raise ProblemError(
-            f"no send of {loop.policy.kind} resets the error that costs, which a lower bound needs; expected a policy "
-            "with actuation = 'model', or one of consistent, near-optimal"
+            f"a send of {loop.policy.kind} does not reset the error that causes cost, which a lower bound requires; "
+            "expected a policy with actuation = 'model', or consistent or near-optimal"
         )
     if loop.problem.jumps is not None:
-        raise ProblemError("the noise comes in jumps; expected Gaussian noise for the best schedule and what bounds it")
+        raise ProblemError("the noise consists of jumps; expected Gaussian noise for optima and lower bounds")
     return loop.policy.reset
 
 
 def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:
-    """Return the price at which a nearly optimal schedule sends about at a rate."""
+    """Return the price at which a nearly optimal schedule sends approximately at the given rate."""
     from taciturn.renewal.fitted import Fitting, keep_errors, squares
 
-    Gamma, noise, wanted = reset.square, reset.covariance, 1 / rate
+    Gamma, noise, wanted = reset.weight, reset.covariance, 1 / rate
     fitting = Fitting(F, noise, Gamma, points=FEW)
 
     def thresholds(log_price: float) -> float:
@@ -177,7 +181,7 @@ def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:
 
 
 def _root(above: Callable[[float], float], x: float) -> float:
-    """Return about where an increasing function is 0, by secants with a slope of at least a fifth."""
+    """Return an approximate root of an increasing function, by the secant method with slopes of at least 0.2."""
     value, slope = above(x), 0.6
     for _ in range(TRIES):
         if abs(value) < CLOSE:

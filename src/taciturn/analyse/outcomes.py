@@ -1,12 +1,12 @@
-"""Loops over links that drop packets as jump linear maps: z⁺ = F_o z + G w, o the links that drop their packet.
+"""Loops over links that drop packets as jump linear maps: z⁺ = F_o z + G w; the outcome o lists the links that drop.
 
-How probable an outcome is depends on nothing but the state of the links. So the second and the fourth moments of z obey
-linear recursions of their own, and exist in the long run only where these shrink:
+The probability of an outcome depends only on the state of the links. Therefore the second and the fourth moments of z
+satisfy linear recursions. The moments exist in the long run only if these recursions are stable:
 
     X_s⁺ = Σ_r T_rs Σ_o p(o | s) F_o X_r F_o',
 
-X_s the second moment where the links are in state s, T the probabilities of their turns; for the fourth moment F_o acts
-on all four indices.
+where X_s is the second moment while the links are in state s, and T contains the transition probabilities of the links.
+For the fourth moment F_o acts on all four indices.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import factor, radius
 from taciturn.analyse.reduction import Coordinates, relevant
 from taciturn.analyse.switched import NOISE, STATE, Reading, refuse_loops
@@ -28,19 +29,19 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Send
 
-MOST = 6  # states whose fourth moments are followed
-WHOLE = 400  # rows of a matrix of the recursion that is written down
+MOST = 6  # largest number of states for which fourth moments are computed
+WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a dense matrix
 
 
-@dataclass(frozen=True, eq=False)
-class Outcomes:
-    """A loop that sends every packet, over links that drop some.
+@dataclass(frozen=True, eq=False, repr=False)
+class Outcomes(Displayed):
+    """A loop that sends every packet, over links that drop some of them.
 
     Args:
-        F: map of each outcome, (outcomes, r, r).
-        turns: T, probabilities of a turn of the links from state to state, (states, states).
+        F: dynamics matrix of each outcome, (outcomes, r, r).
+        turns: transition probabilities T between the states of the links, (states, states).
         odds: probability of each outcome in each state of the links, (states, outcomes).
-        decides: whether the policy may keep silent.
+        decides: whether the policy of the loop may skip a send.
     """
 
     F: Array
@@ -49,9 +50,9 @@ class Outcomes:
     decides: bool
 
     def growth(self, power: int) -> float:
-        """Return the factor per tick by which the moments of this power, 2 or 4, grow in the long run.
+        """Return the asymptotic growth factor per step of the moments of order ``power`` (2 or 4).
 
-        Of the fourth power 0 where there are too many states.
+        For order 4 the result is 0 if there are too many states.
         """
         r, states = self.F.shape[1], len(self.turns)
         if r == 0 or (power == 4 and r > MOST):
@@ -78,7 +79,7 @@ class Outcomes:
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
-    """Return a loop as if it sent every packet; None where nothing is dropped, or where it is not of this form."""
+    """Return the loop that sends every packet; None if no link drops packets, or if it is not a jump linear map."""
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     both: tuple[LinkName, ...] = ("sensor", "actuator")
     links: list[LinkName] = [link for link in both if link in sent and loop.network.outage(link) > 0]
@@ -121,7 +122,7 @@ def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
 
 
 def _chance(network: Network, links: Sequence[LinkName], cases: list[tuple[bool, ...]]) -> tuple[Array, Array]:
-    """Return how the links turn together, and how probable each case of drops is in each of their states."""
+    """Return the joint transition matrix of the links, and the probability of each case of drops in each state."""
     turns: Array = np.ones((1, 1))
     losses: list[tuple[float, ...]] = [()]
     for link in links:

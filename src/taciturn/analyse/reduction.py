@@ -1,4 +1,4 @@
-"""Coordinates that matter: what can be reached, what can be seen, each of about unit size."""
+"""Minimal coordinates: the reachable and observable states of a switched map, scaled to about unit size."""
 
 from __future__ import annotations
 
@@ -8,25 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import balancing
 
-SAME = 1e-10  # relative: a direction this much shorter than what made it is taken for rounding
-PATHS, TICKS, DROPPED = 32, 600, 100  # of the run that measures the size of the coordinates
-FORCED = 0.2  # of its ticks take the last action, so that what is hardly ever sent has a size
+SAME = 1e-10  # relative length below which a new direction is treated as a rounding error
+PATHS, TICKS, DROPPED = 32, 600, 100  # paths, steps and discarded steps of the run that measures the coordinates
+FORCED = 0.2  # share of its steps that take the last action, so that rarely sent signals are measured too
 HUGE = 1e100
-BLUR = 1e-9  # of the correlations: a direction may be so much smaller than the rest, not more
+BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
 
 
-@dataclass(frozen=True, eq=False)
-class Coordinates:
-    """A switched map with its cost and trigger in some coordinates.
+@dataclass(frozen=True, eq=False, repr=False)
+class Coordinates(Displayed):
+    """A switched map with its cost and trigger, in given coordinates.
 
     Args:
-        F: map of each action.
-        G: by which the noise acts.
-        M: stage cost of each action.
-        Psi: trigger of each action.
-        X: rows that must stay visible.
+        F: dynamics matrix of each action.
+        G: input matrix of the noise.
+        M: cost matrix of each action.
+        Psi: trigger matrix of each action.
+        X: rows that must stay observable.
         starts: columns that must stay reachable.
     """
 
@@ -38,7 +39,7 @@ class Coordinates:
     starts: Array
 
     def changed(self, inverse: Array, T: Array) -> Coordinates:
-        """Return the map of the coordinates ``inverse`` z, of which z is T times."""
+        """Return the map in the coordinates ``inverse`` z; z is T times the new coordinates."""
         return Coordinates(
             tuple(inverse @ F @ T for F in self.F),
             inverse @ self.G,
@@ -50,13 +51,14 @@ class Coordinates:
 
 
 def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
-    """Return the map in the fewest coordinates that do the same, scaled to about unit variance.
+    """Return an equivalent map in the fewest coordinates, scaled to about unit variance.
 
-    Kept is what the starts and the noise reach, and of that what the rows, the cost and the trigger see. Any
-    coordinates serve a certificate; those of unit size serve the solver.
+    The result contains the states that are reachable from the initial columns and the noise, and observable in the
+    rows, the cost and the trigger. A certificate does not depend on the scaling; unit size makes the solver more
+    accurate.
 
     Args:
-        raw: the map.
+        raw: map in the original coordinates.
         c: constants of the trigger.
     """
     found = relevant(raw)
@@ -65,7 +67,7 @@ def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
 
 
 def relevant(raw: Coordinates) -> Coordinates:
-    """Return the map in coordinates of what starts and noise reach and rows, cost and trigger see."""
+    """Return the map restricted to the states that are reachable and observable, without scaling to unit variance."""
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
     reached = invariant(np.column_stack([_unit(found.G), _unit(found.starts)]), found.F)
@@ -77,7 +79,7 @@ def relevant(raw: Coordinates) -> Coordinates:
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return orthonormal columns that span the least subspace that holds these columns and that every map keeps."""
+    """Return an orthonormal basis of the least subspace that contains these columns and is invariant under all maps."""
     basis = np.zeros((len(columns), 0))
     new = _added(columns, basis)
     scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]
@@ -89,9 +91,9 @@ def invariant(columns: Array, maps: Sequence[Array]) -> Array:
 
 
 def _added(columns: Array, basis: Array) -> Array:
-    """Return orthonormal columns for what the basis does not hold."""
+    """Return orthonormal columns for the part of the given columns that is orthogonal to the basis."""
     rest = columns
-    for _ in range(2):  # once more, for what rounding left
+    for _ in range(2):  # the second pass removes rounding errors of the first
         rest = rest - basis @ (basis.T @ rest)
     left, values, _ = np.linalg.svd(rest, full_matrices=False)
     return left[:, values > SAME]
@@ -108,7 +110,7 @@ def _normed(matrix: Array) -> Array:
 
 
 def _sizes(found: Coordinates, c: Sequence[float]) -> Array:
-    """Return T with T T' about the covariance of the coordinates, as a short run shows it."""
+    """Return T such that T T' is approximately the covariance of the coordinates, measured in a short run."""
     draws, states = np.random.default_rng(0), len(found.G)
     z, total, kept = np.zeros((states, PATHS)), np.zeros((states, states)), 0
     with np.errstate(all="ignore"):
@@ -124,7 +126,7 @@ def _sizes(found: Coordinates, c: Sequence[float]) -> Array:
     largest = float(np.diag(covariance).max(initial=0.0))
     if largest == 0:  # no noise
         return np.eye(states)
-    if not (np.diag(covariance) > 1e-12 * largest).all():  # noise that does not reach everything
+    if not (np.diag(covariance) > 1e-12 * largest).all():  # noise that does not reach all coordinates
         covariance = covariance + 1e-4 * largest * np.eye(states)
     size = np.sqrt(np.diag(covariance))
     correlation = symmetrised(covariance / size / size[:, None])

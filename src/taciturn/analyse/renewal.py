@@ -18,33 +18,33 @@ if TYPE_CHECKING:
     from taciturn.renewal.paths import PathAnswer
     from taciturn.renewal.rates import WindowBound
 
-LONGEST_WINDOW = 100_000  # ticks, whose sends take seconds to bound
-ROUGH = 1e-2  # relative standard error of a pilot
-ACCURACY_OF_JUMPS = 1e-5  # relative, that is aimed at
-LEAST_OF_JUMPS = 1e8  # operations, on a line
+LONGEST_WINDOW = 100_000  # steps; computing the bound takes seconds
+ROUGH = 1e-2  # relative standard error of the pilot run
+ACCURACY_OF_JUMPS = 1e-5  # default relative accuracy for jumps
+LEAST_OF_JUMPS = 1e8  # operations for jumps in one dimension
 
 
 def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-    """Return the sends per tick and the cost beyond sending always, by quadrature of the renewal equations.
+    """Return the sends per step and the cost beyond sending every sample, by quadrature of the renewal equations.
 
-    With the error e of the prediction after a decision, E = {e: e'Ψe ≤ δ} and k the density of the next error,
+    Let e be the error of the prediction after a decision, E = {e: e'Ψe ≤ δ}, and k the density of the next error. Then
 
         T(e) = 1 + ∫_E k T,  C(e) = e'Γe + ∫_E k C;  rate 1/T_0,  excess C_0/T_0,
 
-    T_0 and C_0 from an error that has just been reset.
+    where T_0 and C_0 are the values directly after a reset.
 
     Args:
-        loop: closed with the plant and network of the design.
-        accuracy: relative, that is aimed at; omitted: 1e-8 under Gaussian noise (1e-6 in three dimensions), 1e-5 under
+        loop: loop with the plant and network of the design.
+        accuracy: target relative accuracy; default: 1e-8 under Gaussian noise (1e-6 in three dimensions), 1e-5 under
             jumps.
-        progress: called with the fraction done.
+        progress: callback that receives the fraction done.
 
     Returns:
-        Rate per tick, excess in the units of the cost (the cost is the identity's constant plus it), the errors that
-        are claimed, and the distribution of the intervals between sends, in ticks.
+        Rate per step, excess in units of the cost (the cost is the constant of the cost identity plus the excess),
+        error bounds of both, and the distribution of the intervals between sends, in steps.
 
     Raises:
-        NoQuadratureError: the loop has no such error, or more dimensions than the quadrature serves.
+        NoQuadratureError: the loop has no such error, or its dimension is too high for the quadrature.
 
     Source: khashooei2017
 
@@ -60,45 +60,45 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
 
 
 class RenewalQuadrature:
-    """The renewal equations of a loop: what solving them would take, and their solution.
+    """The renewal equations of a loop: a prediction of the computing effort, and the solution.
 
     Args:
-        loop: closed with the plant and network of the design.
+        loop: loop with the plant and network of the design.
 
     Raises:
-        NoQuadratureError: the loop has no such error, or more dimensions than the quadrature serves.
+        NoQuadratureError: the loop has no such error, or its dimension is too high for the quadrature.
 
     Source: khashooei2017
     """
 
     def __init__(self, loop: Loop) -> None:
-        """Solve nothing yet."""
+        """Set up the equations without solving them."""
         chain = chain_of(loop)
-        from taciturn.renewal.gaussian import Quadrature  # these take a while to import, and few loops reset an error
+        from taciturn.renewal.gaussian import Quadrature  # imported here: the import is slow, and few loops need it
 
         self.loop, self.chain = loop, chain
         self.gaussian = Quadrature(chain) if loop.problem.jumps is None else None
 
     @property
     def least(self) -> float:
-        """Operations that it takes at least."""
+        """Least number of arithmetic operations that a solution of the renewal equations needs."""
         return LEAST_OF_JUMPS if self.gaussian is None else self.gaussian.least
 
     @property
     def usual(self) -> float:
-        """The relative accuracy that is aimed at where none is asked for."""
+        """The default relative accuracy."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else self.gaussian.usual
 
     def accuracy(self, error: float) -> float:
-        """Return the relative accuracy that an absolute error of the excess asks for: about, as it is not yet known."""
+        """Return the relative accuracy for an absolute error of the excess, from a rough value of the excess."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
 
     def predict(self, accuracy: float) -> float:
-        """Return about how many operations a relative accuracy takes, without solving anything."""
+        """Return the approximate number of operations for a relative accuracy, without solving the equations."""
         return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-        """Return what ``solve_renewal`` does."""
+        """Return the result of ``solve_renewal``."""
         if self.gaussian is not None:
             return self.gaussian.solve(accuracy, progress)
         from taciturn.renewal.jumps import solve_jumps
@@ -107,21 +107,21 @@ class RenewalQuadrature:
 
 
 class ConditionalSampling:
-    """Rate and excess of a loop by paths on which no check sends, weighed with the probability of that.
+    """Estimates of rate and excess from paths conditioned on no send, weighted with the probability of no send.
 
     Args:
-        loop: closed with the plant and network of the design.
-        seed: of the draws.
-        progress: called with the fraction done.
+        loop: loop with the plant and network of the design.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
 
     Raises:
-        NoQuadratureError: more than one error decides, or the noise comes in jumps.
+        NoQuadratureError: the decision depends on more than one error, or the noise consists of jumps.
 
     Source: hajivassiliou1996
     """
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
-        """Look at the intervals, and run nothing."""
+        """Set up the chain without a simulation."""
         from taciturn.renewal.paths import least_work
 
         self.chain, self.seed, self.progress = chain_of(loop), seed, progress
@@ -129,17 +129,17 @@ class ConditionalSampling:
 
     @cached_property
     def pilot(self) -> PathAnswer:
-        """What a few paths find."""
+        """The estimate from a pilot run with few paths."""
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float, others: float) -> float:
-        """Return about how many operations a standard error of the excess takes after a pilot, which is run.
+        """Run the pilot, and return the approximate number of operations for a standard error of the excess.
 
-        Where the pilot alone takes more than others do, it is not run, and its own work is returned.
+        If the pilot alone would take more operations than other methods, it is not run, and its own number is returned.
 
         Args:
-            standard_error: absolute, of the excess.
-            others: operations that other methods take.
+            standard_error: absolute standard error of the excess.
+            others: number of operations of the other methods.
 
         Raises:
             OutOfTime: the time limit has passed.
@@ -149,11 +149,11 @@ class ConditionalSampling:
         try:
             fewest = predict_fewest(self.chain)
             return fewest if fewest > others else predict_paths(self.chain, self.pilot, self._share(standard_error))
-        except NoQuadratureError:  # hardly anything is sent
+        except NoQuadratureError:  # sends are extremely rare
             return float("inf")
 
     def run(self, standard_error: float) -> PathAnswer:
-        """Return rate per tick and excess, to a standard error of the excess."""
+        """Return rate per step and excess, with the given standard error of the excess."""
         if self.pilot.excess.standard_error <= standard_error:
             return self.pilot
         return self._solved(self._share(standard_error))
@@ -169,7 +169,7 @@ class ConditionalSampling:
 
 
 def bound_rate(loop: Loop) -> tuple[float, float] | None:
-    """Return certified bounds of the sends per tick, where one error decides alone; None where none are known.
+    """Return certified bounds on the sends per step if one error alone decides, or None if no bounds are known.
 
     Source: royen2014
     """
@@ -186,16 +186,16 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
 
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return how many sends any window of so many ticks sees at most, in the mean and with a confidence.
+    """Return bounds on the number of sends in any window of ``ticks`` steps: on its mean, and with a confidence.
 
     Args:
-        loop: in which the error that a send resets decides alone.
-        ticks: at most 100,000; of a longer window, the bounds of its parts add up.
-        confidence: in (0, 1).
+        loop: loop whose decision depends only on the error that a send resets.
+        ticks: length of the window in steps, at most 100,000; for a longer window, add the bounds of its parts.
+        confidence: confidence of the bound on the number, in (0, 1).
 
     Raises:
-        ProblemError: ticks or confidence out of range.
-        NoQuadratureError: more than one error decides, or the noise comes in jumps.
+        ProblemError: steps or confidence are out of range.
+        NoQuadratureError: the decision depends on more than one error, or the noise consists of jumps.
 
     Source: royen2014
 
@@ -211,54 +211,56 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
 
     count("ticks", ticks)
     if ticks > LONGEST_WINDOW:
-        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: the bounds of shorter windows add up")
+        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}; add the bounds of shorter windows")
     return sends_in_window(chain_of(loop), ticks, confidence)
 
 
 def expect_affordable(loop: Loop) -> None:
-    """Refuse what is solved much more slowly than it is simulated.
+    """Raise an error if the equations take much longer to solve than a simulation.
 
     Raises:
-        NoQuadratureError: jumps in more than one dimension.
+        NoQuadratureError: the noise consists of jumps in more than one dimension.
     """
     if loop.problem.jumps is not None and loop.problem.plant.states > 1:
         raise NoQuadratureError(
-            "the equations of jumps in more than one dimension take up to minutes, and method 'exact' solves those of "
-            "two"
+            "the equations for jumps in more than one dimension take up to minutes to solve; method 'exact' solves "
+            "them in two dimensions"
         )
 
 
 def chain_of(loop: Loop) -> Chain:
-    """Return the chain of a loop whose decision and whose cost look at one error alone.
+    """Return the Markov chain of a loop whose decision and cost depend on one error alone.
 
     Raises:
-        NoQuadratureError: the loop is none.
+        NoQuadratureError: the decision or the cost depends on more than one error.
     """
     instance("loop", loop, Loop)
     policy, problem = loop.policy, loop.problem
-    if loop.departures:
-        raise NoQuadratureError(f"{loop.departures[0]}; expected the loop of the design, or 'auto' or 'simulation'")
+    if loop.violated_assumptions:
+        raise NoQuadratureError(
+            f"{loop.violated_assumptions[0]}; expected the loop of the design, or 'auto' or 'simulation'"
+        )
     weights = _weights(policy)
     if weights is None or loop.horizon is not None:
         raise NoQuadratureError(
-            f"{policy.kind} has no closed form here, and no error that alone decides until a send resets it; "
-            "expected 'auto' or 'simulation'"
+            f"{policy.kind} has no closed form for this problem, and its decision does not depend only on an error "
+            "that a send resets; expected 'auto' or 'simulation'"
         )
     Psi, delta, Gamma = weights
     if delta <= 0:
-        raise NoQuadratureError(f"the threshold is {delta:g}; expected one above 0, or 'simulation'")
+        raise NoQuadratureError(f"the threshold is {delta:g}; expected a threshold above 0, or method 'simulation'")
     assert policy.reset is not None
     noise = policy.reset.covariance if problem.jumps is None else problem.jumps
     return Chain(problem.plant.A, noise, Psi, delta, Gamma)
 
 
 def decides_alone(policy: object) -> bool:
-    """Tell whether the error that a send resets is all that a policy decides by, once it is beyond a threshold."""
+    """Return whether a policy sends if and only if the error that a send resets exceeds a threshold."""
     return isinstance(policy, Policy) and _weights(policy) is not None
 
 
 def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
-    """Return Ψ, δ and Γ, or None where the decision or the identity looks at anything but the error."""
+    """Return Ψ, δ and Γ, or None if the decision or the cost identity depends on another signal than the error."""
     identity, decisions = policy.identity, policy.decisions
     if policy.reset is None or identity is None or identity.on is None or list(decisions) != [identity.on]:
         return None
@@ -273,7 +275,7 @@ def _weights(policy: Policy) -> tuple[Array, float, Array] | None:
 
 
 def _parts(form: Form, signals: Mapping[str, Array]) -> tuple[Array | None, float] | None:
-    """Return the weight of the error and the constant, or None where the form is no quadratic of the error alone."""
+    """Return the weight of the error and the constant, or None if the form is not quadratic in the error alone."""
     if form.plus or form.bell is not None or len(form.signals) > 1:
         return None
     if isinstance(form.Psi, Scheduled) or isinstance(form.constant, Scheduled):

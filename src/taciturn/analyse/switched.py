@@ -1,4 +1,4 @@
-"""Closed loops as matrices: z⁺ = F_i z + G w under the action i, taken where z'Ψ_i z + c_i is least."""
+"""Closed loops as switched linear maps: z⁺ = F_i z + G w; the action i with the least z'Ψ_i z + c_i is taken."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, instance
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.analyse.reduction import Coordinates, reduce
 from taciturn.errors import ProblemError
@@ -29,25 +30,25 @@ from taciturn.model.policy import (
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 
-NOISE = "noise"  # of the measurement, in directions of unit variance
+NOISE = "noise"  # measurement noise, scaled to unit variance
 STATE = "x"
-SERVED = "expected linear steps and one trigger of quadratic forms, as of lqg, relative or consistent"
+SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
 
-@dataclass(frozen=True, eq=False)
-class Switched:
+@dataclass(frozen=True, eq=False, repr=False)
+class Switched(Displayed):
     """The switched linear map of a loop, in coordinates z of about unit size.
 
     Args:
-        labels: of the actions.
-        F: of each action, (r, r).
-        G: (r, q), by which the noise w of a tick acts: of the plant, then of the next measurement, of unit covariance.
-        M: of each action, (r, r): the stage cost of a tick is z'M_i z + ``constant``.
-        Psi: of each action, (r, r).
-        c: of each action.
-        X: (n, r): the plant's state is X z; of a loop seen by its filter, the estimate.
-        constant: what every tick costs beside.
-        hidden: mean square of the part of the plant's state that X z leaves out.
+        labels: names of the actions.
+        F: dynamics matrix of each action, (r, r).
+        G: input matrix of the noise w of a step, (r, q): plant noise, then the next measurement's, unit covariance.
+        M: cost matrix of each action, (r, r): the stage cost of a step is z'M_i z + ``constant``.
+        Psi: trigger matrix of each action, (r, r).
+        c: trigger constant of each action.
+        X: matrix (n, r) such that X z is the plant's state; in the innovations form, X z is the estimate.
+        constant: cost of every step in addition to z'M_i z.
+        hidden: mean square of the part of the plant's state that X z excludes.
         sends: the action under which every link that the policy decides on sends, or None.
     """
 
@@ -64,7 +65,7 @@ class Switched:
 
     @property
     def homogeneous(self) -> bool:
-        """Whether the actions look at the direction of z alone, so that the state can vanish."""
+        """Whether the decision depends on the direction of z only, so that the state can converge to zero."""
         return len(set(self.c)) == 1
 
     @property
@@ -73,12 +74,12 @@ class Switched:
         return len(self.G)
 
     def margins(self, action: int) -> list[tuple[Array, float]]:
-        """Return (D, d) with z'Dz + d ≥ 0 wherever the action is taken, one for every other action."""
+        """Return, for every other action, (D, d) with z'Dz + d ≥ 0 whenever this action is taken."""
         own, others = action, [j for j in range(len(self.labels)) if j != action]
         return [(self.Psi[j] - self.Psi[own], self.c[j] - self.c[own]) for j in others]
 
     def under(self, action: int) -> Switched:
-        """Return the loop that takes one action always."""
+        """Return the loop that always takes the given action."""
         return Switched(
             (self.labels[action],),
             (self.F[action],),
@@ -96,18 +97,18 @@ class Switched:
 def switched(loop: Loop) -> Switched:
     """Return the matrices of a closed loop with its plant.
 
-    z holds what decides on the future: the plant's state, the memories of the nodes, and the measurement noise of the
-    tick. What no noise and no initial state of the plant reaches, and what neither costs nor acts, is left out (the
-    controller's copy of what the actuator holds).
+    z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
+    removes states that neither noise nor the initial state of the plant can reach. It also removes states that affect
+    neither the cost nor a decision, such as the controller's copy of the held input.
 
     Args:
-        loop: the closed loop, nominal or not.
+        loop: the closed loop; its plant may differ from that of the design.
 
     Returns:
         The map, the stage cost and the trigger.
 
     Raises:
-        ProblemError: the loop has a step, a location or a plant that is not of this form.
+        ProblemError: a step, a discrete state or the plant of the loop cannot be written in this form.
 
     Source: heemels2013
 
@@ -144,15 +145,16 @@ def switched(loop: Loop) -> Switched:
 
 
 def switched_innovations(loop: Loop) -> Switched:
-    """Return the matrices of a closed loop as its filter sees it: driven by innovations, without the plant.
+    """Return the matrices of the innovations form of a closed loop: the estimate, driven by innovations.
 
-    Equal in law to :func:`switched` where the loop is nominal and its filter steady; ``constant`` is tr(QΣ).
+    The result has the same distribution as that of :func:`switched` if the plant is that of the design and the filter
+    is in steady state. ``constant`` is tr(QΣ).
 
     Args:
         loop: the closed loop.
 
     Raises:
-        ProblemError: the loop has no innovations form, or is not of the switched linear form.
+        ProblemError: the loop has no innovations form, or is not a switched linear map.
 
     Source: khashooei2017
     """
@@ -162,7 +164,7 @@ def switched_innovations(loop: Loop) -> Switched:
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
-            "expected the loop of the design, or the one with its plant"
+            "expected the loop of the design; for any other loop use switched()"
         )
     spread = factor(innovations.covariance)
     reading = Reading(loop, {}, spread.shape[1])
@@ -200,16 +202,16 @@ def _finished(reading: Reading, found: Coordinates, constant: float, hidden: flo
 
 
 class Reading:
-    """The signals of one tick as linear maps of what is remembered and of the measurement noise.
+    """The signals of one step as linear maps of the memories and of the measurement noise.
 
     Args:
         loop: the closed loop.
-        more: memories that the loop has beside the policy's, with their sizes.
-        noise: directions of the measurement noise.
+        more: memories of the loop in addition to the policy's, with their sizes.
+        noise: number of directions of the measurement noise.
     """
 
     def __init__(self, loop: Loop, more: Mapping[str, int], noise: int) -> None:
-        """Find what is remembered, and how large it is."""
+        """Find the memories and their sizes."""
         policy = loop.policy
         self.policy = policy
         innovation = policy.innovations.signal if policy.innovations is not None and not more else None
@@ -228,13 +230,13 @@ class Reading:
         self.noise = self.memory(NOISE)
         decisions = list(policy.decisions.items())
         if len(decisions) > 1:
-            raise ProblemError(f"{policy.kind} takes {len(decisions)} decisions, {_unserved()}")
+            raise ProblemError(f"{policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
         self.labels = decisions[0][1].labels if decisions else ("always",)
         self.Psi: tuple[Array, ...] = (np.zeros((self.size, self.size)),)
         self.c: tuple[float, ...] = (0.0,)
 
     def rows(self, name: str) -> slice:
-        """Return where a memory stands."""
+        """Return the rows of a memory in z."""
         names = list(self.sizes)
         first = sum(self.sizes[other] for other in names[: names.index(name)])
         return slice(first, first + self.sizes[name])
@@ -244,7 +246,7 @@ class Reading:
         return np.eye(self.size)[self.rows(name)]
 
     def start(self) -> Array:
-        """Return what the policy remembers at first."""
+        """Return the initial values of the policy's memories."""
         value = np.zeros(self.size)
         for name in self.sizes:
             if name in self.policy.initial and name != STATE:
@@ -252,12 +254,12 @@ class Reading:
         return value
 
     def following(self, signals: Mapping[str, Array]) -> Array:
-        """Return the map to the memories of the next tick, whose measurement noise is drawn anew."""
+        """Return the map to the memories of the next step, with zero rows for its new measurement noise."""
         rows = [signals[name] for name in self.sizes if name != NOISE]
         return np.vstack([*rows, np.zeros((self.sizes[NOISE], self.size))])
 
     def sends(self) -> int | None:
-        """Return the action under which every link that is decided on sends."""
+        """Return the action under which every link that the policy decides on sends, or None."""
         for action in range(len(self.labels)):
             sent = {s.link for s in self.steps if isinstance(s, Send) and self._is_sent(s, action)}
             if sent.issuperset(self.policy.scheduled):
@@ -265,11 +267,11 @@ class Reading:
         return None
 
     def actions(self) -> list[dict[str, Array]]:
-        """Return the signals at the end of a tick for each action."""
+        """Return the signals at the end of a step for each action."""
         return [self.walk(action) for action in range(len(self.labels))]
 
     def walk(self, action: int, lost: Collection[LinkName] = ()) -> dict[str, Array]:
-        """Return the signals at the end of a tick for an action, where the packets of some links are lost."""
+        """Return the signals at the end of a step for an action, if the links ``lost`` drop their packets."""
         signals = {name: self.memory(name) for name in self.sizes} | self.given
         arrived: dict[str, int] = {}
         for step in self.steps:
@@ -291,7 +293,7 @@ class Reading:
         if isinstance(on, str):
             return action
         if on.link not in arrived:
-            raise ProblemError(f"{self.policy.kind} uses a packet of the tick before, {_unserved()}")
+            raise ProblemError(f"{self.policy.kind} uses a packet of the previous step, {_unserved()}")
         return arrived[on.link]
 
     def _is_sent(self, step: Send, action: int) -> bool:
@@ -303,7 +305,7 @@ class Reading:
 
     def _form(self, form: Form, signals: Mapping[str, Array]) -> tuple[Array, float]:
         if form.bell is not None:
-            raise ProblemError(f"{self.policy.kind} triggers on the exponential of a quadratic, {_unserved()}")
+            raise ProblemError(f"{self.policy.kind} triggers on the exponential of a quadratic form, {_unserved()}")
         if form.plus:
             raise ProblemError(f"{self.policy.kind} triggers on {next(iter(form.plus))}, {_unserved()}")
         if isinstance(form.constant, Scheduled):
@@ -314,7 +316,7 @@ class Reading:
         return stacked.T @ self._constant(form.Psi) @ stacked, form.constant
 
     def _constant(self, weight: Matrix) -> Array:
-        """Return a matrix, or the table of equal ones as one."""
+        """Return a matrix; a schedule of equal matrices becomes one matrix."""
         if not isinstance(weight, Scheduled):
             return weight
         if (weight.values != weight.values[0]).any():
@@ -323,22 +325,22 @@ class Reading:
 
 
 def _read(step: Step) -> Iterator[str]:
-    """Yield the signals that what a step computes depends on, in order."""
+    """Yield the signals that the result of a step depends on, in order."""
     if not isinstance(step, Send):
         yield from read(step)
 
 
 def _beyond(step: Evaluate | Apply | Draw) -> str:
-    """Return what is not linear in a step."""
+    """Return the reason why a step is not linear."""
     if isinstance(step, Draw):
-        return "draws a threshold"
+        return "has a random threshold"
     if isinstance(step, Apply):
         return f"computes {', '.join(step.signals)} by a function"
-    return f"remembers {step.signal}, a quadratic form"
+    return f"stores {step.signal}, a quadratic form"
 
 
 def refuse_loops(loop: Loop, dropping: bool = False) -> None:
-    """Refuse what makes a loop other than a switched linear map without end; packets that are lost, unless expected."""
+    """Raise an error if a loop is not a switched linear map over an infinite horizon; ``dropping`` allows losses."""
     policy, network = loop.policy, loop.network
     sent = {step.link for step in policy.steps if isinstance(step, Send)}
     lost = [link for link in ENDS if link in sent and network.loss(link) > 0]
@@ -348,9 +350,9 @@ def refuse_loops(loop: Loop, dropping: bool = False) -> None:
         f"{policy.kind} {_beyond(functions[0]) if functions else ''}": bool(functions),
         f"{policy.kind} follows a reference": policy.tracking is not None,
         f"{policy.kind} adds constants": any(ONE in _read(step) for step in policy.steps),
-        "the loop is a mission, with a horizon or a discount": loop.horizon is not None,
+        "the loop is a finite-horizon run, with a horizon or a discount": loop.horizon is not None,
         "inputs are clipped (input_limit)": loop.problem.plant.input_limit is not None,
-        f"packets of the {lost[0] if lost else ''} link are lost": bool(lost) and not dropping,
+        f"the {lost[0] if lost else ''} link drops packets": bool(lost) and not dropping,
     }
     for text, given in found.items():
         if given:
@@ -358,4 +360,4 @@ def refuse_loops(loop: Loop, dropping: bool = False) -> None:
 
 
 def _unserved() -> str:
-    return f"and no certificate serves that; {SERVED}"
+    return f"which certificates do not support; {SERVED}"

@@ -1,6 +1,22 @@
-"""The command line. Everything heavy is imported when a command runs, so that help is quick."""
+"""The command line: each command reads a problem file, calls a function of the package, and prints its result.
 
-from taciturn.cli import answers, devices, network, new, studies, twin
-from taciturn.cli.frame import app, main
+A command has three parts. It checks its options before a long computation starts. It calls the function that Python
+users call, such as ``taciturn.evaluate``, so both get the same numbers. It prints the result as text in 80 columns
+(``taciturn._print``), or with ``--json`` as one document that contains version, seed, method and the problem's digest.
+
+``frame`` contains the application, the options that several commands share, and ``main``. ``main`` turns each error of
+the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
+``answers`` contains the commands for one problem, ``studies`` those for several, ``network`` (with ``links``) those
+that run nodes, ``devices`` the export, ``twin`` the robots, and ``new`` (with ``questions``) the dialogue.
+
+Commands import large modules only when they run, and ``words`` completes words without them, so that ``--help`` and the
+shell's completion are fast.
+"""
+
+from taciturn._ending import ends_on_signals
+
+with ends_on_signals():  # these imports take most of the time of a short command
+    from taciturn.cli import answers, devices, network, new, studies, twin
+    from taciturn.cli.frame import app, main
 
 __all__ = ["answers", "app", "devices", "main", "network", "new", "studies", "twin"]

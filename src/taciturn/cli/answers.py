@@ -1,4 +1,4 @@
-"""Commands that answer for one problem."""
+"""Commands for one problem."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from taciturn.cli.frame import (
     GivenSeed,
     Json,
     Link,
+    NoFunctions,
     Plot,
     Seed,
     Settings,
@@ -35,24 +36,26 @@ from taciturn.cli.frame import (
 def evaluate(
     file: File,
     settings: Settings = None,
+    no_functions: NoFunctions = False,
     as_json: Json = False,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     steps: Steps = None,
-    method: Annotated[str, typer.Option(help="auto, exact, 'conditional sampling' or simulation.")] = "auto",
-    precision: Annotated[str, typer.Option(help="Of what is simulated: float64 or float32.")] = "float64",
+    method: Annotated[str, typer.Option(help="Method: auto, exact, 'conditional sampling' or simulation.")] = "auto",
+    precision: Annotated[str, typer.Option(help="Precision of simulations: float64 or float32.")] = "float64",
     confidence: Confidence = None,
     time: TimeLimit = None,
 ) -> None:
-    """Cost, rate and guarantee of one policy.
+    """Compute cost, rate and guarantee of one policy, and compare with periodic control at the same rate.
 
-    With another parameter than that of FILE: --set theta=0.2; with many: taciturn tradeoff FILE --over NAME=v1,v2,…
+    Change a parameter with --set theta=0.2. Compare several values with taciturn tradeoff FILE --over NAME=v1,v2,…
     """
     import taciturn
     from taciturn.study.lower import choose_confidence
+    from taciturn.study.record import origin
 
     check_effort(standard_error, steps)
-    problem = load_changed(file, settings)
+    problem = load_changed(file, settings, no_functions)
     with progress_bar("computing") as progress:
         found = taciturn.evaluate(
             problem,
@@ -66,54 +69,60 @@ def evaluate(
             progress=progress,
         )
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problem))
     else:
         typer.echo(found)
         note_seed(seed, found.drawn)
     if not found.reached and steps is not None:
-        refuse(f"the loop has not settled within {found.steps} steps: ask for more --steps")
+        refuse(f"the loop has not settled within {found.steps} steps; give more --steps")
     if not found.reached and time is not None and found.seconds > time:
         refuse(
             f"the standard error was not reached within --time {time:g} s; reached "
-            f"{found.cost.standard_error + found.cost.error:.3g}: ask for a longer --time or a larger --standard-error"
+            f"{found.cost.standard_error + found.cost.error:.3g}; give a longer --time or a larger --standard-error"
         )
     if not found.settled:
         refuse(
             f"the loop has not settled within {found.steps} steps: its time constants, or the intervals between sends, "
-            "are too many ticks; take a longer period"
+            "take too many steps; choose a longer period"
         )
     if not found.reached:
         wanted = "1e-4 of the cost" if standard_error is None else f"{standard_error:g}"
         refuse(
             f"the standard error {wanted} was not reached within {found.steps} steps; "
-            f"reached {found.cost.standard_error:.3g}: ask for a larger --standard-error"
+            f"reached {found.cost.standard_error:.3g}; give a larger --standard-error"
         )
 
 
 @app.command(epilog="Example: taciturn show two-mass")
-def show(file: File, settings: Settings = None, as_json: Json = False, plot: Plot = None) -> None:
-    """Plant, gains, guarantee, triggers and node diagram of a problem, before anything runs."""
+def show(
+    file: File,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    as_json: Json = False,
+    plot: Plot = None,
+) -> None:
+    """Show plant, gains, guarantee, triggers and node diagram of a problem, without a simulation."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn.study.describe import describe
+    from taciturn.study.record import origin
 
     if plot is not None:
         check_format(plot)
-    found = describe(load_changed(file, settings))
+    found = describe(load_changed(file, settings, no_functions))
     drawn = found.diagram
     if plot is not None and drawn is None:
         raise taciturn.ProblemError(
-            f"{found.problem.kind} without a period has no loop of nodes to be drawn; expected policy.period, or no "
-            "--plot"
+            f"{found.problem.kind} without a period has no nodes to draw; expected policy.period, or no --plot"
         )
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(found.problem))
     else:
         _print.pairs(found.lines())
         if drawn is not None:
             typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
     if plot is not None and drawn is not None:
-        save(drawn.plot(), plot)
+        save(drawn.plot(), plot, origin(found.problem))
         if not as_json:
             typer.echo(f"picture: {plot}")
 
@@ -121,38 +130,46 @@ def show(file: File, settings: Settings = None, as_json: Json = False, plot: Plo
 @app.command(epilog="Example: taciturn simulate two-mass --ticks 200 --plot path.svg")
 def simulate(
     file: File,
-    ticks: Annotated[int, typer.Option(help="Steps of the path.")] = 100,
+    ticks: Annotated[int, typer.Option(help="Number of steps.")] = 100,
     settings: Settings = None,
+    no_functions: NoFunctions = False,
     as_json: Json = False,
     plot: Plot = None,
-    table: Annotated[Path | None, typer.Option(metavar="OUT", help="Every step as a table: .csv or .parquet.")] = None,
+    table: Annotated[
+        Path | None, typer.Option(metavar="OUT", help="Write every step as a table: .csv or .parquet.")
+    ] = None,
     seed: Seed = 0,
 ) -> None:
-    """One path of the closed loop: states, inputs and the instants at which packets are sent."""
+    """Simulate one path of the closed loop: states, inputs and the instants of packets."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._table import check_table, save_table
     from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+    from taciturn.study.record import origin
 
     if plot is not None:
         check_format(plot)
     if table is not None:
         check_table(table)
-    problem = load_changed(file, settings)
+    problem = load_changed(file, settings, no_functions)
     policy = problem.designed()
     if isinstance(policy, EventPolicy | OptimalPolicy):
         raise taciturn.ProblemError(
-            f"{policy.kind} as given is analysed and runs in no nodes; expected a policy with a period, such as "
-            "near-optimal or excess"
+            f"{policy.kind} without a period can only be analysed, not simulated step by step; expected a policy "
+            "with a period, such as near-optimal or excess"
         )
     found = taciturn.simulate(problem.close(policy), ticks, seed=seed)
     if as_json:
-        print_json({"policy": policy.kind, "seed": seed} | found.document())
+        print_json({"policy": policy.kind} | found.document(), origin(problem, seed, "simulation"))
     else:
         _print.trajectory(found)
     for target, what in ((table, "table"), (plot, "picture")):
         if target is not None:
-            save_table(found.to_pandas().reset_index(), target) if what == "table" else save(found.plot(), target)
+            told = origin(problem, seed, "simulation")
+            if what == "table":
+                save_table(found.to_pandas().reset_index(), target, told)
+            else:
+                save(found.plot(), target, told)
             if not as_json:
                 typer.echo(f"{what}: {target}")
 
@@ -161,28 +178,31 @@ def simulate(
 def tune(
     file: File,
     settings: Settings = None,
+    no_functions: NoFunctions = False,
     rate: Annotated[
         str | None,
-        typer.Option(metavar="X|P%", help="At most so many sends per step or per second, or 50% of sending always."),
+        typer.Option(metavar="X|P%", help="Largest rate: sends per step or per second, or e.g. 50% of all samples."),
     ] = None,
     cost: Annotated[
-        str | None, typer.Option(metavar="X|+P%", help="At most this cost, or +5% above sending always.")
+        str | None,
+        typer.Option(metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above sending every sample."),
     ] = None,
     link: Link = None,
     least_period: Annotated[
-        float | None, typer.Option(help="Seek the period of the checks as well, down to so many seconds.")
+        float | None, typer.Option(help="Tune the sampling period too, down to this many seconds.")
     ] = None,
     as_json: Json = False,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
 ) -> None:
-    """The parameter of a policy that meets a rate or a cost."""
+    """Tune the parameter of a policy to a rate or a cost."""
     import taciturn
     from taciturn.study.periods import TunedPeriod, tune_period
+    from taciturn.study.record import origin
 
     check_effort(standard_error)
     allowed, spent = _budget("rate", rate), _budget("cost", cost)
-    problem, on = load_changed(file, settings), cast("Any", link)
+    problem, on = load_changed(file, settings, no_functions), cast("Any", link)
     with progress_bar("searching") as progress:
         if least_period is None:
             found = taciturn.tune(
@@ -196,9 +216,7 @@ def tune(
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
-                raise taciturn.ProblemError(
-                    "--least-period is given; expected --rate alone beside it, the budget, as a number"
-                )
+                raise taciturn.ProblemError("--least-period is given; expected --rate as the only budget, as a number")
             found = tune_period(
                 problem,
                 rate=allowed,
@@ -210,18 +228,18 @@ def tune(
             )
     best = found.best if isinstance(found, TunedPeriod) else found
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(best.problem))
     else:
         if isinstance(found, TunedPeriod):
             _print.periods(found)
         typer.echo(best)
         note_seed(seed, best.evaluation.drawn)
     if not best.evaluation.reached:
-        refuse("the budget, or the standard error of the cost, was not reached: ask for a larger --standard-error")
+        refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
 
 
 def _budget(name: str, text: str | None) -> float | str | None:
-    """Return what --rate or --cost asks for."""
+    """Return the budget of --rate or --cost."""
     from taciturn.errors import ProblemError
     from taciturn.study.budget import parse_budget
 
@@ -232,14 +250,16 @@ def _budget(name: str, text: str | None) -> float | str | None:
 
 
 @app.command(epilog="Example: taciturn certify two-mass")
-def certify(file: File, as_json: Json = False) -> None:
-    """Decay, gain and cost that are proved by matrix inequalities, beside sending always."""
+def certify(file: File, settings: Settings = None, no_functions: NoFunctions = False, as_json: Json = False) -> None:
+    """Compute certificates of decay rate, l2 gain and cost from linear matrix inequalities."""
     import taciturn
+    from taciturn.study.record import origin
 
     with progress_bar("certifying"):
-        found = taciturn.certify(taciturn.load(file))
+        problem = load_changed(file, settings, no_functions)
+        found = taciturn.certify(problem)
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problem))
     else:
         _print.certificates(found)
 
@@ -247,14 +267,15 @@ def certify(file: File, as_json: Json = False) -> None:
 @app.command(epilog="Example: taciturn bench --rounds 3")
 def bench(
     as_json: Json = False,
-    rounds: Annotated[int, typer.Option(help="Of which medians are taken.")] = 5,
+    rounds: Annotated[int, typer.Option(help="Number of rounds; medians are printed.")] = 5,
 ) -> None:
-    """How fast this machine simulates, beside NumPy."""
+    """Measure the simulation speed on this machine, compared with NumPy."""
     from taciturn.study.bench import bench as measure
+    from taciturn.study.record import origin
 
     with progress_bar("measuring") as progress:
         found = measure(rounds, progress)
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin())
     else:
         _print.bench(found)

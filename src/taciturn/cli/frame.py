@@ -1,4 +1,4 @@
-"""What all commands share: the application, its options, and how it ends."""
+"""The application, the options that commands share, and exit codes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 import warnings
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +16,8 @@ import typer
 import typer.core
 
 from taciturn._blas import prefer_one_thread
+from taciturn._ending import Interrupted, ends_on_signals, has_ended
+from taciturn._text import wrapped_text
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
@@ -23,32 +25,37 @@ if TYPE_CHECKING:
     from taciturn.problem import Problem
 
 GROUPS = {
-    "Design and look": ("new", "show", "tune"),
+    "Design and inspect": ("new", "show", "tune"),
     "Measure and prove": ("evaluate", "simulate", "certify", "bench"),
     "Compare": ("tradeoff", "compare", "sweep", "channel"),
     "Run": ("network", "node", "plant", "relay", "twin", "camera"),
     "Export": ("export",),
     "Reproduce the thesis": ("reproduce",),
 }
-"""The commands by what one wants, as --help lists them."""
+"""The commands by purpose, as --help lists them."""
 HELP = """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.
 
 \b
-First a built-in problem, then one of your own:
-  taciturn evaluate two-mass    what a policy costs, how often it sends, what is proved
-  taciturn new mine.toml        a problem file for your plant, by answering questions
-  taciturn tradeoff mine.toml --over theta=0.1,1,10 --plot mine.svg
+Start with a built-in problem, then describe your own:
+  taciturn evaluate two-mass    cost, rate, guarantee, periodic control
+  taciturn new mine.toml        a problem file for your plant, from a few questions
+  taciturn tradeoff mine.toml --over theta=0.01,0.1,1 --plot mine.svg
 """
 READ_ON = """\b
-Every command has an example in its own --help. FILE is a problem file, or a
-built-in problem: a shell completes them after taciturn --install-completion.
-Read on: docs/first-hour, docs/command-line, docs/problem-file (all keys).
-Exit code 0, or 2 with one sentence on standard error.
+Each command shows an example in its own --help. FILE is a problem file or
+the name of a built-in problem, which a shell completes after
+taciturn --install-completion. See docs/first-hour, docs/command-line (all
+commands) and docs/problem-file (all keys).
+Exit code: 0, or 2 with one sentence on standard error; after Ctrl-C 130,
+SIGTERM 143, SIGHUP 129.
 """
+
+
+WIDEST = 160  # largest width of help texts in columns; on narrower terminals they use the terminal's width
 
 
 class Groups(typer.core.TyperGroup):
-    """Lists commands by what one wants, each with its whole sentence."""
+    """Lists commands by purpose, each with its full description."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section for each group."""
@@ -61,6 +68,7 @@ app = typer.Typer(
     name="taciturn",
     cls=Groups,
     rich_markup_mode=None,
+    context_settings={"max_content_width": WIDEST},
     pretty_exceptions_enable=False,
 )
 
@@ -68,42 +76,45 @@ File = Annotated[
     str,
     typer.Argument(
         metavar="FILE",
-        help="A problem file, or the name of a built-in problem, as two-mass.",
+        help="Problem file, or the name of a built-in problem, e.g. two-mass.",
         autocompletion=complete_file,
     ),
 ]
 Kind = Annotated[
     str | None,
-    typer.Option(metavar="KIND", help="Of policy, as lqg. Default: asked for.", autocompletion=complete_kind),
+    typer.Option(metavar="KIND", help="Policy kind, e.g. lqg. Prompted for if omitted.", autocompletion=complete_kind),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
-Seed = Annotated[int, typer.Option(help="Seed of the draws.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document only.")]
+Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="Changes a key of [policy], or a dotted one, as cost.R; none removes it."
+        "--set", metavar="NAME=VALUE", help="Set a key of [policy], or a dotted key such as cost.R; none removes a key."
     ),
 ]
-GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the draws. Default: 0.")]
+NoFunctions = Annotated[
+    bool, typer.Option("--no-functions", help="Refuse problems that name a function, which would be executed.")
+]
+GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the random numbers. Default: 0.")]
 Link = Annotated[
     str | None,
     typer.Option(
-        help="sensor or actuator: whose rate, where a policy decides on both.",
+        help="Link to which the rate refers if the policy decides on both: sensor or actuator.",
         autocompletion=complete_from("sensor", "actuator"),
     ),
 ]
-Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Picture: .svg, .png or .pdf.")]
+Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Figure: .svg, .png or .pdf.")]
 Confidence = Annotated[
-    float | None, typer.Option(help="Of the lower bound. Default: 0.999 where there is one; 0: seek none.")
+    float | None, typer.Option(help="Confidence of the lower bound. Default: 0.999 if a bound exists; 0: no bound.")
 ]
-Steps = Annotated[int | None, typer.Option(help="Run this many steps of all paths together instead.")]
+Steps = Annotated[int | None, typer.Option(help="Simulate this many steps in total instead.")]
 TimeLimit = Annotated[
     float | None,
-    typer.Option(
-        "--time", metavar="SECONDS", help="At most so long: then the best answer so far. Default: until it is reached."
-    ),
+    typer.Option("--time", metavar="SECONDS", help="Time limit, after which the best result so far is printed."),
 ]
-StandardError = Annotated[float | None, typer.Option(help="Of the cost, absolute. Default: 1e-4 of the cost.")]
+StandardError = Annotated[
+    float | None, typer.Option(help="Absolute standard error of the cost. Default: 1e-4 of the cost.")
+]
 
 
 @app.callback(invoke_without_command=True, help=HELP, epilog=READ_ON)
@@ -120,16 +131,21 @@ def _root(
 
 
 def main() -> None:
-    """Run the command line: exit code 0, or 2 with one sentence on standard error."""
+    """Run the command line: exit code 0, 2 with one sentence on standard error, or 128 + signal."""
+    with ends_on_signals():
+        _run()
+
+
+def _run() -> None:
     from taciturn.errors import TaciturnError
 
     prefer_one_thread()
     reconfigure = getattr(sys.stdout, "reconfigure", None)
-    if reconfigure is not None:  # a terminal that has no ≤ gets \u2264, not an error
+    if reconfigure is not None:  # a terminal without ≤ shows \u2264 instead of an error
         reconfigure(errors="backslashreplace")
     try:
         with _messages(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", RuntimeWarning)  # what overflows is refused in a sentence, where it matters
+            warnings.simplefilter("ignore", RuntimeWarning)  # an overflow that matters raises an error
             warnings.formatwarning = _as_sentence
             code: object = app(prog_name="taciturn", standalone_mode=False)
         print(end="", flush=True)
@@ -144,35 +160,35 @@ def main() -> None:
         sys.exit(1)
     except OSError as error:
         drop_output()
-        refuse(f"reading or writing failed ({error}); expected files that can be opened and a disk with room")
+        refuse(f"reading or writing failed ({error}); expected files that can be opened, and enough disk space")
     except (ArithmeticError, MemoryError) as error:
         refuse(
             f"a number of this problem is out of range ({error.args[-1] if error.args else type(error).__name__}); "
-            "expected sizes nearer to 1: scale the problem"
+            "expected numbers nearer to 1: scale the problem"
         )
     else:
         sys.exit(code if isinstance(code, int) else 0)
 
 
 def _elsewhere(error: Exception) -> str:
-    """Say where other values of a parameter are asked for, to whom typed them as options of these commands."""
+    """Return the remedy if a parameter was given as an option of one of these commands."""
     command = getattr(getattr(error, "ctx", None), "info_name", None)
     if not hasattr(error, "option_name") or command not in ("evaluate", "reproduce"):
         return ""
-    return f"; {command} takes no parameters: taciturn tradeoff FILE --over NAME=v1,v2,… does"
+    return "; use taciturn evaluate FILE --set NAME=VALUE, or taciturn tradeoff FILE --over NAME=v1,v2,…"
 
 
 class _Sentences(logging.Handler):
-    """Says what is logged on standard error, whichever that is by then."""
+    """Prints log records to the current standard error stream."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Say it."""
-        print(f"taciturn: {record.getMessage()}", file=sys.stderr)
+        """Print one record."""
+        print(_message(record.getMessage()), file=sys.stderr)
 
 
 @contextmanager
 def _messages() -> Generator[None]:
-    """Say what the library logs while a command runs."""
+    """Print the log of the library while a command runs."""
     logger, handler = logging.getLogger("taciturn"), _Sentences()
     logger.addHandler(handler)
     logger.setLevel(logging.INFO)
@@ -186,31 +202,40 @@ def _messages() -> Generator[None]:
 def _as_sentence(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: str | None = None
 ) -> str:
-    """Return a warning without the place in the source that it came from."""
-    return f"taciturn: {message}\n"
+    """Return the text of a warning without its location in the source."""
+    return f"{_message(str(message))}\n"
+
+
+def _message(sentence: str) -> str:
+    """Return a sentence for standard error: wrapped in a terminal, and on one line in a file."""
+    text = f"taciturn: {sentence}"
+    return wrapped_text(text) if sys.stderr.isatty() else text
 
 
 def refuse(sentence: str) -> None:
-    """End with a sentence on standard error and exit code 2."""
-    print(end="", flush=True)  # what was found stands before what is wrong with it
+    """Print a sentence to standard error and exit with code 2; a signal has its own sentence and code."""
+    if has_ended():
+        raise Interrupted
+    print(end="", flush=True)  # the results so far come before the error
     shown = "".join(letter if letter.isprintable() else " " for letter in sentence)
-    print(f"taciturn: {' '.join(shown.split())}", file=sys.stderr)
+    print(_message(" ".join(shown.split())), file=sys.stderr)
     sys.exit(2)
 
 
 def drop_output() -> None:
-    """Let what is still buffered go nowhere, so that Python does not complain of it when it ends."""
+    """Discard buffered output, so that Python does not complain when it exits."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def print_json(document: object) -> None:
-    """Print one JSON document."""
-    typer.echo(json.dumps(document, indent=1, allow_nan=False))
+def print_json(document: dict[str, Any], origin: Mapping[str, Any]) -> None:
+    """Print a JSON document with the data needed to reproduce it; keys of the document take precedence."""
+    told = {name: value for name, value in origin.items() if name not in document}
+    typer.echo(json.dumps(document | told, indent=1, allow_nan=False))
 
 
 def can_print(letters: str) -> bool:
-    """Tell whether standard output can show these letters."""
+    """Return whether standard output can encode these characters."""
     try:
         letters.encode(sys.stdout.encoding or "ascii")
     except UnicodeError:
@@ -219,7 +244,7 @@ def can_print(letters: str) -> bool:
 
 
 def check_effort(standard_error: float | None, steps: int | None = None) -> None:
-    """Refuse what no simulation can do, whether or not this problem is simulated."""
+    """Raise an error if a standard error or a number of steps is out of range."""
     from taciturn._arrays import count, number
 
     if standard_error is not None:
@@ -231,11 +256,11 @@ def check_effort(standard_error: float | None, steps: int | None = None) -> None
 
 @contextmanager
 def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
-    """A bar on standard error with the time left, on a terminal only, once a run takes long enough to be seen.
+    """Show a progress bar with the remaining time on standard error, if it is a terminal.
 
     Args:
-        what: is done.
-        cells: are counted beside the bar, where there are so many.
+        what: name of the computation.
+        cells: number of cells; if given, a count of finished cells is shown next to the bar.
     """
     if not sys.stderr.isatty():
         yield lambda fraction: None
@@ -244,7 +269,7 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
     from rich.progress import Progress as Bar
 
     with Bar(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(what, total=None)  # it moves to and fro until a fraction is known
+        task = bar.add_task(what, total=None)  # indeterminate until a fraction is known
 
         def move(fraction: float) -> None:
             counted = "" if cells is None else f" {int(fraction * cells + 1e-6)}/{cells} cells"
@@ -253,16 +278,16 @@ def progress_bar(what: str, cells: int | None = None) -> Generator[Progress]:
         yield move
 
 
-def load_changed(file: str, settings: list[str] | None) -> Problem:
-    """Return the problem of a file with the keys that --set changes."""
+def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> Problem:
+    """Load a problem and change the keys that --set names."""
     from taciturn import load
     from taciturn._grid import parse_settings
 
-    problem, changes = load(file), parse_settings(settings or [])
+    problem, changes = load(file, functions=not no_functions), parse_settings(settings or [])
     return problem.changed(changes) if changes else problem
 
 
 def note_seed(seed: int | None, drawn: bool) -> None:
-    """Print a note where a seed is given and nothing was drawn."""
+    """Print a note if a seed is given and nothing was drawn."""
     if seed is not None and not drawn:
         typer.echo(f"note: --seed {seed} had no effect: nothing was drawn")

@@ -1,4 +1,4 @@
-"""What links do to packets, as it is typed."""
+"""Options of links: packet dropouts, bursts and outages."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ if TYPE_CHECKING:
 
 
 def read_probability(name: str, text: str) -> float:
-    """Return the probability that an option is given."""
+    """Read the value of a command-line option as a probability."""
     from taciturn._arrays import number
     from taciturn.errors import ProblemError
 
     try:
         found = float(text)
     except ValueError:
-        raise ProblemError(f"{name} is {text!r}; expected a number from 0 to 1, as 0.2") from None
+        raise ProblemError(f"{name} is {text!r}; expected a number from 0 to 1, such as 0.2") from None
     return number(name, found, 0.0, 1.0, closed=True)
 
 
 def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[LinkName, Fate]:
-    """Return the links of a policy with the losses that are given, and with those of the network on others."""
+    """Return the impairments of each link: losses from --loss, and from the network for the other links."""
     from taciturn.errors import ProblemError
     from taciturn.model.policy import Send
     from taciturn.study.network import losses
@@ -36,10 +36,10 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
     for text in given:
         link, named, chance = text.rpartition("=")
         if link in seen:
-            raise ProblemError(f"--loss is given twice for {link or 'all links'}; expected one loss for each")
+            raise ProblemError(f"--loss is given twice for {link or 'all links'}; expected one value for each link")
         seen.add(link)
         if named and link not in fates:
-            raise ProblemError(f"--loss names the link {link!r}; expected of {policy.kind}: {', '.join(fates)}")
+            raise ProblemError(f"--loss names the link {link!r}; expected a link of {policy.kind}: {', '.join(fates)}")
         for one, fate in fates.items():
             if not named or one == link:
                 fates[one] = replace(fate, loss=read_probability("--loss", chance), burst=None)
@@ -47,7 +47,7 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
 
 
 def read_burst(text: str | None) -> Burst | None:
-    """Return the bursts of a link as four probabilities, or None."""
+    """Return the burst model of a link from four probabilities, or None."""
     from taciturn.errors import ProblemError
     from taciturn.model.network import Burst
 
@@ -56,12 +56,12 @@ def read_burst(text: str | None) -> Burst | None:
     try:
         to_bad, to_good, loss_good, loss_bad = map(float, text.split(","))
     except ValueError:
-        raise ProblemError(f"--burst is {text!r}; expected four probabilities, as 0.05,0.3,0.01,0.7") from None
+        raise ProblemError(f"--burst is {text!r}; expected four probabilities, such as 0.05,0.3,0.01,0.7") from None
     return Burst(to_bad, to_good, loss_good, loss_bad)
 
 
 def read_outage(text: str | None) -> tuple[int, int] | None:
-    """Return the first tick of an outage and the one it ends at, or None."""
+    """Return the first step of an outage and the step at which it ends, or None."""
     from taciturn.errors import ProblemError
 
     if text is None:
@@ -69,5 +69,5 @@ def read_outage(text: str | None) -> tuple[int, int] | None:
     try:
         first, end = map(int, text.split(","))
     except ValueError:
-        raise ProblemError(f"--outage is {text!r}; expected two ticks, as 20,40") from None
+        raise ProblemError(f"--outage is {text!r}; expected two steps, such as 20,40") from None
     return first, end

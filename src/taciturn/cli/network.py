@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -14,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from taciturn import _print
-from taciturn.cli.frame import File, Json, Seed, app, print_json, progress_bar
+from taciturn._ending import until_stopped
+from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
 from taciturn.cli.links import read_burst, read_fates, read_outage, read_probability
 
 if TYPE_CHECKING:
@@ -23,63 +23,75 @@ if TYPE_CHECKING:
     from taciturn.runtime.packet import Wire
     from taciturn.runtime.serve import NodeServer
 
-Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Where to listen; port 0: any free one.")]
-Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who gets the packets.")]
-Ticks = Annotated[int | None, typer.Option(help="Ticks to run. Default: until interrupted.")]
-RealTime = Annotated[bool, typer.Option("--real-time", help="Go by the clock instead of virtual time.")]
+Bind = Annotated[str, typer.Option(metavar="HOST:PORT", help="Address to listen on; port 0: any free port.")]
+Peer = Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Address that receives the packets.")]
+Ticks = Annotated[int | None, typer.Option(help="Number of steps. Default: until interrupted.")]
+RealTime = Annotated[bool, typer.Option("--real-time", help="Run in real time instead of virtual time.")]
 TickLength = Annotated[
-    float | None, typer.Option("--tick", help="Real seconds per tick. Default: those of the problem.")
+    float | None,
+    typer.Option("--tick", help="Seconds per step in real time. Default: the sampling period of the problem."),
 ]
 Key = Annotated[
     Path | None,
-    typer.Option(metavar="PATH", help="Hexadecimal key of 16 to 32 bytes. Default: $TACITURN_KEY, or none."),
+    typer.Option(
+        metavar="PATH",
+        help="File with a hexadecimal key of 16 to 32 bytes. Default: the key in $TACITURN_KEY, or no key.",
+    ),
 ]
 Log = Annotated[
     str | None,
-    typer.Option(metavar="OUT", help="A JSON line per tick: to a file, - for standard output, or udp://HOST:PORT."),
+    typer.Option(metavar="OUT", help="Log a JSON line per step to a file, - (standard output), or udp://HOST:PORT."),
 ]
-Loops = Annotated[int, typer.Option(help="How many such loops this process serves.")]
+Loops = Annotated[int, typer.Option(help="Number of identical loops that this process runs.")]
 
 
-WAIT = {"controller": 0.3, "actuator": 0.55}  # the actuator waits for what the controller sends at its own deadline
+WAIT = {
+    "controller": 0.3,
+    "actuator": 0.55,
+}  # the actuator waits for the packet that the controller sends at its own deadline
+WATCHED = 100  # steps without a usable packet after which a node in real time is degraded by default
+BEATS = 3  # marks that a silent sender sends within this limit
 
 
 @app.command(epilog="Example: taciturn network two-mass --ticks 1000 --loss 0.2")
 def network(
     file: File,
-    ticks: Annotated[int | None, typer.Option(help="Default: the mission, or 5000.")] = None,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
+    ticks: Annotated[int | None, typer.Option(help="Number of steps. Default: the horizon, or 5000.")] = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     seed: Seed = 0,
     key: Key = None,
     loss: Annotated[
         list[str] | None,
-        typer.Option("--loss", metavar="[LINK=]P", help="Lose a packet with probability P, on a link or on each."),
+        typer.Option("--loss", metavar="[LINK=]P", help="Drop packets with probability P, on one link or all links."),
     ] = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
+        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Run the nodes of a problem as processes on this machine, with a relay on each link or in network namespaces."""
+    """Run the nodes of a problem as processes on this machine, connected over UDP."""
     import taciturn
     from taciturn.runtime.packet import read_key
     from taciturn.study.network import run_network
+    from taciturn.study.record import origin
 
     check_counts({"--ticks": ticks})
-    problem = taciturn.load(file)
+    problem = load_changed(file, settings, no_functions)
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
-        raise taciturn.ProblemError("--loss is given with --namespaces, where no relay runs; expected one of them")
+        raise taciturn.ProblemError("--loss is given with --namespaces, which uses no relay; expected one of them")
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
-    with progress_bar("running") as progress, ended_as_interrupted():
+    with progress_bar("running") as progress:
         found = run_network(
-            file, ticks=ticks, tick=length, seed=seed, key=read_key(key), fates=fates, namespaces=namespaces,
-            progress=progress,
+            file, settings=settings or (), ticks=ticks, tick=length, seed=seed, key=read_key(key), fates=fates,
+            namespaces=namespaces, progress=progress, functions=not no_functions,
         )  # fmt: skip
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problem))
     else:
         _print.network(found)
 
@@ -88,73 +100,108 @@ def network(
 def node(
     role: Annotated[str, typer.Argument(metavar="sensor|controller|actuator")],
     file: File,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     bind: Bind = "127.0.0.1:0",
     peer: Peer = None,
-    plant: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Who measures and acts.")] = None,
+    plant: Annotated[str | None, typer.Option(metavar="HOST:PORT", help="Address of the plant.")] = None,
     ticks: Ticks = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     wait: Annotated[
         float | None,
-        typer.Option(help="Share of a tick that a packet is waited for, in real time. Default: .3, actuator .55."),
+        typer.Option(help="In real time: share of a step to wait for a packet. Default: 0.3; actuator: 0.55."),
     ] = None,
-    heartbeat: Annotated[int | None, typer.Option(help="Ticks between marks. Default: one second.")] = None,
-    watchdog: Annotated[int | None, typer.Option(help="Ticks of silence until the input is safe.")] = None,
-    safe: Annotated[str, typer.Option(help="The safe input: hold, zero, or numbers as 0.5,-1.")] = "hold",
-    state: Annotated[Path | None, typer.Option(metavar="PATH", help="Keeps the state after every tick.")] = None,
+    heartbeat: Annotated[
+        int | None,
+        typer.Option(help="In real time: steps without a packet until a mark is sent. Default: a third of --watchdog."),
+    ] = None,
+    watchdog: Annotated[
+        int | None,
+        typer.Option(
+            help="Steps without packets and marks until a node is degraded and an actuator applies the safe input. "
+            f"Default in real time: {WATCHED}, with the input of the policy."
+        ),
+    ] = None,
+    safe: Annotated[
+        str | None, typer.Option(help="Safe input: hold (default with --watchdog), zero, or numbers such as 0.5,-1.")
+    ] = None,
+    state: Annotated[
+        Path | None, typer.Option(metavar="PATH", help="Save the state of the node after every step.")
+    ] = None,
     key: Key = None,
     log: Log = None,
+    log_part: Annotated[
+        int | None,
+        typer.Option(
+            metavar="BYTES", help="With --log OUT: rename a log of this size to OUT.1, once OUT.1 does not exist."
+        ),
+    ] = None,
     loops: Loops = 1,
     seed: Seed = 0,
     questions: Annotated[
-        bool, typer.Option("--questions", help="The sensor is a camera: ask it, where a measurement would be sent.")
+        bool,
+        typer.Option("--questions", help="The sensor is a camera: request a picture instead of sending a measurement."),
     ] = False,
     eye: Annotated[
         Path | None,
-        typer.Option(metavar="PATH", help="The calibration of a camera: read its pictures as measurements."),
+        typer.Option(metavar="PATH", help="Calibration file of a camera, to measure positions in its pictures."),
     ] = None,
     seen: Annotated[
-        str | None, typer.Option(metavar="OUT", help="With --eye: a JSON line per picture, as --log.")
+        str | None, typer.Option(metavar="OUT", help="With --eye: log a JSON line per picture; OUT is as for --log.")
     ] = None,
     watch: Annotated[
-        Path | None, typer.Option(metavar="PATH", help="With --eye: keeps the newest picture, with what is seen in it.")
+        Path | None, typer.Option(metavar="PATH", help="With --eye: save the newest picture with its detections.")
     ] = None,
 ) -> None:
-    """Run one node of a problem: it meets its peers over UDP until it is interrupted, and prints what it counted."""
+    """Run one node of a problem over UDP until it is interrupted, then print its counters."""
     import taciturn
     from taciturn._arrays import number
+    from taciturn.model.places import links_to
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import NodeServer
-    from taciturn.runtime.service import logged, say, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
-    check_counts({"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--loops": loops})
-    problem = taciturn.load(file)
+    check_counts(
+        {"--ticks": ticks, "--heartbeat": heartbeat, "--watchdog": watchdog, "--log-part": log_part, "--loops": loops}
+    )
+    problem = load_changed(file, settings, no_functions)
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
+    if heartbeat is not None and length is None:
+        raise taciturn.ProblemError(
+            "--heartbeat is given without --real-time, but in virtual time a node sends a mark after every step; "
+            "expected --real-time"
+        )
     if state is not None and loops > 1:
         raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
     share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
+    # in real time, the watchdog of a node that only sends sets its heartbeat
+    limit = watchdog or (None if length is None else WATCHED)
     nodes = [
         Node(
             policy, cast("Any", role), network=problem.network, epoch=int(time.time()), seed=seed, loop=loop,
-            watchdog=watchdog, safe=_safe(safe),
+            watchdog=None if length is not None and not links_to(policy, cast("Any", role)) else limit,
+            safe=None if watchdog is None and safe is None else _safe(safe or "hold"),
         )
         for loop in range(loops)
     ]  # fmt: skip
+    here = parse_address("--bind", bind)
     to = None if peer is None else parse_address("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
+    secret = read_key(key, [host for host, _ in filter(None, (here, to, world))])
     largest = LARGEST if eye is None else LARGEST_OF_ALL
     with (
-        _wire(role, policy, problem.network, read_key(key), questions, eye, seen, watch) as wire,
-        logged(log) as told,
+        _wire(role, policy, problem.network, secret, questions, eye, seen, watch) as wire,
+        logged(log, log_part) as told,
         until_stopped() as stopped,
-        Endpoint(parse_address("--bind", bind), largest) as endpoint,
+        Endpoint(here, largest) as endpoint,
     ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
-            heartbeat=heartbeat or max(1, round(1 / (length or 1.0))), keep=state, told=told, say=say,
+            heartbeat=heartbeat or max(1, (limit or 1) // BEATS), keep=state, told=told, say=say,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:
@@ -165,9 +212,11 @@ def node(
 @app.command(epilog="Example: taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
 def plant(
     file: File,
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="The node that measures.")],
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address of the node that receives measurements.")],
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     bind: Bind = "127.0.0.1:0",
-    ticks: Annotated[int, typer.Option(help="Ticks to run.")] = 1000,
+    ticks: Annotated[int, typer.Option(help="Number of steps.")] = 1000,
     real_time: RealTime = False,
     tick: TickLength = None,
     key: Key = None,
@@ -175,23 +224,23 @@ def plant(
     loops: Loops = 1,
     seed: Seed = 0,
 ) -> None:
-    """Simulate the plant of a problem for nodes that run elsewhere."""
-    import taciturn
+    """Simulate the plant of a problem for nodes that run as other processes."""
     from taciturn.runtime.packet import Wire, read_key
     from taciturn.runtime.plant import SimulatedPlant
-    from taciturn.runtime.service import logged, say, say_where, until_stopped
+    from taciturn.runtime.service import logged, say, say_where
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
     from taciturn.study.ticks import plant_cost
 
     check_counts({"--ticks": ticks, "--loops": loops})
-    problem = taciturn.load(file)
+    problem = load_changed(file, settings, no_functions)
     loop = problem.close(problem.design())
     length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
-    wire = Wire(loop.policy, problem.network, read_key(key))
-    with logged(log) as told, until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
-        server = PlantServer(plants, wire, endpoint, parse_address("--peer", peer), tick=length, told=told, say=say)
+    here, to = parse_address("--bind", bind), parse_address("--peer", peer)
+    wire = Wire(loop.policy, problem.network, read_key(key, (here[0], to[0])))
+    with logged(log) as told, until_stopped() as stopped, Endpoint(here) as endpoint:
+        server = PlantServer(plants, wire, endpoint, to, tick=length, told=told, say=say)
         say_where("plant", endpoint.address)
         report = server.run(loop.ticks(ticks), stopped)
         final = sum(one.final_cost() for one in plants) / loops
@@ -200,26 +249,29 @@ def plant(
 
 @app.command(epilog="Example: taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Where the link ends.")],
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address at the end of the link.")],
     bind: Bind = "127.0.0.1:0",
-    loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is lost.")] = "0",
+    loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is dropped.")] = "0",
     burst: Annotated[
-        str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Losses in bursts instead.")
+        str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts instead.")
     ] = None,
-    delay: Annotated[float, typer.Option(help="Seconds that every packet takes.")] = 0.0,
-    jitter: Annotated[float, typer.Option(help="Up to so many seconds more.")] = 0.0,
-    hold: Annotated[int, typer.Option(help="Ticks that every packet waits, in virtual time.")] = 0,
-    duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet comes twice.")] = "0",
-    reorder: Annotated[str, typer.Option(metavar="P", help="Probability that a packet comes after the next.")] = "0",
-    corrupt: Annotated[str, typer.Option(metavar="P", help="Probability that bits of a packet are turned.")] = "0",
+    delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
+    jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,
+    hold: Annotated[int, typer.Option(help="Delay of every packet in steps, in virtual time.")] = 0,
+    duplicate: Annotated[str, typer.Option(metavar="P", help="Probability that a packet arrives twice.")] = "0",
+    reorder: Annotated[
+        str, typer.Option(metavar="P", help="Probability that a packet arrives after the next one.")
+    ] = "0",
+    corrupt: Annotated[str, typer.Option(metavar="P", help="Probability that bits of a packet are flipped.")] = "0",
     outage: Annotated[
-        str | None, typer.Option(metavar="FIRST,END", help="Ticks in which every packet is lost.")
+        str | None,
+        typer.Option(metavar="FIRST,END", help="Drop every packet in the steps from FIRST to END - 1."),
     ] = None,
     seed: Seed = 0,
 ) -> None:
-    """Carry packets over a link that loses, delays, doubles, reorders or corrupts them, alike for the same seed."""
+    """Emulate a link that drops, delays, duplicates, reorders or corrupts packets, reproducibly for a given seed."""
     from taciturn.runtime.relay import EmulatedLink, Fate
-    from taciturn.runtime.service import say_where, until_stopped
+    from taciturn.runtime.service import say_where
     from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint, parse_address
     from taciturn.runtime.world import relay as carry
 
@@ -245,15 +297,15 @@ def _wire(
     seen: str | None,
     watch: Path | None,
 ) -> Generator[Wire]:
-    """Give what writes and reads the packets of a node; where the sensor is a camera, questions and pictures too."""
+    """Yield the wire format of a node; if the sensor is a camera, the format includes requests and pictures."""
     from taciturn.errors import ProblemError
     from taciturn.runtime.packet import Wire
 
     if (questions and role != "sensor") or (eye is not None and role != "controller"):
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
-        raise ProblemError(f"{option} is given for the {role}; expected it for the {where}")
+        raise ProblemError(f"{option} is given for the {role}; expected this option for the {where} only")
     if eye is None and (seen is not None or watch is not None):
-        raise ProblemError("--seen or --watch is given without --eye; expected it with the calibration of a camera")
+        raise ProblemError("--seen or --watch is given without --eye; expected --eye with the calibration of a camera")
     if questions:
         from taciturn.twin.wire import QuestionWire
 
@@ -268,7 +320,7 @@ def _wire(
 
 
 def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Refuse options that count something and are not at least 1, or more loops than a packet can tell."""
+    """Raise an error if a count is below 1, or if there are more loops than a packet can number."""
     from taciturn._arrays import count, number
 
     for name, value in counts.items():
@@ -278,7 +330,7 @@ def check_counts(counts: Mapping[str, int | None]) -> None:
 
 
 def tick_length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
-    """Return the real seconds of a tick; None in virtual time."""
+    """Return the seconds per step in real time, or None in virtual time."""
     from taciturn._arrays import number
     from taciturn.errors import ProblemError
 
@@ -297,28 +349,12 @@ def _safe(text: str) -> Any:
     try:
         return tuple(float(part) for part in text.split(","))
     except ValueError:
-        raise ProblemError(f"--safe is {text!r}; expected hold, zero, or numbers as 0.5,-1") from None
-
-
-@contextmanager
-def ended_as_interrupted() -> Generator[None]:
-    """Let what asks a process to end do what Ctrl-C does, so that no process, namespace or folder is left behind."""
-    from taciturn.runtime.service import ENDING
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    before = {number: signal.signal(number, interrupt) for number in ENDING}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        raise ProblemError(f"--safe is {text!r}; expected hold, zero, or numbers such as 0.5,-1") from None
 
 
 @contextmanager
 def _counters(server: NodeServer) -> Generator[Callable[[], bool]]:
-    """Show the counters of a node on a terminal, twice a second, each time that what is given is called."""
+    """Yield a function that shows the counters of a node on a terminal, at most twice a second."""
     if not sys.stderr.isatty():
         yield lambda: False
         return
@@ -331,7 +367,7 @@ def _counters(server: NodeServer) -> Generator[Callable[[], bool]]:
         counted = ", ".join(f"{count} {name}" for name, count in sorted(report["counters"].items()))
         degraded = " · DEGRADED" if any(node.degraded for node in server.nodes) else ""
         refused = sum(report["refused"].values())
-        return Text(f"tick {report['tick']} · {counted or 'nothing yet'} · {refused} refused{degraded}")
+        return Text(f"step {report['tick']} · {counted or 'no packets yet'} · {refused} refused{degraded}")
 
     with Live(line(), console=Console(stderr=True), transient=True, auto_refresh=False) as live:
         next_at = time.monotonic()

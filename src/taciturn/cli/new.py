@@ -1,14 +1,14 @@
-"""The command that writes a problem file, by asking or from matrices in a file."""
+"""The command ``new``, which writes a problem file from prompts or from matrices in a file."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from taciturn._ending import remark
 from taciturn._grid import parse_number
 from taciturn.cli.frame import Kind, app
 from taciturn.cli.questions import Questions
@@ -17,32 +17,34 @@ if TYPE_CHECKING:
     from taciturn.problem.given import Given
 
 GOALS = {
-    "lqg": "a margin on the cost: at most 1 + θ times that of sending always",
-    "near-optimal": "a price on every send: cost + price × rate, nearly the least there is",
-    "consistent": "to beat a clock: never worse than periodic control that sends as often",
-    "remote-lqg": "a sensor that is asked: queries by a schedule, inputs where needed",
-    "send-on-delta": "a sensor as simple as can be: it sends when an output has moved by Δ",
-    "lossy-lqg": "a link that loses packets: a price on every send, and what is lost is reckoned with",
-    "excess": "the margin of lqg with less traffic, the actuator predicting: in doubt, this one",
+    "excess": "few packets with a bound on the cost: at most 1 + θ times the cost of sending every sample",
+    "near-optimal": "a price per packet, with cost + price × rate close to its minimum",
+    "consistent": "a cost proved to be no higher than that of periodic control at the same rate",
+    "lqg": "the bound of excess, with the trigger of the thesis and an actuator that holds its input",
+    "remote-lqg": "a sensor that is queried by a schedule, and inputs that are sent when needed",
+    "send-on-delta": "a simple sensor that sends when an output has changed by Δ",
+    "lossy-lqg": "a link that drops packets, with a price per packet",
 }
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
 
 @app.command(epilog="Example: taciturn new mine.toml --from plant.mat --kind lqg")
 def new(
-    out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="The file to be written.")] = Path("problem.toml"),
+    out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="File to write.")] = Path("problem.toml"),
     source: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Matrices: a .mat or .npz file with A, B, C, W, …")
+        Path | None, typer.Option("--from", metavar="FILE", help="Matrices: .mat or .npz file with A, B, C, W, …")
     ] = None,
     kind: Kind = None,
-    dt: Annotated[float | None, typer.Option(help="Seconds per step of the model; 0: continuous in time.")] = None,
-    yes: Annotated[bool, typer.Option("--yes", help="With --from: ask nothing, take what is usual.")] = False,
+    dt: Annotated[
+        float | None, typer.Option(help="Sampling period of the model in seconds; 0: continuous time.")
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="With --from: use the defaults without prompts.")] = False,
 ) -> None:
-    """Write a problem file with comments, by asking what is needed, or from matrices in a file.
+    """Write a commented problem file, from prompts or from matrices in a file.
 
-    Asked for, in this order, where it is not given: continuous or discrete, and dt; A; B; whether the whole state is
-    measured, or C and V; W; Q; R; the network, where no kind is given, and what it loses; what matters, or a kind of
-    policy; its parameters. Answers from a pipe end at the first that does not fit: for scripts there is --from.
+    The order of the prompts is: continuous or discrete time, and dt; A; B; whether the whole state is measured, or C
+    and V; W; Q; R; the network and its packet dropouts, if no kind is given; the goal, or a policy kind; the parameters
+    of the policy. If answers come from a pipe, the first invalid answer is an error. Scripts should use --from.
     """
     from taciturn._arrays import number
     from taciturn._figure import check_format
@@ -52,7 +54,7 @@ def new(
 
     def refuse_to_overwrite() -> None:
         if out.exists():
-            raise ProblemError(f"{out} is there; expected the name of a file that is not, as nothing is overwritten")
+            raise ProblemError(f"{out} already exists; expected the name of a new file: files are not overwritten")
 
     check_format(out, (".toml",), "problem file")
     refuse_to_overwrite()
@@ -61,11 +63,8 @@ def new(
     if dt is not None:
         number("--dt", dt, 0.0, closed=True)
     given = None if source is None else read_given(source)
-    try:
+    with remark("no file was written"):
         text = _Interview(Questions(yes), given, source, out.name).complete(dt, kind)
-    except KeyboardInterrupt:
-        print("\ntaciturn: interrupted; nothing is written", file=sys.stderr)
-        raise
     refuse_to_overwrite()
     write_whole(out, text.encode())
     if given is not None and given.ignored:
@@ -74,24 +73,24 @@ def new(
 
 
 class _Interview:
-    """Asks for what a draft lacks.
+    """Prompts for the values that are missing in a draft of a problem file.
 
     Args:
-        questions: who asks.
-        given: what a file says.
-        source: that file.
-        name: of the file that is written.
+        questions: object that prompts.
+        given: matrices from a file, or None.
+        source: path of this file, or None.
+        name: name of the problem file.
     """
 
     def __init__(self, questions: Questions, given: Given | None, source: Path | None, name: str) -> None:
-        """Begin with nothing."""
+        """Start with an empty draft."""
         from taciturn.problem.draft import Draft
 
         self.questions, self.given, self.source, self.name = questions, given, source, name
         self.draft = Draft()
 
     def complete(self, dt: float | None, kind: str | None) -> str:
-        """Ask for all that is not given, and return the text of the file."""
+        """Ask for all missing values, and return the text of the problem file."""
         from taciturn.errors import TaciturnError
 
         questions = self.questions
@@ -116,20 +115,20 @@ class _Interview:
             except TaciturnError as error:
                 self.questions.tell(error)
                 kind = None
-                if self.draft.network:  # which may lose more than any policy bears
+                if self.draft.network:  # its losses may be too high for any policy
                     self._ask_network("ideal")
 
     def _expect_all(self, dt: float | None) -> None:
-        """Refuse a file that lacks what has no usual value."""
+        """Raise an error if the file lacks a value without default."""
         from taciturn.errors import ProblemError
 
         assert self.given is not None
         missing = [key for key in ("A", "B", "W", "Q", "R") if key not in self.given.arrays]
         if dt is None and self.given.dt is None:
-            missing.append("dt (or Ts; 0 of a continuous plant)")
+            missing.append("dt (or Ts; 0 for continuous time)")
         if missing:
             raise ProblemError(
-                f"{self.source} lacks {', '.join(missing)}; expected them there with --yes: leave it away to be asked"
+                f"{self.source} lacks {', '.join(missing)}; expected these values for --yes; omit --yes to be prompted"
             )
 
     def _ask_time(self, dt: float | None) -> None:
@@ -138,7 +137,9 @@ class _Interview:
 
         told = None if self.given is None else self.given.dt
         if dt is not None and told is not None and dt != told:
-            raise ProblemError(f"--dt is {dt:g}, and the time base in {self.source} is {told:g}; expected one of them")
+            raise ProblemError(
+                f"--dt is {dt:g}, but the time base in {self.source} is {told:g}; expected the same value, or no --dt"
+            )
         step = told if dt is None else dt
         if step is None:
             words, step = ("continuous", "discrete"), 0.0
@@ -150,31 +151,31 @@ class _Interview:
 
     def _ask_plant(self) -> None:
         draft, per = self.draft, "second" if self.draft.continuous else "step"
-        self._take("A", f"A, the dynamics per {per}, as [1 2; 3 4]")
-        self._take("B", "B, what the inputs do")
+        self._take("A", f"A, the dynamics per {per}, for example [1 2; 3 4]")
+        self._take("B", "B, the input matrix")
         whole = not self._has("C") and not self._has("V")
         if whole and not self.questions.yes:
-            question = "Is the whole state measured, exactly?"
+            question = "Is the whole state measured without noise?"
             whole = self.questions.choose("what is measured", question, ("yes", "no"), "yes") == "yes"
         if not whole:
             if self._has("V") and not self._has("C"):  # y = x + v
                 draft.measure_all()
             else:
-                self._take("C", "C, what is measured, y = Cx + v")
-            self._take("V", f"V, the covariance of v in a sample: {SQUARE}", "0")
+                self._take("C", "C, the measurements y = Cx + v")
+            self._take("V", f"V, the covariance of v per sample: {SQUARE}", "0")
             if not draft.plant["V"].any():
                 draft.drop("V")
         what = "intensity per second" if draft.continuous else "covariance per step"
-        self._take("W", f"W, the noise on the states, {what}: {SQUARE}", "1")
+        self._take("W", f"W, the process noise, {what}: {SQUARE}", "1")
 
     def _ask_cost(self) -> None:
-        self._take("Q", f"Q, what states cost, x'Qx: {SQUARE}", "1")
-        self._take("R", f"R, what inputs cost, u'Ru: {SQUARE}", "1")
+        self._take("Q", f"Q, the state weight, x'Qx: {SQUARE}", "1")
+        self._take("R", f"R, the input weight, u'Ru: {SQUARE}", "1")
         if self._has("N"):
             self._take("N", "N")
 
     def _ask_network(self, default: str) -> None:
-        """Ask for the links; what loses packets is for one kind of policy."""
+        """Ask for the network; only the policy kind lossy-lqg allows packet dropouts."""
         from taciturn._arrays import number
         from taciturn.errors import ProblemError
 
@@ -184,13 +185,13 @@ class _Interview:
                 raise ProblemError(f"the network is {text!r}; expected ideal, tcp or udp")
             if word != "ideal" and not self.draft.fits("lossy-lqg"):
                 raise ProblemError(
-                    f"the network is {word}, and losses are reckoned with where the model is discrete in time, its "
-                    "whole state is measured and N is 0; expected ideal"
+                    f"the network is {word}, but its policy, lossy-lqg, needs a discrete-time model, a measurement of "
+                    "the whole state, and N = 0; expected ideal"
                 )
             return word
 
         ask = self.questions.ask
-        question = "Network: ideal, tcp (losses, the sender is told) or udp (losses, nobody is told)"
+        question = "Network: ideal, tcp (dropouts, with acknowledgement) or udp (dropouts, without acknowledgement)"
         protocol = ask("the network", question, read_protocol, default)
         self.draft.network.clear()
         if protocol == "ideal":
@@ -202,16 +203,16 @@ class _Interview:
             def read(text: str, name: str = name) -> float:
                 return number(name, parse_number(text), 0.0, 1.0, closed=True)
 
-            self.draft.network[name] = ask(name, f"Share of the {what} that is lost", read, usual)
+            self.draft.network[name] = ask(name, f"Share of the {what} that is dropped", read, usual)
 
     def _ask_policy(self, kind: str | None) -> dict[str, Any]:
-        """Ask what matters, and what the policy for that must be told."""
+        """Ask for the goal, and for the parameters of its policy."""
         from taciturn.problem.parameters import check_parameter
         from taciturn.problem.suggested import needed_parameters, suggest_value
         from taciturn.problem.written import parameter_notes
 
         if kind is None and self.draft.network:
-            self.questions.say("lossy-lqg is the policy for such a network")
+            self.questions.say("the policy for this network is lossy-lqg")
             kind = "lossy-lqg"
         chosen = kind or self._ask_kind()
         policy: dict[str, Any] = {"kind": chosen}
@@ -224,7 +225,7 @@ class _Interview:
 
             question = f"{name}: {notes.get(name, '')}"
             policy[name] = self.questions.ask(name, question, read, None if usual is None else f"{usual:g}")
-        if chosen == "excess":  # which sends less where the actuator predicts than where it holds
+        if chosen == "excess":  # fewer packets than with a held input
             policy["actuation"] = "model"
         return policy
 
@@ -240,16 +241,16 @@ class _Interview:
                 self.draft.expect_fit(_expect_kind(text))
                 return text
             if not 1 <= int(text) <= len(fitting):
-                raise ProblemError(f"what matters is {text}; expected a number from 1 to {len(fitting)}, or a kind")
+                raise ProblemError(f"the goal is {text}; expected a number from 1 to {len(fitting)}, or a policy kind")
             return fitting[int(text) - 1]
 
-        return self.questions.ask("what matters", "What matters? A number, or any kind of policy", read, "1")
+        return self.questions.ask("the goal", "What is the goal? A number, or a policy kind", read, "1")
 
     def _has(self, key: str) -> bool:
         return self.given is not None and key in self.given.arrays
 
     def _take(self, key: str, question: str, usual: str | None = None) -> None:
-        """Take a matrix from the file, or ask for it."""
+        """Take a matrix from the file, or prompt for it."""
         from taciturn.errors import ProblemError, TaciturnError
         from taciturn.problem.matrices import parse_matrix
 

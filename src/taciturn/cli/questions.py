@@ -1,4 +1,4 @@
-"""Questions that are asked one by one, on a terminal or from a pipe, and checked at once."""
+"""Prompts on a terminal, or answers from a pipe; each answer is checked before the next question."""
 
 from __future__ import annotations
 
@@ -15,44 +15,44 @@ Answer = TypeVar("Answer")
 
 
 class Questions:
-    """Asks until an answer fits; from a pipe the first that does not is refused.
+    """Prompts that are repeated until the answer is valid; from a pipe, an invalid answer raises an error.
 
     Args:
-        yes: ask nothing, and take what is suggested.
+        yes: use the suggested values without prompts.
     """
 
     def __init__(self, yes: bool = False) -> None:
-        """See who answers."""
+        """Check whether standard input is a terminal."""
         self.yes, self.patient = yes, sys.stdin.isatty()
 
     def ask(self, name: str, text: str, read: Callable[[str], Answer], default: str | None = None) -> Answer:
-        """Return an answer, read.
+        """Ask a question, and return the answer as a value.
 
         Args:
-            name: of what is asked for, in messages.
+            name: name of the value in messages.
             text: the question.
-            read: what makes a value of the answer, and refuses what does not fit.
-            default: taken where nothing is answered; omitted: an answer is needed.
+            read: function that converts an answer to a value, and raises an error if it is invalid.
+            default: value for an empty answer; if omitted, an answer is required.
 
         Raises:
-            ProblemError: the answers have ended, or, where nobody sits at a terminal, one does not fit.
+            ProblemError: the input ends, or an answer is invalid and the input is not a terminal.
         """
         from taciturn.errors import ProblemError, TaciturnError
 
         while True:
-            given = self._answer(name, text, default)  # whose end is not asked for again
+            given = self._answer(name, text, default)  # outside try: the end of the input is not asked again
             try:
                 if not given:
-                    raise ProblemError(f"{name} is missing; expected an answer, as there is no usual value")
+                    raise ProblemError(f"{name} is missing; expected an answer, because there is no default")
                 return read(given)
             except TaciturnError as error:
                 self.tell(error)
 
     def choose(self, name: str, text: str, words: Sequence[str], default: str) -> str:
-        """Return one of some words, which may be answered by its first letters.
+        """Ask for one of several words, and return it; the first letters are sufficient.
 
         Raises:
-            ProblemError: as ``ask``, or none of the words.
+            ProblemError: as for ``ask``, or the answer is not one of the words.
         """
         from taciturn.errors import ProblemError
 
@@ -65,28 +65,28 @@ class Questions:
         return self.ask(name, f"{text} ({', '.join(words)})", read, default)
 
     def tell(self, error: TaciturnError) -> None:
-        """Tell what does not fit, so that it is asked for again; from a pipe, or where nothing is asked, end."""
+        """Print an error before the question is repeated; raise it if the input is a pipe or there are no prompts."""
         from taciturn.errors import ProblemError
 
         if self.yes:
             raise error
         if not self.patient:
-            remedy = "nothing is written: for scripts, give matrices with --from, or write the file itself"
+            remedy = "no file was written; in scripts, give matrices with --from, or write the file yourself"
             raise ProblemError(f"{error}; {remedy}") from error
         self.say(str(error))
 
     def say(self, text: str) -> None:
-        """Tell whoever answers something."""
+        """Print an indented message for the user."""
         if not self.yes:
             typer.echo(f"  {text}")
 
     def _answer(self, name: str, text: str, default: str | None) -> str:
-        """Return what was answered; a matrix may go on over several lines until its brackets are closed."""
+        """Return the answer; a matrix may take several lines until its brackets are closed."""
         from taciturn.errors import ProblemError
 
         if self.yes:
             if default is None:
-                raise ProblemError(f"{name} has no usual value; expected an answer: leave --yes away")
+                raise ProblemError(f"{name} has no default; expected an answer: run the command without --yes")
             return default
         given = self._line(name, f"{text} [{default}]: " if default is not None else f"{text}: ")
         while given.count("[") > given.count("]"):
@@ -100,9 +100,13 @@ class Questions:
             given = input(prompt).strip()
         except EOFError:
             typer.echo()
-            raise ProblemError(f"the answers end before {name}; expected one more; nothing is written") from None
+            raise ProblemError(
+                f"the input ends before {name} is given; expected one more answer; no file was written"
+            ) from None
         except UnicodeDecodeError as error:
-            raise ProblemError(f"the answer to {name} is no text in UTF-8 ({error.reason}); expected text") from None
+            raise ProblemError(
+                f"the answer to {name} is not UTF-8 text ({error.reason}); expected UTF-8 text"
+            ) from None
         if not self.patient:
-            typer.echo(given)  # as a terminal shows it
+            typer.echo(given)  # a terminal shows the answer itself
         return given

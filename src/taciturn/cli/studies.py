@@ -1,29 +1,32 @@
-"""Commands that answer for many problems: grids, comparisons, the thesis."""
+"""Commands for several problems: grids, comparisons, and the results of the thesis."""
 
 from __future__ import annotations
 
+import json
 import math
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
 from taciturn import _print
+from taciturn._ending import remark
 from taciturn.cli.frame import (
     Confidence,
     File,
     GivenSeed,
     Json,
     Link,
+    NoFunctions,
     Plot,
     Seed,
+    Settings,
     StandardError,
     Steps,
     app,
     check_effort,
+    load_changed,
     note_seed,
     print_json,
     progress_bar,
@@ -35,39 +38,44 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
+    from taciturn.problem import Problem
+    from taciturn.study.reproduction import Reproduction
 
-Over = Annotated[
-    list[str], typer.Option(metavar="NAME=v1,v2,…", help="A key of [policy], or dotted; repeat for a grid.")
-]
-Workers = Annotated[int, typer.Option(min=1, help="Processes; 1: the threads of this one.")]
+
+OVER = "Key to vary: a key of [policy], or a dotted path such as plant.dt. Repeat the option for a grid."
+Over = Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help=OVER)]
+Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1, this process.")]
 
 
 @app.command(epilog="Example: taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
 def tradeoff(
     file: File,
     over: Over,
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     as_json: Json = False,
     plot: Plot = None,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     confidence: Confidence = None,
     store: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Keeps every point, so that a second run goes on.")
+        Path | None, typer.Option(metavar="DIR", help="Store every point, so that a second run continues.")
     ] = None,
     workers: Workers = 1,
 ) -> None:
-    """Cost against rate over a parameter, beside fair clocks and the guarantee."""
+    """Compute cost and rate for several values of a parameter, with periodic control and the guarantee."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn._grid import parse_grid
     from taciturn.study.lower import choose_confidence
+    from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
     check_effort(standard_error)
     values = parse_grid(over)
     if plot is not None:
         check_format(plot)
-    problem = taciturn.load(file)
+    problem = load_changed(file, settings, no_functions)
     with progress_bar("computing") as progress, processes(workers) as executor:
         found = taciturn.tradeoff(
             problem,
@@ -80,12 +88,12 @@ def tradeoff(
             progress=progress,
         )
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problem, seed or 0))
     else:
         _print.tradeoff(found)
         note_seed(seed, any(point.evaluation.drawn for point in found.points))
-    if plot is not None:  # after the numbers, which a picture that cannot be written must not take away
-        save(found.plot(), plot)
+    if plot is not None:  # after the numbers, which must be printed even if the figure cannot be written
+        save(found.plot(), plot, origin(problem, seed or 0, found.method))
         if not as_json:
             typer.echo(f"picture: {plot}")
     missed = [point for point in found.points if not point.evaluation.reached]
@@ -93,18 +101,8 @@ def tradeoff(
         values_text = ", ".join(f"{k}={v}" for k, v in missed[0].values.items())
         refuse(
             f"the standard error was not reached at {len(missed)} of {len(found.points)} points, "
-            f"first at {values_text}: ask for a larger --standard-error"
+            f"first at {values_text}; give a larger --standard-error"
         )
-
-
-@contextmanager
-def told_of(store: Path) -> Generator[None]:
-    """Tell whoever presses Ctrl-C that what is computed is kept."""
-    try:
-        yield
-    except KeyboardInterrupt:
-        print(f"taciturn: interrupted; what is computed is kept in {store}: the same command goes on", file=sys.stderr)
-        raise
 
 
 @app.command(epilog="Example: taciturn sweep two-mass --over theta=0.1,1,10 --over actuation=hold,model --store cells")
@@ -115,38 +113,46 @@ def sweep(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Keeps every cell, so that a second run goes on; ends in result.nc, another one kept beside it.",
+            help="Store every cell, so that a second run continues; the result is DIR/result.nc.",
         ),
     ],
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes. Default: one for each processor.")] = None,
     dask: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Of a dask scheduler whose workers are used instead.")
+        str | None, typer.Option(metavar="ADDRESS", help="Use the workers of this dask scheduler instead.")
     ] = None,
     table: Annotated[
-        Path | None, typer.Option(metavar="OUT", help="The result as a table as well: .csv or .parquet.")
+        Path | None, typer.Option(metavar="OUT", help="Also write the result as a table: .csv or .parquet.")
     ] = None,
     seed: GivenSeed = None,
     standard_error: StandardError = None,
     steps: Steps = None,
-    confidence: Annotated[float | None, typer.Option(help="Of lower bounds. Default: none is sought.")] = None,
+    confidence: Annotated[
+        float | None, typer.Option(help="Confidence of lower bounds. Default: no lower bounds.")
+    ] = None,
 ) -> None:
-    """A grid of evaluations on many processors, kept cell by cell."""
+    """Evaluate a grid of problems on many processors, and store each finished cell."""
     import taciturn
     from taciturn._dask import dask_workers
     from taciturn._grid import parse_grid
     from taciturn._table import check_table, save_table
-    from taciturn.study.sweep import save_whole, table_of
+    from taciturn.study.store import save_whole
+    from taciturn.study.sweep import table_of
     from taciturn.study.workers import processes
 
     check_effort(standard_error, steps)
     if dask is not None and workers is not None:
-        raise taciturn.ProblemError("--workers and --dask are both given; expected one: a scheduler has its own")
+        raise taciturn.ProblemError(
+            "--workers and --dask are both given; expected one of them: a dask scheduler has its own workers"
+        )
     if table is not None:
         check_table(table)
-    values, problem = parse_grid(over), taciturn.load(file)
+    values, problem = parse_grid(over), load_changed(file, settings, no_functions)
     pool = processes(workers) if dask is None else dask_workers(dask)
     cells = math.prod(map(len, values.values()))
-    with told_of(store), progress_bar("sweeping", cells) as progress, pool as executor:
+    kept = f"the results so far are in {store}; run the same command to continue"
+    with remark(kept), progress_bar("sweeping", cells) as progress, pool as executor:
         found = taciturn.sweep(
             problem,
             values,
@@ -160,10 +166,10 @@ def sweep(
         )
     note_seed(seed, confidence is not None or bool((found.cost_method == "simulation").any()))
     result = store / "result.nc"
-    aside = save_whole(found, result)
-    if aside is not None:
-        print(f"taciturn: {result} held another result, which is kept as {aside.name}", file=sys.stderr)
-    _print.sweep(found, result)
+    written, note = save_whole(found, result)
+    if note:
+        print(f"taciturn: {note}", file=sys.stderr)
+    _print.sweep(found, result if written else None)
     if table is not None:
         save_table(table_of(found), table)
         typer.echo(f"table: {table}")
@@ -171,11 +177,11 @@ def sweep(
     if missed.any():
         refuse(_missed(found, missed.values, steps))
     if (found.refusal != "").any():
-        raise typer.Exit(2)  # which cells and why has been told
+        raise typer.Exit(2)  # a warning has listed the cells and the reasons
 
 
 def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
-    """Return the sentence about cells whose simulation ended before it had settled, or before it was precise."""
+    """Return the error message for cells whose simulation ended before it settled or reached its standard error."""
     from taciturn.simulation.sampling import BUDGET
 
     cells = [found.isel(dict(zip(found.sizes, place, strict=True))) for place in zip(*missed.nonzero(), strict=True)]
@@ -187,10 +193,10 @@ def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
     listed = "; ".join([*shown, f"and {len(cells) - 3} more"] if len(cells) > 3 else shown)
     count = f"{len(cells)} of {missed.size} cells"
     if steps is not None:
-        return f"the loop has not settled in {count} within {steps} steps: {listed}: ask for more --steps"
+        return f"the loop has not settled in {count} within {steps} steps: {listed}; give more --steps"
     return (
-        f"the standard error was not reached in {count} within {BUDGET / 1e9:g} billion steps each: {listed}: "
-        "ask for a larger --standard-error"
+        f"the standard error was not reached in {count} within {BUDGET / 1e9:g} billion steps each: {listed}; "
+        "give a larger --standard-error"
     )
 
 
@@ -199,40 +205,45 @@ def compare(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE FILE…", help="Problems that differ in their policies.", autocompletion=complete_file
+            metavar="FILE FILE…", help="Problem files that differ in their policies.", autocompletion=complete_file
         ),
     ],
-    rate: Annotated[float, typer.Option(help="Sends per step or per second, the same for all.")],
+    rate: Annotated[float, typer.Option(help="Common rate: sends per step or per second.")],
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     link: Link = None,
     as_json: Json = False,
     plot: Plot = None,
     seed: GivenSeed = None,
-    standard_error: Annotated[float | None, typer.Option(help="Of each cost. Default: 3e-4 of all-time's.")] = None,
+    standard_error: Annotated[
+        float | None, typer.Option(help="Standard error of each cost. Default: 3e-4 of the cost of periodic LQG.")
+    ] = None,
 ) -> None:
-    """Several policies at the same rate, ranked, with the standard errors of their differences."""
+    """Rank several policies at the same rate, with the standard errors of their differences."""
     import taciturn
     from taciturn._figure import check_format, save
+    from taciturn.study.record import origin
 
     check_effort(standard_error)
     if plot is not None:
         check_format(plot)
-    problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
+    problems = _load_all(files, settings, no_functions)
     with progress_bar("comparing") as progress:
         found = taciturn.compare(
             problems, rate, link=cast("Any", link), seed=seed or 0, standard_error=standard_error, progress=progress
         )
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problems, seed or 0))
     else:
         _print.comparison(found)
         note_seed(seed, any(one.tuned.evaluation.drawn for one in found.ranking))
     if plot is not None:
-        save(found.plot(), plot)
+        save(found.plot(), plot, origin(problems, seed or 0, found.method))
         if not as_json:
             typer.echo(f"picture: {plot}")
     missed = [one.name for one in found.ranking if not one.reached]
     if missed:
-        refuse(f"rate or standard error were not reached by {', '.join(missed)}: ask for a larger --standard-error")
+        refuse(f"rate or standard error were not reached by {', '.join(missed)}; give a larger --standard-error")
 
 
 @app.command(epilog="Example: taciturn channel two-mass --copies 100 --capacity 10")
@@ -240,36 +251,43 @@ def channel(
     files: Annotated[
         list[str],
         typer.Argument(
-            metavar="FILE…", help="Problems: the loops that share the channel.", autocompletion=complete_file
+            metavar="FILE…", help="Problem files of the loops that share the channel.", autocompletion=complete_file
         ),
     ],
-    copies: Annotated[str, typer.Option(metavar="M[,M…]", help="Loops of each problem: one number, or one for each.")],
-    capacity: Annotated[int, typer.Option(help="Sends per tick at most, from 1 to the number of loops.")],
+    copies: Annotated[
+        str, typer.Option(metavar="M[,M…]", help="Loops per problem: one number, or one number for each problem.")
+    ],
+    capacity: Annotated[int, typer.Option(help="Largest number of sends per step, from 1 to the number of loops.")],
     scheduler: Annotated[
         str,
         typer.Option(
-            help="price, largest, round-robin, tdma, once-discard or random-access.",
+            help="Scheduler: price, largest, round-robin, tdma, once-discard or random-access.",
             autocompletion=complete_from("price", "largest", "round-robin", "tdma", "once-discard", "random-access"),
         ),
     ] = "price",
+    settings: Settings = None,
+    no_functions: NoFunctions = False,
     as_json: Json = False,
     plot: Plot = None,
     seed: Seed = 0,
-    standard_error: Annotated[float | None, typer.Option(help="Of the sum of costs. Default: 1e-3 of it.")] = None,
-    ticks: Annotated[int | None, typer.Option(help="Measure so many ticks of each channel instead.")] = None,
+    standard_error: Annotated[
+        float | None, typer.Option(help="Standard error of the total cost. Default: 1e-3 of the total cost.")
+    ] = None,
+    ticks: Annotated[int | None, typer.Option(help="Simulate this many steps of each channel instead.")] = None,
     confidence: Confidence = None,
     workers: Workers = 1,
 ) -> None:
-    """Many loops on one channel: the sum of their costs, beside what none can beat and the best periodic allocation."""
+    """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
     from taciturn._figure import check_format, save
     from taciturn.analyse.limits import USUAL
+    from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
     check_effort(standard_error)
     if plot is not None:
         check_format(plot)
-    problems = {name: taciturn.load(file) for name, file in zip(_names(files), files, strict=True)}
+    problems = _load_all(files, settings, no_functions)
     with progress_bar("sharing") as progress, processes(workers) as executor:
         found = taciturn.share_channel(
             problems,
@@ -284,31 +302,36 @@ def channel(
             progress=progress,
         )
     if as_json:
-        print_json(found.document())
+        print_json(found.document(), origin(problems, seed))
     else:
         _print.sharing(found)
     if plot is not None:
-        save(found.plot(), plot)
+        save(found.plot(), plot, origin(problems, seed, found.method))
         if not as_json:
             typer.echo(f"picture: {plot}")
     if not found.reached:
-        refuse("the standard error was not reached: ask for a larger --standard-error")
+        refuse("the standard error was not reached; give a larger --standard-error")
+
+
+def _load_all(files: list[str], settings: list[str] | None, no_functions: bool) -> dict[str, Problem]:
+    """Return the problems by name."""
+    return dict(zip(_names(files), [load_changed(file, settings, no_functions) for file in files], strict=True))
 
 
 def _names(files: list[str]) -> list[str]:
-    """Return what problems are called: their files' names, numbered where they are alike."""
+    """Return the names of problems: their file names, with numbers if some names are equal."""
     stems = [Path(file).stem for file in files]
     return [stem if stems.count(stem) == 1 else f"{stem} ({i + 1})" for i, stem in enumerate(stems)]
 
 
 def _numbers(option: str, text: str) -> list[int]:
-    """Return the whole numbers of a list that is separated by commas."""
+    """Return the integers of a comma-separated list."""
     from taciturn.errors import ProblemError
 
     try:
         return [int(part) for part in text.split(",")]
     except ValueError:
-        raise ProblemError(f"{option} is {text!r}; expected whole numbers, as 1000 or 500,20") from None
+        raise ProblemError(f"{option} is {text!r}; expected integers, such as 1000 or 500,20") from None
 
 
 @app.command(epilog="Example: taciturn reproduce chapter2 --out pictures")
@@ -317,21 +340,26 @@ def reproduce(
         list[str] | None,
         typer.Argument(
             metavar="[NAME…]",
-            help="chapter2 to chapter7, or all (the default).",
+            help="Chapters: chapter2 to chapter7, or all (the default).",
             autocompletion=complete_from("all", *(f"chapter{i}" for i in range(2, 8))),
         ),
     ] = None,
     as_json: Json = False,
-    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for the pictures. Default: here.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the figures. Default: the current folder.")
+    ] = None,
     seed: Seed = 0,
-    twin: Annotated[bool, typer.Option("--twin", help="The experiments of chapters 6 and 7, with twins.")] = False,
+    twin: Annotated[
+        bool, typer.Option("--twin", help="Run the experiments of chapters 6 and 7 with digital twins.")
+    ] = False,
 ) -> None:
-    """The thesis's tables and figures, printed beside computed.
+    """Compute the tables and figures of the thesis, and compare them with its printed numbers.
 
-    With other parameters: taciturn tradeoff FILE --over NAME=v1,v2,…
+    For other parameters use taciturn tradeoff FILE --over NAME=v1,v2,…
     """
     from taciturn._figure import save
     from taciturn.errors import ProblemError
+    from taciturn.study.record import origin
     from taciturn.study.reproduce import CHAPTERS, no_chapter
     from taciturn.study.reproduce import reproduce as compute
 
@@ -349,21 +377,21 @@ def reproduce(
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ProblemError(
-            f"the folder {str(folder)!r} cannot be made ({error.strerror}); expected one that can be written to"
+            f"the folder {str(folder)!r} cannot be created ({error.strerror}); expected a writable folder"
         ) from None
     documents: list[dict[str, Any]] = []
-    pictures: dict[Path, Figure] = {}
+    pictures: dict[Path, tuple[Figure, Reproduction]] = {}
     for name in chosen:
         with progress_bar(name) as progress:
             found = make(name, seed=seed, progress=progress)
-        documents.append(found.document())
-        pictures |= {folder / f"{file}.svg": picture for file, picture in found.pictures.items()}
+        documents.append(found.document() | origin(found.problems, seed))
+        pictures |= {folder / f"{file}.svg": (picture, found) for file, picture in found.pictures.items()}
         if not as_json:
             _print.reproduction(found)
     if as_json:
-        print_json(documents)
-    for path, picture in pictures.items():  # after the numbers, which must not be lost with a picture
+        typer.echo(json.dumps(documents, indent=1, allow_nan=False))
+    for path, (picture, found) in pictures.items():  # after the numbers, which must be printed even if a figure fails
         if out is not None or not as_json:
-            save(picture, path)
+            save(picture, path, origin(found.problems, seed))
             if not as_json:
                 typer.echo(f"picture: {path}")

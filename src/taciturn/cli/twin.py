@@ -1,4 +1,4 @@
-"""Commands that run the twin of a robot, and its camera."""
+"""Commands for the digital twins of the robots, and their camera."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from taciturn.cli.frame import File, Json, Plot, Seed, app, print_json, progress_bar
-from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength, check_counts, ended_as_interrupted, tick_length
+from taciturn._ending import until_stopped
+from taciturn.cli.frame import File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
+from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength, check_counts, tick_length
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from taciturn.twin.run import TwinRun
     from taciturn.twin.trial import Setup
 
-Robot = Annotated[str, typer.Argument(metavar="rover|omni", help="Which robot.")]
+Robot = Annotated[str, typer.Argument(metavar="rover|omni", help="The robot: rover or omni.")]
 Faults = Annotated[
     list[str] | None,
     typer.Option(
         "--fault",
         metavar="NAME@START+SECONDS=SIZE",
-        help="What goes wrong, and when: camera, cover, light, actuator, kidnap, push, gain, controller.",
+        help="Inject a fault: camera, cover, light, actuator, kidnap, push, gain or controller.",
     ),
 ]
 
@@ -33,37 +34,46 @@ def twin(
     robot: Robot,
     file: Annotated[
         str | None,
-        typer.Argument(metavar="[FILE]", help="Its policy is run. Default: the thesis's, for a model identified here."),
+        typer.Argument(
+            metavar="[FILE]",
+            help="Problem file with the policy. Default: the policy of the thesis, for an identified model.",
+        ),
     ] = None,
     seed: Seed = 0,
-    runs: Annotated[int, typer.Option(help="Missions to run at once, with seeds one after the other.")] = 1,
-    price: Annotated[float | None, typer.Option(help="Of a send of the omni, of a question of the rover.")] = None,
-    theta: Annotated[float | None, typer.Option(help="Of the rover's policy.")] = None,
+    runs: Annotated[int, typer.Option(help="Number of simultaneous runs, with consecutive seeds.")] = 1,
+    price: Annotated[float | None, typer.Option(help="Price per packet (omni) or per picture (rover).")] = None,
+    theta: Annotated[float | None, typer.Option(help="Parameter theta of the rover's policy.")] = None,
     real_time: RealTime = False,
     tick: TickLength = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="In network namespaces, where the kernel loses packets; as root.")
+        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
     ] = False,
+    no_functions: NoFunctions = False,
     fault: Faults = None,
-    wheels: Annotated[str | None, typer.Option(help="capsule or, of the omni, rollers: how they are modelled.")] = None,
+    wheels: Annotated[str | None, typer.Option(help="Wheel model: capsule, or rollers (omni only).")] = None,
     key: Key = None,
-    record: Annotated[Path | None, typer.Option(metavar="OUT.nc", help="All that happened, as NetCDF.")] = None,
-    video: Annotated[Path | None, typer.Option(metavar="OUT.webp", help="What the camera sees of the first.")] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="OUT.nc", help="Write all signals and events as NetCDF.")
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option(metavar="OUT.webp", help="Write the pictures of the camera in the first run.")
+    ] = None,
     plot: Plot = None,
-    live: Annotated[bool, typer.Option("--live", help="Serve a page to watch, round after round.")] = False,
+    live: Annotated[bool, typer.Option("--live", help="Serve a live page that shows one run after another.")] = False,
     bind: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="With --live: where the page is. Default: 127.0.0.1:8000.")
+        str | None, typer.Option(metavar="HOST:PORT", help="With --live: address of the page. Default: 127.0.0.1:8000.")
     ] = None,
     token: Annotated[
-        str | None, typer.Option(help="With --live: what others must know; needed where they can reach the page.")
+        str | None, typer.Option(help="With --live: access token; required if other machines can reach the page.")
     ] = None,
     speed: Annotated[
-        float | None, typer.Option(help="With --live, in virtual time: how fast; 0: as fast as may be. Default: 1.")
+        float | None,
+        typer.Option(help="With --live, in virtual time: speed factor; 0: as fast as possible. Default: 1."),
     ] = None,
-    rounds: Annotated[int | None, typer.Option(help="With --live: how many. Default: until interrupted.")] = None,
+    rounds: Annotated[int | None, typer.Option(help="With --live: number of runs. Default: until interrupted.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Run a robot's twin: rigid bodies, a camera that is asked, image processing, and packets between processes."""
+    """Run the digital twin of a robot: rigid bodies, camera, image processing, and packets over UDP."""
     from taciturn import _print
     from taciturn._arrays import number
     from taciturn._figure import check_format, save
@@ -89,32 +99,40 @@ def twin(
         if wanted is not None:
             check(wanted)
     setup = Setup(runs, seed, length, namespaces, faults, read_key(key), wheels)
+
+    def keep(run: TwinRun) -> None:
+        if record is not None:
+            write_record(run, record)
+        if video is not None:
+            write_video(run, video)
+        if plot is not None:
+            save(run.plot(), plot, run.origin())
+
     if live:
-        done = _live(robot, setup, file, parameters, page=(bind or "127.0.0.1:8000", token), speed=speed, rounds=rounds)
+        page = (bind or "127.0.0.1:8000", token)
+        done = _live(robot, setup, file, parameters, page=page, speed=speed, rounds=rounds, keep=keep)
     else:
-        with progress_bar("driving") as progress, ended_as_interrupted():
-            done = run_twin(robot, setup, file=file, parameters=parameters, progress=progress)
+        with progress_bar("driving") as progress:
+            done = run_twin(
+                robot, setup, file=file, functions=not no_functions, parameters=parameters, progress=progress
+            )
     if as_json:
-        print_json(done.document())
+        print_json(done.document(), done.origin())
     else:
         _print.pairs(lines_of(done))
-    if record is not None:
-        write_record(done, record)
-    if video is not None:
-        write_video(done, video)
-    if plot is not None:
-        save(done.plot(), plot)
+    if not live:
+        keep(done)
 
 
 def _check_options(options: Mapping[str, object], live: bool, real_time: bool) -> None:
-    """Refuse options of the page where there is none, and a pace where the clock sets it."""
+    """Raise an error if options of the live page are given without --live, or a speed in real time."""
     from taciturn.errors import ProblemError
 
     given = [name for name, value in options.items() if value is not None]
     if given and not live:
         raise ProblemError(f"{given[0]} is given without --live; expected both, or neither")
     if "--speed" in given and real_time:
-        raise ProblemError("--speed is given with --real-time, which goes by the clock; expected one of them")
+        raise ProblemError("--speed is given with --real-time, which runs at speed 1; expected one of them")
 
 
 def _live(
@@ -126,11 +144,15 @@ def _live(
     page: tuple[str, str | None],
     speed: float | None,
     rounds: int | None,
+    keep: Callable[[TwinRun], object],
 ) -> TwinRun:
-    """Serve the page of a twin until it is interrupted, and return the last mission that was whole."""
+    """Serve the live page of a twin until it is interrupted, keep each complete run, and return the last one.
+
+    Raises:
+        KeyboardInterrupt: the page was interrupted before a run was complete.
+    """
     from taciturn._arrays import number
     from taciturn.errors import ProblemError
-    from taciturn.runtime.service import until_stopped
     from taciturn.runtime.udp import parse_address
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.live import watch_twin
@@ -140,35 +162,49 @@ def _live(
 
     if file is not None or setup.runs > 1:
         option = "a problem file" if file is not None else f"--runs {setup.runs}"
-        raise ProblemError(f"{option} is given with --live, which runs the thesis's mission; expected neither of them")
+        raise ProblemError(
+            f"{option} is given with --live, which runs only the experiment of the thesis, one run at a time; "
+            "expected only one of the two options"
+        )
     pace = 1.0 if speed is None else number("--speed", speed, 0.0, closed=True)
     check_run(find_robot(robot), setup, parameters)
     bind, token = page
-    with Page(parse_address("--bind", bind), token) as shown, until_stopped() as stopped:
-        typer.echo(f"taciturn: the page is {shown.url}", err=True)
-        found = watch_twin(
-            prepare(robot, setup.seed), shown, setup, parameters=parameters, speed=pace, rounds=rounds, stopped=stopped
-        )
-    if found is None:
-        raise ProblemError("no mission has come to its end; expected at least one: let it run for longer")
-    return found
+    done: list[TwinRun] = []
+
+    def complete(run: TwinRun) -> None:
+        done[:] = [run]
+        keep(run)
+
+    try:
+        with Page(parse_address("--bind", bind), token) as shown:
+            typer.echo(f"taciturn: the page is at {shown.url}", err=True)
+            shown.wait("calibrating the camera and identifying the model of the robot")
+            prepared = prepare(robot, setup.seed)
+            watch_twin(prepared, shown, setup, parameters=parameters, speed=pace, rounds=rounds, ended=complete)
+    except KeyboardInterrupt:
+        if not done:
+            raise
+    if not done:
+        raise ProblemError("no run has ended; expected at least one complete run: wait longer before you stop it")
+    return done[0]
 
 
 @app.command(epilog="Example: taciturn camera rover rover --peer :9001")
 def camera(
     robot: Robot,
     file: File,
-    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Who gets the pictures.")],
+    peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address that receives the pictures.")],
     bind: Bind = "127.0.0.1:0",
+    no_functions: NoFunctions = False,
     fault: Faults = None,
     key: Key = None,
     loops: Loops = 1,
     seed: Seed = 0,
 ) -> None:
-    """Render what a robot's camera sees, when it is asked, for a control unit that runs elsewhere."""
+    """Render the pictures that a robot's sensor requests, and send them to a controller in another process."""
     import taciturn
     from taciturn.runtime.packet import read_key
-    from taciturn.runtime.service import say_where, until_stopped
+    from taciturn.runtime.service import say_where
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.twin.camera import Camera
     from taciturn.twin.catalogue import find_robot
@@ -178,11 +214,13 @@ def camera(
     from taciturn.twin.wire import CameraWire
 
     check_counts({"--loops": loops})
-    found, problem = find_robot(robot), taciturn.load(file)
-    wire = CameraWire(check_mission(found, problem, file), found.seen, problem.network, read_key(key))
-    to, faults = parse_address("--peer", peer), [parse_fault(text) for text in fault or []]
+    found, problem = find_robot(robot), taciturn.load(file, functions=not no_functions)
+    here, to = parse_address("--bind", bind), parse_address("--peer", peer)
+    faults = [parse_fault(text) for text in fault or []]
+    secret = read_key(key, (here[0], to[0]))
+    wire = CameraWire(check_mission(found, problem, file), found.seen, problem.network, secret)
     taken = Camera(found, seed)
-    with until_stopped() as stopped, Endpoint(parse_address("--bind", bind)) as endpoint:
+    with until_stopped() as stopped, Endpoint(here) as endpoint:
         server = CameraServer(taken, wire, endpoint, to, tick=found.tick, loops=loops, faults=faults)
         say_where("camera", endpoint.address)
         typer.echo(json.dumps(server.run(stopped)))

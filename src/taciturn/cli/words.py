@@ -1,4 +1,4 @@
-"""Words that a shell completes: files, built-in problems, kinds of policy. Found without importing anything heavy."""
+"""Shell completion of files, built-in problems and policy kinds, without heavy imports."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ KINDS = (
     "near-optimal", "absolute", "relative", "mixed", "dynamic", "send-on-delta", "variance", "rollout",
     "self-triggered", "stochastic", "periodic-schedule", "downsampled",
 )  # fmt: skip
-"""Those of the catalogue, which takes longer to import than a shell may wait; a test compares them."""
+"""The policy kinds, copied from the catalogue, whose import is too slow for completion; a test compares both."""
 
 
 def complete_file(incomplete: str) -> list[str]:
-    """Return the built-in problems and the TOML files that begin so; a shell goes on with folders where none does."""
+    """Return the built-in problems and TOML files with this prefix; for an empty list a shell completes folders."""
     folder = incomplete[: incomplete.rfind("/") + 1]
     try:
         files = sorted(f"{folder}{path.name}" for path in Path(folder or ".").glob("*.toml"))
@@ -26,7 +26,7 @@ def complete_file(incomplete: str) -> list[str]:
 
 
 def complete_from(*words: str) -> Callable[[str], list[str]]:
-    """Return what completes one of these words."""
+    """Return a completion function for these words."""
 
     def complete(incomplete: str) -> list[str]:
         return [word for word in words if word.startswith(incomplete)]

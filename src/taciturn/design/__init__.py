@@ -1,4 +1,16 @@
-"""Policies, one family per file; each carries its guarantee."""
+"""Design functions of all policies, one family per file, each with its guarantee.
+
+A design function takes a plant, a cost and its parameters, and returns a ``Policy``, which is data rather than code.
+The function solves the underlying LQG problem (``taciturn.lqg``), writes the policy steps, and states the theorem. The
+certainty-equivalent designs share ``certainty``: with the error e of the actuator's input, completion of squares gives
+
+    J = J_all + E[e'(R + B'KB)e in silence],
+
+so every trigger that bounds this square bounds the cost (``bounds``). ``estimation`` writes the filters at sensor or
+actuator, ``prediction`` the policies that predict in continuous time, and ``prices`` the costs that a schedule of
+queries weighs. ``catalogue`` lists the policy kinds with their design functions and main parameters. A new policy
+requires a file in this package, a line in the catalogue, and a test of its theorem.
+"""
 
 from taciturn.design.absolute import absolute
 from taciturn.design.consistent import consistent

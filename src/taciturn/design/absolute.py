@@ -29,25 +29,25 @@ def absolute(
 ) -> Policy:
     """Design LQG control that sends if and only if e'We > Y².
 
-    The error e is that of the input applied in silence, û − Lx̂, or of the state that the actuator acts on, x̃ − x̂: the
-    last estimate sent, or its prediction [lunze2010]. By completion of squares silence costs at most μY², μ the least
-    with H ⪯ μW or L'HL ⪯ μW.
+    The error e is either û − Lx̂, with the input û applied in silence, or x̃ − x̂, with the state x̃ that the actuator
+    uses: the last estimate sent, or its prediction [lunze2010]. By completion of squares, silence costs at most μY²,
+    where μ is the smallest number with H ⪯ μW or L'HL ⪯ μW.
 
     Args:
         plant: the plant.
         cost: the average cost.
         threshold: Y ≥ 0, in the units of √(e'We).
-        weight: W, (m, m) or (n, n), semidefinite; omitted: the identity.
-        error: ``"input"`` or ``"state"``.
-        period: seconds between ticks; only with a continuous plant.
+        weight: weight W, (m, m) or (n, n), positive semidefinite; default the identity.
+        error: ``"input"`` for e = û − Lx̂ or ``"state"`` for e = x̃ − x̂.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + μY²(1 − rate); without it where the weight does not see what costs.
+        The policy, with J ≤ J_all + μY²(1 − rate); without this bound if e'We is 0 for an error that has a cost.
 
     Raises:
-        ProblemError: Y < 0, W of the wrong size or indefinite, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if Y < 0, W has the wrong size or is indefinite, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: astrom2002, lunze2010
 
@@ -65,7 +65,9 @@ def absolute(
     )
     W = np.eye(size) if weight is None else semidefinite("weight", weight, size, meaning)
     if not W.any():
-        raise ProblemError("weight is zero, so that nothing would ever be sent; expected a weight that sees an error")
+        raise ProblemError(
+            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
+        )
     rule = Trigger({
         "silent": Form(("error" if error == "input" else DEVIATION,), W),
         SEND: Form(constant=threshold**2),
@@ -80,5 +82,5 @@ def absolute(
         identity=certainty.completed_square(),
         guarantee=None if mu is None else bound_by_silence(certainty, mu * threshold**2, "astrom2002"),
         reset=certainty.reset(actuation),
-        notes=("no bound is known: the weight does not see every error that costs",) if mu is None else (),
+        notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
     )

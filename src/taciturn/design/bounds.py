@@ -1,4 +1,7 @@
-"""What silence costs at most: completion of squares, J = J_all + E[(1−σ)e'L'HLe], with a threshold on the error."""
+"""Bounds on the additional cost of not sending, for triggers with a threshold on the error.
+
+Completion of squares gives J = J_all + E[(1−σ)e'L'HLe].
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,18 @@ import numpy as np
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import least_eigenvalue
-from taciturn.design.certainty import Certainty
+from taciturn.design.certainty import CertaintyEquivalentDesign
 from taciturn.lqg.discrete import Discrete
 from taciturn.model.policy import Guarantee
 
-LARGEST = 1e100  # threshold, factor or share that a rule may have: its square is still a number
+LARGEST = 1e100  # largest threshold, factor or share of a rule; its square does not overflow
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
-    """Return the least μ with M ⪯ μ·weight, both semidefinite; None where the weight does not see all that M does."""
+    """Return the least μ with M ⪯ μ·weight, both semidefinite; None if M is nonzero on the null space of ``weight``."""
     size = np.maximum(np.diag(weight), 0.0)
     size = np.sqrt(np.where(size > 0, size, np.maximum(np.diag(M), 0.0)))
-    unit = np.where(size > 0, size, 1.0)  # those of the variables decide nothing
+    unit = np.where(size > 0, size, 1.0)  # scaling that makes the result independent of units
     M, weight = M / unit / unit[:, None], weight / unit / unit[:, None]
     values, vectors = np.linalg.eigh(weight)
     seen = values > 1e-12 * max(float(values[-1]), 1e-300)
@@ -29,12 +32,12 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the end of a bound whose share is only of what control changes: of a sampled plant, not of c."""
+    """Return the term by which a bound excludes the inter-sample noise cost c of a sampled plant from its share."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 
-def bound_by_silence(certainty: Certainty, per_silence: float, source: str) -> Guarantee:
-    """Return J ≤ J_all + δ(1 − rate), where a tick in silence costs at most δ beyond J_all."""
+def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
+    """Return the guarantee J ≤ J_all + δ(1 − rate), for at most δ of additional cost per silent step."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
         problem.per_unit(all_time + per_silence),
@@ -46,22 +49,22 @@ def bound_by_silence(certainty: Certainty, per_silence: float, source: str) -> G
 
 
 def bound_by_state(
-    certainty: Certainty, sigma: float, threshold: float, source: str
+    certainty: CertaintyEquivalentDesign, sigma: float, threshold: float, source: str
 ) -> tuple[Guarantee | None, tuple[str, ...]]:
-    """Return the bound for an error kept at E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or why there is none.
+    """Return the guarantee for an error with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note if there is none.
 
     With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least q|x̂|² + tr(QΣ)
-    with q = λ_min(Q − NR^{-1}N'). So with s = σ²μ/q < 1: J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s), where of a
-    sampled plant the inter-sample noise cost c is in tr(QΣ) as it is in J and J_all.
+    with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1, J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a
+    sampled plant, tr(QΣ) includes the inter-sample noise cost c, as do J and J_all.
 
     Args:
         certainty: filter and regulator.
-        sigma: σ.
-        threshold: Y.
-        source: key of the rule.
+        sigma: the share σ.
+        threshold: the threshold Y.
+        source: key of the rule's reference in ``docs/sources.bib``.
 
     Returns:
-        The guarantee, and a note where σ is too large for one.
+        The guarantee, and a note if σ is too large for a guarantee.
     """
     problem = certainty.problem
     mu = float(np.linalg.eigvalsh(certainty.square)[-1])
@@ -72,12 +75,12 @@ def bound_by_state(
     share = sigma**2 * mu / q
     if share >= 1:
         limit = np.sqrt(q / mu)
-        return None, (f"no bound is known: sigma is {sigma:g}, and its proof ends at {limit:.4g}",)
-    base = (certainty.cost_all_time - share * certainty.unseen) / (1 - share)
+        return None, (f"no bound is known: sigma is {sigma:g}, and the proof requires sigma < {limit:.4g}",)
+    base = (certainty.cost_all_time - share * certainty.estimation_cost) / (1 - share)
     per_silence = mu * threshold**2 / (1 - share)
     unseen, noise = "tr(QΣ)", ""
     if problem.noise_cost:
-        unseen, noise = "(tr(QΣ) + c)", ", c the inter-sample noise cost of a tick"
+        unseen, noise = "(tr(QΣ) + c)", ", c the inter-sample noise cost of a step"
     guarantee = Guarantee(
         problem.per_unit(base + per_silence),
         f"J ≤ (J_all − s {unseen} + μY²(1 − rate))/(1−s), s = σ²μ/q, μ = λ_max(L'HL), "

@@ -1,4 +1,4 @@
-"""The catalogue: the design function of every policy kind, and its knob. A new policy is a file and a line in each."""
+"""The catalogue of policy kinds, with the design function and the tuning parameters of each kind."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+from taciturn._display import Displayed
 from taciturn.design.absolute import absolute
 from taciturn.design.consistent import consistent
 from taciturn.design.downsampled import downsampled
@@ -55,18 +56,18 @@ CATALOGUE: Mapping[str, Callable[..., AnyPolicy]] = {
 }
 
 
-@dataclass(frozen=True)
-class Knob:
+@dataclass(frozen=True, repr=False)
+class TradeoffParameter(Displayed):
     """The parameter that trades the cost of a policy for its rate.
 
     Args:
-        name: key of ``[policy]``; of several that are given, the first is turned.
-        link: whose rate it turns; omitted: the only one that the policy decides.
-        least: what it must exceed; a whole number may equal it.
-        whole: whether it is a whole number.
-        falls: whether the rate falls where it grows.
-        continuous: whether it is there for continuous plants (True), for discrete ones (False), or for both (None).
-        cycles: whether a list of whole numbers does too, of which the exact costs tell the best.
+        name: key of ``[policy]``; if several of the kind's parameters are given, the first is varied.
+        link: the link whose rate the parameter changes; default the only link that the policy decides.
+        least: lower limit, which an integer parameter may equal and a real parameter must exceed.
+        whole: whether the parameter is an integer.
+        falls: whether the rate decreases when the parameter increases.
+        continuous: whether it applies to continuous-time plants (True), discrete-time plants (False) or both (None).
+        cycles: whether the parameter may also be a list of integers; the exact costs select the best list.
     """
 
     name: str
@@ -78,26 +79,29 @@ class Knob:
     cycles: bool = False
 
 
-KNOBS: Mapping[str, tuple[Knob, ...]] = {
-    "all-time": (Knob("period", continuous=True),),
-    "periodic": (Knob("every", least=1, whole=True, cycles=True), Knob("period", continuous=True)),
-    "lqg": (Knob("theta"),),
-    "remote-lqg": (Knob("theta", "actuator"), Knob("zeta", "sensor")),
-    "lossy-lqg": (Knob("price"),),
-    "integral": (Knob("slope"),),
-    "consistent": (Knob("delta"),),
-    "excess": (Knob("delta"), Knob("theta")),
-    "optimal": (Knob("price"),),
-    "near-optimal": (Knob("price"),),
-    "absolute": (Knob("threshold"),),
-    "relative": (Knob("sigma"),),
-    "mixed": (Knob("threshold"),),
-    "dynamic": (Knob("sigma"),),
-    "send-on-delta": (Knob("delta"),),
-    "variance": (Knob("threshold"),),
-    "rollout": (Knob("every", least=2, whole=True),),
-    "self-triggered": (Knob("beta", least=1.0),),
-    "stochastic": (Knob("scale", falls=False),),
-    "periodic-schedule": (Knob("sends", least=1, whole=True, falls=False),),
-    "downsampled": (Knob("threshold"),),
+TRADEOFF_PARAMETERS: Mapping[str, tuple[TradeoffParameter, ...]] = {
+    "all-time": (TradeoffParameter("period", continuous=True),),
+    "periodic": (
+        TradeoffParameter("every", least=1, whole=True, cycles=True),
+        TradeoffParameter("period", continuous=True),
+    ),
+    "lqg": (TradeoffParameter("theta"),),
+    "remote-lqg": (TradeoffParameter("theta", "actuator"), TradeoffParameter("zeta", "sensor")),
+    "lossy-lqg": (TradeoffParameter("price"),),
+    "integral": (TradeoffParameter("slope"),),
+    "consistent": (TradeoffParameter("delta"),),
+    "excess": (TradeoffParameter("delta"), TradeoffParameter("theta")),
+    "optimal": (TradeoffParameter("price"),),
+    "near-optimal": (TradeoffParameter("price"),),
+    "absolute": (TradeoffParameter("threshold"),),
+    "relative": (TradeoffParameter("sigma"),),
+    "mixed": (TradeoffParameter("threshold"),),
+    "dynamic": (TradeoffParameter("sigma"),),
+    "send-on-delta": (TradeoffParameter("delta"),),
+    "variance": (TradeoffParameter("threshold"),),
+    "rollout": (TradeoffParameter("every", least=2, whole=True),),
+    "self-triggered": (TradeoffParameter("beta", least=1.0),),
+    "stochastic": (TradeoffParameter("scale", falls=False),),
+    "periodic-schedule": (TradeoffParameter("sends", least=1, whole=True, falls=False),),
+    "downsampled": (TradeoffParameter("threshold"),),
 }

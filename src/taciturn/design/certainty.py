@@ -1,8 +1,9 @@
 """Certainty-equivalent control over an actuator link: filter, gain, trigger, and an actuator that holds or predicts.
 
-Within a tick: the sensor measures; the controller (at the sensor's site) estimates, computes ``command`` = L x̂ and the
-``candidate`` that the actuator will apply if nothing is sent, and decides on their difference ``error``; the packet
-travels; the actuator applies ``input``; the controller notes the same input as ``held`` and predicts.
+In each step, the sensor measures. The controller, at the sensor's site, estimates the state, computes ``command`` =
+L x̂ and the ``candidate`` that the actuator applies if nothing is sent, and decides on their difference ``error``. The
+packet is transmitted, and the actuator applies ``input``. The controller stores the same input as ``held`` and predicts
+the next state.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, block_diagonal, choice
-from taciturn.design.estimation import ESTIMATE, HELD, Estimation, estimate_state
+from taciturn._display import Displayed
+from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps, estimate_state
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.kalman import Filter, expect_known_start, filter_checked
@@ -46,51 +48,51 @@ COLLOCATED: tuple[frozenset[NodeName], ...] = (frozenset({"sensor", "controller"
 SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 
 
-@dataclass(frozen=True, eq=False)
-class Certainty:
-    """What every such policy shares: the discrete problem, its regulator and its filter.
+@dataclass(frozen=True, eq=False, repr=False)
+class CertaintyEquivalentDesign(Displayed):
+    """The common part of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter.
 
     Args:
-        problem: the plant from tick to tick.
-        regulator: K, L and H of the infinite horizon.
-        filter: covariances and gain of the steady filter.
-        estimation: its steps.
-        cost_all_time: cost of sending at every tick, per tick, without the inter-sample noise cost.
-        settling: ticks in which regulator and filter forget their start, 1/(1 − |slowest eigenvalue|).
+        problem: the discrete-time problem.
+        regulator: cost-to-go K, gain L and weight H of the infinite-horizon regulator.
+        filter: covariances and gain of the steady-state Kalman filter.
+        estimation: policy steps of the filter.
+        cost_all_time: cost of sending at every step, per step, without the inter-sample noise cost.
+        settling: time constant of regulator and filter in steps, 1/(1 − |slowest eigenvalue|).
     """
 
     problem: Discrete
     regulator: Regulator
     filter: Filter
-    estimation: Estimation
+    estimation: FilterSteps
     cost_all_time: float
     settling: float
 
     @property
     def corrections(self) -> Array:
-        """Covariance of what a measurement adds to the estimate, Σ̃ − Σ, semidefinite under rounding too."""
+        """Covariance Σ̃ − Σ of the corrections of the estimate by measurements, semidefinite despite rounding."""
         return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
 
     @property
-    def unseen(self) -> float:
-        """Cost per tick of what the filter cannot know, tr(QΣ)."""
+    def estimation_cost(self) -> float:
+        """Cost tr(QΣ) per step of the estimation error."""
         return float(np.trace(self.problem.Q @ self.filter.posterior))
 
     @cached_property
     def held(self) -> Held:
-        """The problem of an input that is held from send to send."""
+        """The control problem with an input that is held between sends."""
         p = self.problem
         return Held(p.plant.A, p.plant.B, p.Q, p.R, p.N, self.corrections)
 
     @property
     def square(self) -> Array:
-        """Price e'L'HLe of acting on a state that is off the estimate by e, (n, n)."""
+        """Weight L'HL of the cost e'L'HLe of control from a state that differs from the estimate by e, (n, n)."""
         return self.regulator.L.T @ self.regulator.H @ self.regulator.L
 
     def reset(self, actuation: Actuation) -> Reset | None:
-        """Return the error x̃ − x̂ of a model that a send corrects; None where none is corrected for good.
+        """Return the error x̃ − x̂ of the actuator's model, which a send resets, or None if a send does not reset it.
 
-        It is moved by what measurements add to the estimate, which is independent from tick to tick if the state is
+        The error is driven by the corrections of the estimate, which are independent between steps if the state is
         measured or all noise is Gaussian.
         """
         problem, L = self.problem, self.regulator.L
@@ -104,12 +106,12 @@ class Certainty:
         return completed_square(problem.per_unit(self.cost_all_time), self.regulator.H / problem.tick)
 
 
-def design_certainty(kind: str, problem: Discrete) -> Certainty:
-    """Return regulator, filter and all-time cost J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) of an average cost.
+def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
+    """Return regulator, filter and all-time cost J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) for an average cost.
 
     Raises:
-        ProblemError: the cost has a horizon or a discount, which ``kind`` does not know.
-        UnstableError: no stabilising gain.
+        ProblemError: if the cost has a horizon or a discount, which the policy kind does not support.
+        UnstableError: if no stabilising gain exists.
 
     Source: khashooei2017, anderson1990optimal
     """
@@ -120,19 +122,19 @@ def design_certainty(kind: str, problem: Discrete) -> Certainty:
     expect_known_start(plant, regulator.K.diagonal() > 0)
     prior, posterior = steady.prior, steady.posterior
     cost = np.trace(problem.Q @ posterior) + np.trace(regulator.K @ (prior - posterior))
-    left = np.eye(plant.states) - steady.gain @ plant.C  # of an error of the prior, in the posterior
+    left = np.eye(plant.states) - steady.gain @ plant.C  # factor from the prior error to the posterior error
     square = regulator.L.T @ regulator.H @ regulator.L
     doubt = np.sum(regulator.error * (prior - posterior)) + np.sum(square * (left @ steady.error @ left.T))
     refuse_uncertain(float(cost), float(doubt))
     settling = 1 / (1 - max(regulator.slowest, steady.slowest))
-    return Certainty(problem, regulator, steady, estimate_state(plant, steady), float(cost), settling)
+    return CertaintyEquivalentDesign(problem, regulator, steady, estimate_state(plant, steady), float(cost), settling)
 
 
 def expect_average(kind: str, cost: Cost) -> None:
-    """Refuse a mission.
+    """Reject a cost that is not an average.
 
     Raises:
-        ProblemError: the cost has a horizon or a discount.
+        ProblemError: if the cost has a horizon or a discount.
     """
     for name, absent in (("horizon", None), ("discount", 1.0)):
         got = getattr(cost, name)
@@ -144,7 +146,7 @@ def expect_average(kind: str, cost: Cost) -> None:
 
 def control_steps(
     plant: Plant,
-    estimation: Estimation,
+    estimation: FilterSteps,
     L: Matrix,
     actuation: Actuation,
     trigger: Trigger | None,
@@ -152,16 +154,16 @@ def control_steps(
     before: tuple[Step, ...] = (),
     after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
-    """Return the steps of a tick and the first values of the memories.
+    """Return the policy steps and the initial values of the memories.
 
     Args:
-        plant: from tick to tick.
-        estimation: the steps that make the estimate.
-        L: the gain of the command.
+        plant: the discrete-time plant.
+        estimation: the policy steps of the estimator.
+        L: the feedback gain.
         actuation: ``"hold"``: the actuator keeps the last input; ``"model"``: it runs x̃⁺ = (A + BL) x̃, L constant.
-        trigger: over ``estimate``, ``candidate``, ``error`` and ``deviation``; None: send at every tick.
-        before: further steps before the decision.
-        after: further steps after it.
+        trigger: trigger over ``estimate``, ``candidate``, ``error`` and ``deviation``; None to send at every step.
+        before: further policy steps before the decision.
+        after: further policy steps after the decision.
     """
     on = None if trigger is None else SEND
     decide = () if trigger is None else (Decide("controller", SEND, trigger),)
@@ -185,7 +187,7 @@ def control_steps(
 
 def certainty_policy(
     kind: str,
-    certainty: Certainty,
+    certainty: CertaintyEquivalentDesign,
     steps: tuple[Step, ...],
     initial: Mapping[str, Array],
     *,
@@ -198,21 +200,21 @@ def certainty_policy(
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
-    """Return the policy whose controller sits at the sensor and sends over the actuator link.
+    """Return the policy whose controller is at the sensor's site and sends over the actuator link.
 
     Args:
-        kind: name in the catalogue.
+        kind: name of the policy kind in the catalogue.
         certainty: filter and regulator.
-        steps: of a tick.
-        initial: first values of the memories.
-        identity: what the cost is exactly, by completion of squares.
-        locations: finite locations.
-        guarantee: what is proved.
-        closed_form: what is known exactly.
-        fixed_rates: sends per tick that the design fixes.
+        steps: policy steps within a sampling step.
+        initial: initial values of the memories.
+        identity: exact identity for the cost by completion of squares.
+        locations: finite discrete states.
+        guarantee: proven bound on the cost.
+        closed_form: exact cost and rates.
+        fixed_rates: rates that the design fixes, in sends per step.
         reset: the error that a send resets.
-        slower: how many times as long as sending always it takes to forget the start.
-        notes: what a reader of its numbers must know.
+        slower: time constant of the loop relative to that of sending every sample.
+        notes: remarks that a reader of the results should know.
     """
     problem = certainty.problem
     return Policy(
@@ -239,24 +241,24 @@ def certainty_policy(
 
 def sensor_policy(
     kind: str,
-    certainty: Certainty,
-    estimation: Estimation,
+    certainty: CertaintyEquivalentDesign,
+    estimation: FilterSteps,
     settling: float,
     *,
     locations: tuple[Location, ...] = (),
     closed_form: ClosedForm | None = None,
     schedule: Schedule | None = None,
 ) -> Policy:
-    """Return the policy whose controller sits at the actuator and gets what the sensor sends.
+    """Return the policy whose controller is at the actuator's site and receives the packets of the sensor.
 
     Args:
-        kind: name in the catalogue.
-        certainty: filter and regulator of sending always.
-        estimation: the steps that decide, send and filter.
-        settling: ticks in which regulator and filter forget.
-        locations: finite locations.
-        closed_form: what is known exactly.
-        schedule: where the sensor is scheduled offline.
+        kind: name of the policy kind in the catalogue.
+        certainty: filter and regulator of sending every sample.
+        estimation: policy steps that decide, send and filter.
+        settling: time constant of regulator and filter in steps.
+        locations: finite discrete states.
+        closed_form: exact cost and rates.
+        schedule: offline schedule of the sensor, or None.
     """
     problem = certainty.problem
     return Policy(
@@ -278,8 +280,8 @@ def sensor_policy(
     )
 
 
-def steps_at_the_actuator(plant: Plant, estimation: Estimation, L: Matrix) -> tuple[Step, ...]:
-    """Return the steps of a controller that needs no link to the actuator."""
+def steps_at_the_actuator(plant: Plant, estimation: FilterSteps, L: Matrix) -> tuple[Step, ...]:
+    """Return the policy steps of a controller at the actuator's site, which needs no actuator link."""
     command = {"command": np.eye(plant.inputs)}
     return (
         *estimation.correct,
@@ -291,15 +293,15 @@ def steps_at_the_actuator(plant: Plant, estimation: Estimation, L: Matrix) -> tu
 
 
 def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
-    """Return J = constant + E[(û − Lx̂)'H(û − Lx̂)]: silence costs exactly e'He, sending nothing.
+    """Return J = constant + E[(1−σ)(û − Lx̂)'H(û − Lx̂)]: a silent step costs exactly e'He, and a send costs 0.
 
     Source: khashooei2017
     """
     return Identity(constant, (Form(("error",), H), Form()), SEND)
 
 
-def measure_excess(certainty: Certainty) -> tuple[Step, Identity]:
-    """Return the step and the identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with gains of its own."""
+def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
+    """Return the policy step and the identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with other gains."""
     problem, regulator = certainty.problem, certainty.regulator
     step = Assign("controller", "excess", {HELD: np.eye(problem.plant.inputs), ESTIMATE: -regulator.L})
     form = Form(("excess",), regulator.H / problem.tick)
@@ -307,13 +309,13 @@ def measure_excess(certainty: Certainty) -> tuple[Step, Identity]:
 
 
 def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
-    """Return (1+θ) e'He − θ·(stage cost of staying silent), which silence must keep at most θ tr(QΣ).
+    """Return the form (1+θ) e'He − θ·(stage cost in silence), which is at most θ tr(QΣ) whenever nothing is sent.
 
-    It is [x̂; e]'Γ[x̂; e] of (2.13), and [x̂; û]'Γ[x̂; û] of (3.10) with e = û − Lx̂, with its terms collected.
+    With e = û − Lx̂, the form equals [x̂; e]'Γ[x̂; e] of (2.13) and [x̂; û]'Γ[x̂; û] of (3.10).
 
     Args:
-        problem: the weights of one tick.
-        H: price of another input than Lx̂, (m, m), or one for each tick of the clock, (ticks, m, m).
+        problem: the discrete-time problem with the weights of one step.
+        H: weight of the error of the input û − Lx̂, (m, m), or one for each step of the step counter, (steps, m, m).
         theta: the share θ.
 
     Source: khashooei2017
@@ -326,7 +328,7 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:
-    """Return the clock that counts 0, 1, …, ticks − 1 and goes on at ``start``, or stays where that is None."""
+    """Return the step counter 0, 1, …, ``ticks`` − 1, which then continues at ``start``, or stops if that is None."""
     table = np.arange(1, ticks + 1)
     table[-1] = ticks - 1 if start is None else start
     return Location(CLOCK, table)
@@ -334,9 +336,9 @@ def count_ticks(ticks: int, start: int | None) -> Location:
 
 @dataclass(frozen=True, eq=False)
 class _Actuation:
-    """What the actuator does in silence, and how the controller follows it.
+    """The policy steps for the actuator's input in silence, and for the controller's copy of this input.
 
-    ``deviation`` is the state that the actuator acts on less the estimate; ``noted`` the memory that takes.
+    ``deviation`` is the difference between the actuator's state and the estimate; ``noted`` updates its memory.
     """
 
     candidate: Step

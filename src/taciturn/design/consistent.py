@@ -11,32 +11,34 @@ from taciturn.model.policy import Policy
 from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
-ROUNDING = 1e-12  # relative, of a threshold that is given as its largest value
+ROUNDING = 1e-12  # relative tolerance for a threshold equal to its largest consistent value
 
 
 def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, delta: float | None = None) -> Policy:
-    """Design the policy that looks every τ seconds, and sends the state when predicting on would cost too much.
+    """Design the policy that checks its error every τ seconds, and sends the state if prediction would cost too much.
 
-    Both ends run dx̂/dt = (A + BL)x̂, set to x at a send; with e = x − x̂ before the decision the state is sent iff
+    Sensor and actuator run dx̂/dt = (A + BL)x̂, and a send sets x̂ to x. With e = x − x̂ before the decision, the state
+    is sent iff
 
         e'Γ(τ)e > δ,  Γ(τ) = ∫_0^τ e^{A't} L'RL e^{At} dt.
 
-    With V_p(r) the cost of sending at the rate r, which is convex, V + δr ≤ V_p(1/τ) + δ/τ. Where δ is at most the
-    slope −V_p'(1/τ), this line is below V_p: at its own rate r the policy costs no more than periodic control. Without
-    noise nothing is sent. The cost is exactly V_p(1/τ) + E[(1−σ)e'Γe]/τ.
+    Let V_p(r) be the cost of periodic control at the rate r, which is convex. Then V + δr ≤ V_p(1/τ) + δ/τ. If δ is at
+    most the slope −V_p'(1/τ), this line is below V_p, so the policy costs no more than periodic control at its own rate
+    r. Without noise, nothing is sent. The cost is exactly V_p(1/τ) + E[(1−σ)e'Γe]/τ.
 
     Args:
-        plant: continuous in time, its full state measured; Wiener noise or jumps.
-        cost: an average.
+        plant: continuous-time plant with measured full state; Wiener noise or jumps.
+        cost: the average cost.
         period: τ > 0, seconds between checks.
-        delta: δ ≥ 0; omitted: its largest consistent value.
+        delta: threshold δ ≥ 0; default its largest consistent value.
 
     Returns:
-        The policy with its guarantee; none where δ is above its largest consistent value.
+        The policy with its guarantee, or without a guarantee if δ is above its largest consistent value.
 
     Raises:
-        ProblemError: a discrete plant, C or V, a horizon or discount, or a parameter out of range.
-        UnstableError: no stabilising gain.
+        ProblemError: if the plant is discrete in time or has C or V, the cost has a horizon or a discount, or a
+            parameter is out of range.
+        UnstableError: if no stabilising gain exists.
 
     Source: khashooei2017
 

@@ -1,4 +1,4 @@
-"""The downsampled threshold: looked at often after a send, seldom otherwise."""
+"""The downsampled threshold: checked often after a send, and seldom otherwise."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from taciturn.model.policy import Location, Policy
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 WAIT = "wait"
-LONGEST = 10_000  # ticks from look to look
+LONGEST = 10_000  # largest number of steps between checks
 
 
 def downsampled(
@@ -28,27 +28,27 @@ def downsampled(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that looks at its threshold now and then, and sends if it finds |e| > Y.
+    """Design LQG control that checks a threshold only at some of the steps, and sends if |e| > Y.
 
-    e = x̃ − x̂, with x̃ the state that the actuator acts on. After a send the next look comes ``fast`` ticks later, after
-    a look without a send ``slow`` ticks later: periodic event-triggered control [heemels2013] whose looks follow the
-    events. With fast = slow = 1 it is the absolute threshold.
+    The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The next check follows ``fast`` steps after a
+    send, and ``slow`` steps after a check without a send. This is periodic event-triggered control [heemels2013] with
+    checks that depend on the events. With fast = slow = 1, the policy is the absolute threshold.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        fast: ticks to the next look after a send, at least 1.
-        slow: ticks to the next look after a look without a send, at least ``fast``.
+        fast: steps to the next check after a send, at least 1.
+        slow: steps to the next check after a check without a send, at least ``fast``.
         threshold: Y ≥ 0, in the units of the state.
-        period: seconds between ticks; only with a continuous plant.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
         The policy; no bound on its cost is known.
 
     Raises:
-        ProblemError: looks that are no whole ticks, slow < fast, Y < 0, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if fast or slow is not an integer, slow < fast, Y < 0, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: heemels2013
 
@@ -59,9 +59,9 @@ def downsampled(
     """
     fast, slow = count("fast", fast), count("slow", slow)
     if slow > LONGEST:
-        raise ProblemError(f"slow is {slow}; expected at most {LONGEST} ticks")
+        raise ProblemError(f"slow is {slow}; expected at most {LONGEST} steps")
     if slow < fast:
-        raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in ticks from look to look")
+        raise ProblemError(f"slow is {slow} and fast is {fast}; expected slow ≥ fast, both in steps between checks")
     threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("downsampled", problem), np.eye(problem.plant.states)

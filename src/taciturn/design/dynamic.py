@@ -1,4 +1,4 @@
-"""The dynamic trigger: a relative threshold that may be passed for a while, on credit."""
+"""The dynamic trigger: a relative threshold that may be exceeded temporarily, by use of an accumulated credit."""
 
 from __future__ import annotations
 
@@ -30,27 +30,29 @@ def dynamic(
 ) -> Policy:
     """Design LQG control that sends if and only if gain·(|e|² − σ²|x̂|²) > η.
 
-    e = x̃ − x̂, with x̃ the state that the actuator acts on. The credit is what the relative rule has left unused,
+    The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The credit η accumulates the unused part of
+    the relative threshold,
 
-        η⁺ = ρη + σ²|x̂|² − |e|², e after the decision (0 where it was sent), η_0 = 0.
+        η⁺ = ρη + σ²|x̂|² − |e|², with e after the decision (0 at a send), η_0 = 0.
 
-    With gain·ρ ≥ 1 it stays η ≥ 0: wherever this rule sends, the relative one would. A growing gain makes it that.
+    If gain·ρ ≥ 1, then η ≥ 0, and the relative rule would send whenever this rule sends. As the gain increases, this
+    rule tends to the relative rule.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        sigma: σ ≥ 0, the share of the state.
-        rho: 0 < ρ < 1, what is left of the credit a tick later.
-        gain: at least 1/ρ.
-        period: seconds between ticks; only with a continuous plant.
+        sigma: σ ≥ 0, the threshold relative to the norm of the state.
+        rho: decay factor ρ of the credit per step, 0 < ρ < 1.
+        gain: gain of the trigger, at least 1/ρ.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with the bound of the relative rule: the mean of |e|² is at most that of σ²|x̂|² here, too.
+        The policy, with the bound of the relative rule, since the mean of |e|² is again at most the mean of σ²|x̂|².
 
     Raises:
-        ProblemError: σ < 0, ρ outside (0, 1), gain below 1/ρ, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if σ < 0, ρ is outside (0, 1), gain is below 1/ρ, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: girard2015
 
@@ -64,7 +66,7 @@ def dynamic(
     if gain * rho < 1 - 1e-12:
         raise ProblemError(
             f"gain is {gain:g} and rho {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
-            "so that the credit never falls below 0"
+            "so that the credit is never negative"
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("dynamic", problem), np.eye(problem.plant.states)

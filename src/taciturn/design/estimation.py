@@ -1,4 +1,4 @@
-"""The part of a controller that estimates: a steady Kalman filter, or the measured state itself."""
+"""State estimation in a controller: a steady-state Kalman filter, or the measured state itself."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.lqg.kalman import Filter
 from taciturn.model.plant import Plant
 from taciturn.model.policy import Assign, Innovations, Step
@@ -14,15 +15,15 @@ from taciturn.model.policy import Assign, Innovations, Step
 ESTIMATE, HELD = "estimate", "held"
 
 
-@dataclass(frozen=True, eq=False)
-class Estimation:
-    """Steps that make ``estimate`` of ``y``, and what the theory knows of its error.
+@dataclass(frozen=True, eq=False, repr=False)
+class FilterSteps(Displayed):
+    """The policy steps that compute ``estimate`` from ``y``, and the theoretical moments of the estimation error.
 
     Args:
-        correct: steps before the control is computed.
-        predict: steps after it, which read ``held``: the input that the controller knows is applied.
-        initial: first values of the memories.
-        innovations: where the filter whitens the measurement.
+        correct: policy steps before the control is computed.
+        predict: policy steps after the control is computed; they read ``held``, the input that is applied.
+        initial: initial values of the memories.
+        innovations: white innovations of the filter, or None.
     """
 
     correct: tuple[Step, ...]
@@ -31,20 +32,20 @@ class Estimation:
     innovations: Innovations | None
 
 
-def estimate_state(plant: Plant, steady: Filter) -> Estimation:
-    """Return the filtered estimate x̂_k = E[x_k | y_0, …, y_k] in steady state.
+def estimate_state(plant: Plant, steady: Filter) -> FilterSteps:
+    """Return the policy steps of the filtered estimate x̂_k = E[x_k | y_0, …, y_k] in steady state.
 
-    With the full state measured, x̂ = x, Σ = 0 and Σ̃ = W.
+    If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
 
     Source: anderson1990optimal
     """
     if plant.full_state:
         measured = Assign("controller", ESTIMATE, {"y": np.eye(plant.states)})
-        return Estimation((measured,), (), {}, None)
+        return FilterSteps((measured,), (), {}, None)
     correct = (
         Assign("controller", "innovation", {"y": np.eye(plant.outputs), "prior": -plant.C}),
         Assign("controller", ESTIMATE, {"prior": np.eye(plant.states), "innovation": steady.gain}),
     )
     predict = (Assign("controller", "prior", {ESTIMATE: plant.A, HELD: plant.B}),)
     innovations = Innovations("innovation", steady.innovation, ESTIMATE, steady.posterior)
-    return Estimation(correct, predict, {"prior": plant.mean}, innovations)
+    return FilterSteps(correct, predict, {"prior": plant.mean}, innovations)

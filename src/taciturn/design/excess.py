@@ -1,10 +1,17 @@
-"""The excess trigger: send when silence would cost more than a price, which is exactly what its error costs."""
+"""The excess trigger: send when the exact cost of silence would exceed a threshold."""
 
 from __future__ import annotations
 
 from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST, bound_by_silence
-from taciturn.design.certainty import SEND, Actuation, Certainty, certainty_policy, control_steps, design_certainty
+from taciturn.design.certainty import (
+    SEND,
+    Actuation,
+    CertaintyEquivalentDesign,
+    certainty_policy,
+    control_steps,
+    design_certainty,
+)
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -22,27 +29,29 @@ def excess(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends if and only if silence would cost more than δ beyond sending always.
+    """Design LQG control that sends if and only if silence would cost more than δ beyond sending every sample.
 
-    With e = û − Lx̂, û the input applied in silence, J = J_all + E[(1−σ)e'He], H = R + B'KB: an input is sent iff
-    e'He > δ. What is not sent costs at most δ, so J ≤ J_all + δ(1 − rate), in sends per tick; and e'He ≤ δ after each
-    decision, so the loop is that of sending always under a bounded disturbance, stable in the mean square.
+    Let e = û − Lx̂, with the input û applied in silence, and H = R + B'KB. Then J = J_all + E[(1−σ)e'He], and an input
+    is sent iff e'He > δ. Silence costs at most δ per step, so J ≤ J_all + δ(1 − rate), with the rate in sends per step.
+    Since e'He ≤ δ after each decision, the loop equals that of sending every sample under a bounded disturbance, and is
+    mean-square stable.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        delta: δ ≥ 0, a cost per step, or per second times seconds; or
-        theta: θ ≥ 0, for δ = θ(J_all − c) of a tick, c the inter-sample noise cost, which no control changes: 0 of a
-            discrete plant.
-        period: seconds between ticks; only with a continuous plant.
+        delta: threshold δ ≥ 0, a cost per step (for a continuous plant, cost per second times seconds); or
+        theta: share θ ≥ 0, for δ = θ(J_all − c) per step, with the inter-sample noise cost c, which no control changes
+            and which is 0 for a discrete plant.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
         The policy, with J ≤ J_all + δ(1 − rate), at most J_all + θ(J_all − c).
 
     Raises:
-        ProblemError: none or both of δ and θ, one that is negative, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: unless exactly one of δ and θ is given, if it is negative, or if period is missing or not
+            applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: astrom2002, khashooei2017
 
@@ -53,7 +62,7 @@ def excess(
     """
     if (delta is None) == (theta is None):
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
-        raise ProblemError(f"{got} given; expected one of them, the price of silence")
+        raise ProblemError(f"{got} given; expected one of them, the trigger threshold")
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty, delta, theta)
@@ -70,8 +79,8 @@ def excess(
     )
 
 
-def _price(certainty: Certainty, delta: float | None, theta: float | None) -> float:
-    """Return δ per tick."""
+def _price(certainty: CertaintyEquivalentDesign, delta: float | None, theta: float | None) -> float:
+    """Return δ per step."""
     if delta is not None:
         return number("delta", delta, 0.0, LARGEST, closed=True)
     return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST, closed=True) * certainty.cost_all_time

@@ -1,4 +1,4 @@
-"""The consistent dynamic trigger: send when the cost of predicting since the last send reaches what is allowed."""
+"""The consistent dynamic trigger: send when the prediction cost since the last send reaches an allowed value."""
 
 from __future__ import annotations
 
@@ -25,17 +25,19 @@ from taciturn.renewal.policy import EventPolicy
 from taciturn.renewal.sampled import LATE, SampledProcess
 
 MARGIN, SINCE = "margin", "since"
-MOST_PLACES = 20_000  # looks after a send that a node can tell from one another
-NEVER = 1e30  # beside any cost
-FIRST_CYCLES, CYCLES = 20_000, 2_000_000  # of the search for the fixed point, and of its last steps
+MOST_PLACES = 20_000  # largest number of checks after a send that a node can count
+NEVER = 1e30  # much larger than any cost
+FIRST_CYCLES, CYCLES = 20_000, 2_000_000  # simulated intervals in the search for the fixed point, and in its last steps
 ROUNDS = 20
-LONGEST = 2000  # times the first α that is tried
-RESOLVED = 3e-5  # relative, of the fixed point: far below its standard error
-LOOKS = 6  # rounds of the search for a period
-COARSE, FINE = 50, 200  # looks per mean interval
-PRINTED = 1e-6  # relative: a slope given with as many digits as its limit is printed
-SURE = 4.0  # standard errors
-STATEMENT = "J ≤ tr(PW) + c min(1, ε/E[θ]), c = αC, and no more than periodic control at the mean interval E[θ]"
+LONGEST = 2000  # largest α that is tried, relative to the first α
+RESOLVED = 3e-5  # relative tolerance of the fixed point, far below its standard error
+LOOKS = 6  # iterations of the search for a period
+COARSE, FINE = 50, 200  # checks per mean interval
+PRINTED = 1e-6  # relative tolerance for a slope that equals its limit as printed
+SURE = 4.0  # number of standard errors
+STATEMENT = (
+    "J ≤ tr(PW) + alpha·slope·min(1, saturation/mean interval), and no more than periodic control at this mean interval"
+)
 
 
 def integral(
@@ -49,40 +51,40 @@ def integral(
     h_max: float = np.inf,
     period: float | None = None,
 ) -> Policy | EventPolicy:
-    """Design the policy that sends when the integrated cost of the prediction's error reaches what is allowed.
+    """Design the policy that sends when the integrated cost of the prediction error reaches an allowed value.
 
-    Both ends run dx̂/dt = (A + BL)x̂, set to x at a send. With e = x − x̂ the state is sent β seconds after the last
-    send, at the first time in (h_min, h_max] at which
+    Sensor and actuator run dx̂/dt = (A + BL)x̂, and a send sets x̂ to x. With e = x − x̂, the state is sent β seconds
+    after the last send, at the first time in (h_min, h_max] at which
 
         (1/α) ∫_0^β e'L'RLe ds ≥ f(β),  f(β) = C min(β, ε),
 
-    and at h_max at the latest. With L(α) the mean interval that follows, α ≤ L(α), and f below what periodic control
-    costs beyond tr(PW), the policy costs no more than periodic control at its own mean interval. Only c = αC matters;
-    α* = L(α*) makes the most of a slope.
+    and at h_max at the latest. Let L(α) be the resulting mean interval. If α ≤ L(α), and f is below the cost g of
+    periodic control beyond tr(PW), the policy costs no more than periodic control at its own mean interval. The policy
+    depends on α and C only through c = αC; for a given slope, α* = L(α*) is the largest admissible value.
 
-    With a period the error is looked at every τ seconds only. The integral is then counted in expectation given the
-    errors seen, η ← η + e'Γ(τ)e + τ g(τ), and the state is sent before η passes what is allowed: iff
-    η + e'Γe + τ g(τ) > α f(β + τ). The same bounds hold. Wiener noise is always looked at so.
+    With a period, the error is checked only every τ seconds. The integral is then replaced by its expectation given
+    the checked errors, η ← η + e'Γ(τ)e + τ g(τ), and the state is sent before η exceeds the allowed value: iff
+    η + e'Γe + τ g(τ) > α f(β + τ). The same bounds hold. Under Wiener noise the error is always checked periodically.
 
     Args:
-        plant: continuous in time, its full state measured; jumps or Wiener noise.
-        cost: an average.
-        slope: C > 0, cost per second and second.
-        saturation: ε > 0, seconds after which f rises no more; omitted: never.
-        alpha: α > 0, seconds; omitted: the fixed point, by simulation.
-        h_min: shortest interval, seconds.
-        h_max: longest interval, seconds; may be infinite.
-        period: τ, seconds between looks; omitted: under jumps every instant, and under Wiener noise a two-hundredth of
-            the mean interval, with a note on what looking twice as often would change.
+        plant: continuous-time plant with measured full state; jumps or Wiener noise.
+        cost: the average cost.
+        slope: slope C > 0 of f, cost per second squared.
+        saturation: time ε > 0 in seconds after which f is constant; default infinite.
+        alpha: α > 0 in seconds; if omitted, the fixed point α*, computed by simulation.
+        h_min: shortest interval in seconds.
+        h_max: longest interval in seconds; may be infinite.
+        period: time τ in seconds between checks. If omitted, the error is checked continuously under jumps, and 200
+            times per mean interval under Wiener noise, with a note on the effect of checking twice as often.
 
     Returns:
-        With looks a policy of nodes and packets; without, one that is analysed as a renewal process. With h_min = 0:
-        J ≤ tr(PW) + c min(1, ε/E[θ]), and J ≤ J_per(E[θ]).
+        With periodic checks, a policy of nodes and packets; otherwise a policy that is analysed as a renewal process.
+        With h_min = 0: J ≤ tr(PW) + alpha·slope·min(1, saturation/mean interval), and J ≤ J_per of the mean interval.
 
     Raises:
-        ProblemError: a discrete plant, C or V, a parameter out of range, a slope for which f < g fails, α > L(α), or a
-            period that is too long for what is allowed.
-        UnstableError: no stabilising gain, or an interval that does not end.
+        ProblemError: if the plant is discrete in time or has C or V, a parameter is out of range, the slope violates
+            f < g, α > L(α), or the period is too long for the allowed value.
+        UnstableError: if no stabilising gain exists, or an interval does not end.
 
     Source: khashooei2017
 
@@ -99,8 +101,8 @@ def integral(
     largest = _largest_slope(price, trigger)
     if largest <= 0:
         raise ProblemError(
-            "no slope is admissible: f rises for ever, and what periodic control costs stays bounded, or begins too "
-            "slowly; expected a finite h_max or saturation, or h_min > 0"
+            "no slope is admissible: f increases without bound, but the cost of periodic control is bounded or "
+            "increases too slowly at first; expected a finite h_max or saturation, or h_min > 0"
         )
 
     notes: list[str] = []
@@ -123,7 +125,7 @@ def integral(
         process = sampled_error(plant, price, number("period", period, 0.0))
         return _looking(plant, cost, price, process, found(process)[1], statement, notes)
     length = 1.0
-    for _ in range(LOOKS):  # the interval decides how often it is looked at, which hardly decides the interval
+    for _ in range(LOOKS):  # the period depends on the interval, which hardly depends on the period
         process = sampled_error(plant, price, length / COARSE)
         reached = replace(trigger, c=slope * (length if alpha is None else alpha))
         length = estimate_cycles(process, reached, cycles=FIRST_CYCLES).interval.value
@@ -136,21 +138,21 @@ def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     if price.growth(1.0) <= 0:
         raise ProblemError(
-            "no noise reaches an error that costs anything, so that nothing would ever be sent; "
-            "expected noise on states that L'RL weighs, now or later"
+            "the noise causes no error with a cost, so nothing would ever be sent; "
+            "expected noise on states that L'RL weighs directly or through the dynamics"
         )
     return price
 
 
 def _largest_slope(price: PredictionCost, trigger: IntegralTrigger) -> float:
-    """Return the slope up to which C min(h, ε) stays below g(h) on (h_min, h_max)."""
+    """Return the largest slope C for which C min(h, ε) is below g(h) on (h_min, h_max)."""
     if trigger.saturation <= trigger.h_min:
         return price.growth(trigger.h_min) / trigger.saturation
     return price.least_ratio(trigger.h_min, min(trigger.saturation, trigger.h_max))[0]
 
 
 def sampled_error(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
-    """Return the error as it is seen every period."""
+    """Return the process of the error sampled at the checks."""
     noise = price.spread(period) if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return SampledProcess(price.flow(period), noise, price.weight(period), period * price.growth(period), period)
 
@@ -158,7 +160,7 @@ def sampled_error(plant: ContinuousPlant, price: PredictionCost, period: float) 
 def _resolution(
     plant: ContinuousPlant, price: PredictionCost, process: SampledProcess, trigger: IntegralTrigger
 ) -> str:
-    """Say what looking twice as often would change."""
+    """Return a sentence on the effect of checking the error twice as often."""
     finer = sampled_error(plant, price, process.period / 2)
     one, other = (estimate_cycles(p, trigger, cycles=CYCLES // 10) for p in (process, finer))
     changes: list[str] = []
@@ -167,8 +169,8 @@ def _resolution(
         error = float(np.hypot(before.standard_error, after.standard_error))
         changes.append(f"the {name} by {Estimate(change, error, 'simulation')}")
     return (
-        f"the error is looked at every {process.period:.4g} s; twice as often changes {' and '.join(changes)}, "
-        "and every instant about twice that"
+        f"the error is checked every {process.period:.4g} s; checking twice as often changes {' and '.join(changes)}, "
+        "and checking continuously changes them about twice as much"
     )
 
 
@@ -181,10 +183,10 @@ def _looking(
     statement: str | None,
     notes: list[str],
 ) -> Policy:
-    """Return the policy that looks every period.
+    """Return the policy that checks the error every period.
 
-    The sensor remembers by how much the cost since the last send passes what was allowed until now, ``margin``, and
-    by a location how many looks ago that was, as far as this matters.
+    The sensor stores in ``margin`` how far the cost since the last send exceeds the allowed value, and counts the
+    checks since the last send by a location, up to the number after which the allowed value no longer changes.
     """
     period = process.period
     if period > trigger.h_max * LATE:
@@ -192,18 +194,18 @@ def _looking(
     places = _places(trigger, period)
     if places > MOST_PLACES:
         raise ProblemError(
-            f"h_min, h_max or the saturation is {places} looks of {period:g} s; expected at most {MOST_PLACES}: a "
-            "smaller or an infinite limit, or a longer period"
+            f"h_min, h_max or the saturation is {places} periods of {period:g} s; expected at most {MOST_PLACES}: use "
+            "a smaller or an infinite limit, or a longer period"
         )
     prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:
         raise ProblemError(
-            f"period is {period:g}, in which the noise alone costs {process.running:.4g}, and {allowed[1]:.4g} is "
+            f"period is {period:g}, in which the noise alone costs {process.running:.4g}, but only {allowed[1]:.4g} is "
             "allowed; expected a shorter period, or a larger slope or alpha"
         )
-    more = process.running - np.diff(allowed)  # by which the margin grows from look to look, beside e'Γe
+    more = process.running - np.diff(allowed)  # growth of the margin per check in addition to e'Γe
     looks = np.arange(1, len(more))
     gate = np.where((looks + 1) * period > trigger.h_max * LATE, NEVER, 0.0)
     gate[looks * period * LATE < trigger.h_min] = -NEVER
@@ -237,21 +239,21 @@ def _looking(
 
 
 def _places(trigger: IntegralTrigger, period: float) -> int:
-    """Return the looks after a send from which on nothing changes any more."""
+    """Return the number of checks after a send from which the trigger no longer changes."""
     limits = [t for t in (trigger.h_min, trigger.saturation, trigger.h_max) if np.isfinite(t)]
     return max(1, int(np.ceil(max(limits) / period)))
 
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for an α that is consistent.
+    """The search for a consistent α, with α ≤ L(α).
 
     Args:
-        process: the error between sends.
-        trigger: everything but c.
-        slope: C.
-        largest: slope up to which f < g.
-        period: seconds between looks, where they are given.
+        process: process of the error between sends.
+        trigger: the trigger, except for its factor c.
+        slope: slope C of f.
+        largest: largest slope with f < g.
+        period: seconds between checks, if given by the user.
     """
 
     process: JumpProcess | SampledProcess
@@ -264,36 +266,36 @@ class _Search:
         """Return a given α, if it is consistent.
 
         Raises:
-            ProblemError: α > L(α), or αC/L(α), the slope that counts, is too large.
+            ProblemError: if α > L(α), or the effective slope αC/L(α) is too large.
         """
         interval = self.after(alpha, CYCLES).interval
         if alpha > interval.value + SURE * interval.standard_error:
             raise ProblemError(
-                f"alpha is {alpha:g}, and the mean interval L(alpha) that follows is {interval}; "
-                "expected alpha ≤ L(alpha): a smaller one, or none for the fixed point"
+                f"alpha is {alpha:g}, but the resulting mean interval L(alpha) is {interval}; "
+                "expected alpha ≤ L(alpha): use a smaller alpha, or omit it for the fixed point"
             )
         allowed = self.largest * (interval.value + SURE * interval.standard_error)
         if alpha * self.slope > allowed * (1 + PRINTED):
             raise ProblemError(
-                f"slope is {self.slope:g}, and with alpha = {alpha:g} f stays below what periodic control costs up to "
-                f"{allowed / alpha:.6g}; expected 0 < slope ≤ {allowed / alpha:.6g} with this alpha"
+                f"slope is {self.slope:g}, but with alpha = {alpha:g} f is below the cost of periodic control only up "
+                f"to {allowed / alpha:.6g}; expected 0 < slope ≤ {allowed / alpha:.6g} with this alpha"
             )
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return the largest α* = L(α*), on common random numbers.
+        """Return the largest α* = L(α*), computed with common random numbers.
 
         Raises:
-            ProblemError: the slope is too large.
+            ProblemError: if the slope is too large.
         """
         if self.slope > self.largest * (1 + PRINTED):
             raise ProblemError(
-                f"slope is {self.slope:g}, and f stays below what periodic control costs up to {self.largest:.6g}; "
+                f"slope is {self.slope:g}, but f is below the cost of periodic control only up to {self.largest:.6g}; "
                 f"expected 0 < slope ≤ {self.largest:.6g}"
             )
         low, high = self._bracket()
         below, above = (self.after(alpha, FIRST_CYCLES).interval.value for alpha in (low, high))
-        gain = min(max(0.0, (above - below) / (high - low)), 0.95)  # how much an error of α comes back in L(α)
+        gain = min(max(0.0, (above - below) / (high - low)), 0.95)  # slope of L(α)
 
         @cache
         def interval(alpha: float) -> Estimate:
@@ -302,18 +304,20 @@ class _Search:
         def excess(alpha: float) -> float:
             return alpha - interval(alpha).value
 
-        for _ in range(ROUNDS):  # more cycles may move a root that is near an end
+        for _ in range(ROUNDS):  # with more cycles, a root near an end of the bracket may leave it
             low, high = (low if excess(low) <= 0 else 0.99 * low), (high if excess(high) > 0 else 1.01 * high)
             if excess(low) <= 0 < excess(high):
                 alpha = _scipy.crossing(excess, low, high, RESOLVED * low)
                 return Estimate(alpha, interval(alpha).standard_error / (1 - gain), "simulation")
-        raise ProblemError(f"alpha = L(alpha) is not found near {low:g}; expected another slope, or a given alpha")
+        raise ProblemError(
+            f"no solution of alpha = L(alpha) was found near {low:g}; expected another slope, or a given alpha"
+        )
 
     def _bracket(self) -> tuple[float, float]:
-        """Return an α below L(α) and one above, neighbours among powers of two.
+        """Return values of α below and above L(α) that differ by a factor of two.
 
         Raises:
-            ProblemError: α ≤ L(α) for no α that is long against a look, or for every α.
+            ProblemError: if α ≤ L(α) for every α, or for no α that is much longer than the period.
         """
         least = 8 * self.process.period if isinstance(self.process, SampledProcess) else 0.0
         low = high = max(self.trigger.h_min, self._first())
@@ -329,16 +333,16 @@ class _Search:
             if low < least:
                 shorter = "" if self.period is None else f", or a period below {self.period:g}"
                 raise ProblemError(
-                    f"slope is {self.slope:g}, and no alpha is below the mean interval L(alpha) that follows from it; "
-                    f"expected a slope nearer to {self.largest:.6g}, up to which f stays below what periodic control "
-                    f"costs{shorter}"
+                    f"slope is {self.slope:g}, but no alpha is below its resulting mean interval L(alpha); "
+                    f"expected a slope closer to {self.largest:.6g}, the largest for which f is below the cost of "
+                    f"periodic control{shorter}"
                 )
         return low, high
 
     def _first(self) -> float:
-        """Return seconds that are no longer than an interval."""
+        """Return a time in seconds that is at most one interval."""
         return 1 / self.process.jumps.rate if isinstance(self.process, JumpProcess) else 4 * self.process.period
 
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
-        """Return what cycles under an α look like."""
+        """Return estimates from simulated intervals with the given α."""
         return estimate_cycles(self.process, replace(self.trigger, c=alpha * self.slope), cycles=cycles)

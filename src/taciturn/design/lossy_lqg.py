@@ -1,4 +1,4 @@
-"""Event-triggered LQG over links that lose packets, with and without acknowledgement, and tracking over them."""
+"""Event-triggered LQG control and tracking over links that drop packets, with and without acknowledgement."""
 
 from __future__ import annotations
 
@@ -50,34 +50,37 @@ def lossy_lqg(
     network: Network | None = None,
     reference: Reference | None = None,
 ) -> Policy:
-    """Design the policy that sends when silence would cost more than the price of a send, over links that lose packets.
+    """Design the policy that sends when silence would cost more than the price of a send, over links that drop packets.
 
-    The sensor sends its state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies zero
-    when nothing arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. With α and β the losses of
-    actuator and sensor link, M = R + B'(K + αβP)B (UDP-like; with a delay αP; TCP-like without P),
+    The sensor sends the state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
+    if no packet arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. Let α and β be the loss
+    probabilities of actuator and sensor link, and M = R + B'(K + αβP)B for UDP-like links (αP instead of αβP with a
+    delay; no P for TCP-like links). Then
 
         L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,  K ← Q + A'KA − Γ,  P ← Γ + βA'PA,
 
-    backwards over the horizon, or at the fixed point. x̂ = x when the measurement arrives, and otherwise
-    A x̂ + (1−α) B σu (UDP-like) or A x̂ + B û (TCP-like). With ``network.delay`` = 1 the measurement of step k reaches
-    the control of step k + 1. Bursty losses are designed for as if they had no memory.
+    backwards over the horizon, or at the fixed point. If the measurement arrives, x̂ = x; otherwise x̂ is predicted by
+    A x̂ + (1−α) B σu (UDP-like) or A x̂ + B û (TCP-like). With ``network.delay`` = 1 the measurement of step k is
+    available to the control of step k + 1. Bursty losses are treated in the design as independent losses.
 
-    With a reference the deviation from it is controlled: both ends hold r and f, only the feedback is sent.
+    With a reference, the deviation from the reference is controlled: controller and actuator store r and f, and only
+    the feedback is sent.
 
     Args:
-        plant: discrete in time, its full state measured.
-        cost: without cross term; a finite horizon, or an average (the fixed point).
+        plant: discrete-time plant with measured full state.
+        cost: cost without cross term, with a finite horizon or as an average.
         price: λ ≥ 0, the price of a send.
-        network: omitted: ideal links.
-        reference: to be tracked, with a horizon; the cost is then that of the deviation.
+        network: the network; default ideal links.
+        reference: reference to track, only with a horizon; the cost then weighs the deviation from the reference.
 
     Returns:
         The policy, with J ≤ J_all + λN and the sharper J ≤ J_all + λN(1 − rate) at a rate per step (average: λ and
         λ(1 − rate)).
 
     Raises:
-        ProblemError: a continuous plant, C or V, N or a discount, a delay above 1, or a reference that does not fit.
-        UnstableError: an average with more losses than mean-square stability allows.
+        ProblemError: if the plant is continuous in time or has C or V, the cost has N or a discount, the delay is above
+            1, or the reference does not fit.
+        UnstableError: if the losses are too frequent for mean-square stability, with an average cost.
 
     Source: khashooei2017, schenato2007
 
@@ -97,7 +100,7 @@ def lossy_lqg(
     if given.delay > 1:
         raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None and cost.horizon is None:
-        raise ProblemError("a reference is given without cost.horizon; expected both: the reference has an end")
+        raise ProblemError("a reference is given without cost.horizon; expected both, since the reference is finite")
     network = given.without_bursts()
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
@@ -144,21 +147,21 @@ def lossy_lqg(
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
-    """Return the plant, if the gains over lossy links are known for it and the cost.
+    """Return the plant, if the design for lossy links supports the plant and the cost.
 
     Raises:
-        ProblemError: a continuous plant, C or V, N or a discount.
+        ProblemError: if the plant is continuous in time or has C or V, or the cost has N or a discount.
     """
     instance("cost", cost, Cost)
     if isinstance(plant, ContinuousPlant):
         raise ProblemError(
-            "the plant is continuous in time, and sampling it makes a cross weight that lossy-lqg does not know; "
+            "the plant is continuous in time, and its sampling gives a cross weight that lossy-lqg does not support; "
             "expected a discrete plant: give plant.dt and the matrices of one step"
         )
     if not plant.full_state:
         raise ProblemError("C or V is given, and lossy-lqg measures the full state; expected neither: remove them")
     if cost.N.any():
-        raise ProblemError("cost.N is not zero, which lossy-lqg does not know; expected no cross weight: remove it")
+        raise ProblemError("cost.N is not zero, which lossy-lqg does not support; expected no cross weight: remove it")
     if cost.discount < 1:
         raise ProblemError(
             f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average or a horizon"
@@ -167,8 +170,8 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
 
 
 def _cost_all_time(plant: Plant, gains: LossyRegulator, channel: Channel, reference: Reference | None) -> float:
-    """Return z_0'K_0z_0 + tr((K_0 + φP_0)Θ) + Σ tr((K_{i+1} + φP_{i+1})W), z_0 the mean; or the average of the sum."""
-    F = gains.K + channel.exposure * gains.P  # the price of an error made now, which φ says may be known at once
+    """Return z_0'K_0z_0 + tr((K_0 + φP_0)Θ) + Σ tr((K_{i+1} + φP_{i+1})W) with mean z_0; or the average of the sum."""
+    F = gains.K + channel.exposure * gains.P  # weight of a new estimation error
     if F.ndim == 2:
         return float(np.sum(F * plant.W))
     mean = plant.mean if reference is None else plant.mean - reference.states[0]
@@ -210,7 +213,7 @@ def _steps(
         Send("controller", "actuator", ("command",), SEND),
         *supply,
     )
-    # A measurement that reaches the next control only is one that is taken after this one.
+    # A measurement that is available only to the next control is equivalent to one that is taken after this control.
     if network.delay:
         order = (Assign("controller", ESTIMATE, {"prior": n}), *act, *watch)
         silent, sent = ({"seen" if name == ESTIMATE else name: w for name, w in t.items()} for t in (silent, sent))

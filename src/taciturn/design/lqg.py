@@ -1,4 +1,4 @@
-"""Output-feedback event-triggered LQG: send only when silence would cost more than a share θ of the stage cost."""
+"""Output-feedback event-triggered LQG: send only if silence would cost more than a share θ of the stage cost."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from taciturn._modes import least_eigenvalue
 from taciturn.design.bounds import less_noise
 from taciturn.design.certainty import (
     Actuation,
-    Certainty,
+    CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
@@ -35,9 +35,9 @@ def lqg(
     epsilon: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design the policy whose cost is at most 1 + θ times that of sending at every tick.
+    """Design the policy whose cost is at most 1 + θ times that of sending at every step.
 
-    With x̂ the filtered estimate and e = û − Lx̂, û the input applied in silence, send if and only if
+    With the filtered estimate x̂ and e = û − Lx̂, where û is the input applied in silence, send if and only if
 
         joint:    (1+θ) e'(R+B'KB)e − θ (x̂'Qx̂ + û'Rû + 2x̂'Nû) > θ tr(QΣ)
         separate: e'Ze − x̂'Yx̂ > θ tr(QΣ),  Y = θ(Q + L'RL + U − εI),  U = NL + L'N',
@@ -48,19 +48,20 @@ def lqg(
     Args:
         plant: the plant.
         cost: the average cost.
-        theta: the share θ ≥ 0; 0 sends at every tick.
-        period: seconds between ticks; only with a continuous plant.
+        theta: the share θ ≥ 0; 0 sends at every step.
+        period: seconds between steps; only with a continuous plant.
         trigger: ``"joint"`` or ``"separate"``.
-        epsilon: ε of the separate trigger, 0 < ε < λ_min(Q + L'RL + U); omitted: half that limit.
+        epsilon: ε of the separate trigger, 0 < ε < λ_min(Q + L'RL + U); default half this limit.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
         The policy, with J ≤ (1+θ) J_all − θc and mean-square stability; c is the inter-sample noise cost, which no
-        control changes: 0 of a discrete plant.
+        control changes and which is 0 for a discrete plant.
 
     Raises:
-        ProblemError: θ < 0, ε outside its interval or without use, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if θ < 0, ε is outside its interval or given with the joint trigger, or period is missing or not
+            applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: khashooei2017
 
@@ -73,12 +74,12 @@ def lqg(
     choice("trigger", trigger, ("joint", "separate"))
     if epsilon is not None and trigger != "separate":
         raise ProblemError(
-            "epsilon is given with the joint trigger, which has none; expected trigger = 'separate', or no epsilon; "
-            "to compare both, take a run for each"
+            "epsilon is given with the joint trigger, which does not use it; expected trigger = 'separate', or no "
+            "epsilon: use separate runs to compare both triggers"
         )
     problem = discretise(plant, cost, period)
     certainty = design_certainty("lqg", problem)
-    threshold = theta * certainty.unseen
+    threshold = theta * certainty.estimation_cost
     silent = (
         silence_form(problem, certainty.regulator.H, theta)
         if trigger == "joint"
@@ -101,8 +102,8 @@ def lqg(
     )
 
 
-def _separate(certainty: Certainty, theta: float, epsilon: float | None) -> Form:
-    """e'Ze − x̂'Yx̂ of (2.12)."""
+def _separate(certainty: CertaintyEquivalentDesign, theta: float, epsilon: float | None) -> Form:
+    """Return the form e'Ze − x̂'Yx̂ of equation (2.12)."""
     p, B = certainty.problem, certainty.problem.plant.B
     K, L = certainty.regulator.K, certainty.regulator.L
     U = p.N @ L + L.T @ p.N.T

@@ -1,4 +1,4 @@
-"""The mixed threshold: send when the error is large beside the state, or large at all."""
+"""The mixed threshold: send when the error exceeds the sum of a relative and an absolute threshold."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ def mixed(
 ) -> Policy:
     """Design LQG control that sends if and only if |e|² > σ²|x̂|² + Y².
 
-    e = x̃ − x̂, with x̃ the state that the actuator acts on: the last estimate sent, or its prediction.
+    The error is e = x̃ − x̂, where x̃ is the state that the actuator uses: the last estimate sent, or its prediction.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        sigma: σ ≥ 0, the share of the state.
+        sigma: σ ≥ 0, the threshold relative to the norm of the state.
         threshold: Y ≥ 0, in the units of the state.
-        period: seconds between ticks; only with a continuous plant.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
-        J ≤ (J_all − s(tr(QΣ) + c) + μY²(1 − rate))/(1−s), c the inter-sample noise cost, 0 of a discrete plant; no
-        bound is known for a larger σ.
+        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1, its cost is
+        J ≤ (J_all − s(tr(QΣ) + c) + μY²(1 − rate))/(1−s), where c is the inter-sample noise cost, 0 for a discrete
+        plant. No bound is known for a larger σ.
 
     Raises:
-        ProblemError: σ < 0 or Y < 0, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if σ < 0 or Y < 0, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: donkers2012
 

@@ -1,4 +1,4 @@
-"""The nearly optimal trigger of an error that a send resets: silence also gains what it saves later."""
+"""The nearly optimal trigger for an error that a send resets, with a fitted function for the savings of later steps."""
 
 from __future__ import annotations
 
@@ -14,30 +14,30 @@ from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.theory import Reset
-from taciturn.model.trigger import Bell, Form, Trigger
+from taciturn.model.trigger import Form, GaussianTerm, Trigger
 
 
 def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> Policy:
     """Design the schedule that nearly minimises J + λ·rate, in sends per step or per second.
 
-    The actuator runs a model, so that a send resets the error e of what it predicts, and silence costs e'Γe beyond
-    sending always. The best schedule sends iff e'Γe + V(e) > g, where −V(e) is what may still be saved if e is kept;
-    this one has its best fit by a bell, −V(e) = exp(a − ½e'Πe). It is the best of all schedules to within the digits
-    that ``cost_lower_bound`` shows; nothing is proved beforehand.
+    The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
+    The optimal schedule sends iff e'Γe + V(e) > g, where −V(e) is the expected later saving if nothing is sent. This
+    policy approximates the saving by the best fit of a Gaussian function, −V(e) = exp(a − ½e'Πe). Its distance from the
+    optimum is not bounded in advance, but ``cost_lower_bound`` shows it for each problem.
 
     Args:
-        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
+        plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
         cost: the average cost.
-        price: λ > 0, of a send, in the units of the cost per step, or per second times seconds.
+        price: price λ > 0 of a send, in cost per step (for a continuous plant, cost per second times seconds).
         period: seconds between checks; only with a continuous plant.
 
     Returns:
         The policy.
 
     Raises:
-        ProblemError: λ not positive, or so large that nothing is ever sent; noise in jumps with an output that is
-            measured; period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if λ is not positive or so large that nothing is ever sent, the plant has jumps and C or V, or
+            period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: cogill2007
 
@@ -57,14 +57,14 @@ def modelled(
     period: float | None,
     silence: Callable[[Discrete, Reset], Form],
 ) -> Policy:
-    """Return the policy whose actuator runs a model and that sends where a form of the model's error is above 0.
+    """Return the policy whose actuator runs a model, and which sends if a form of the model's error is above 0.
 
     Args:
-        kind: name in the catalogue.
-        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
+        kind: name of the policy kind in the catalogue.
+        plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
         cost: the average cost.
         period: seconds between checks; only with a continuous plant.
-        silence: gives the form, over the error of the reset.
+        silence: function that returns the form over the error of the reset.
     """
     if isinstance(plant, ContinuousPlant) and plant.full_state:
         found = predict_continuously(kind, plant, cost, period)
@@ -75,7 +75,7 @@ def modelled(
     reset = certainty.reset("model")
     if reset is None:
         raise ProblemError(
-            "the noise comes in jumps and C or V is given, so that the errors of the estimate depend on each other; "
+            "the plant has jumps and C or V is given, so successive estimation errors are dependent; "
             "expected Gaussian noise, or neither C nor V"
         )
     rule = Trigger({"silent": silence(problem, reset), SEND: Form()})
@@ -86,13 +86,13 @@ def modelled(
 
 
 def _notes(problem: Discrete) -> tuple[str, ...]:
-    """Say what a schedule under jumps is not."""
-    told = "the noise comes in jumps: the best schedule is that of Gaussian noise of the same covariance"
+    """Return a note on the approximation of jumps by Gaussian noise, if the plant has jumps."""
+    told = "the plant has jumps: the schedule is optimised for Gaussian noise of the same covariance"
     return () if problem.jumps is None else (told,)
 
 
 def _silence(problem: Discrete, reset: Reset, price: float) -> Form:
-    from taciturn.renewal.fitted import fit_schedule  # statistics, that take a while to import
+    from taciturn.renewal.fitted import fit_schedule  # imported here, since its import is slow
 
-    found = fit_schedule(problem.plant.A, reset.covariance, reset.square, price / problem.tick)
-    return Form((reset.error,), reset.square, -found.gain, bell=Bell(-found.height, found.Pi))
+    found = fit_schedule(problem.plant.A, reset.covariance, reset.weight, price / problem.tick)
+    return Form((reset.error,), reset.weight, -found.gain, bell=GaussianTerm(-found.height, found.Pi))

@@ -1,4 +1,4 @@
-"""The best schedule of an error that a send resets, at a price per send."""
+"""The optimal schedule for an error that a send resets, at a price per send."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from taciturn.renewal.policy import OptimalPolicy
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
     """Design the schedule that minimises J + λ·rate, in sends per step or per second.
 
-    The actuator runs a model, so that a send resets the error e of what it predicts, and silence costs e'Γe beyond
-    sending always. The best schedule sends iff e'Γe + V(e) > g, V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) the value of
-    keeping e, g the least average. It is found by policy iteration on the renewal equations of at most three states
-    (``renewal/optimal``). Nodes do not run it: ``near_optimal`` has a trigger that they do.
+    The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
+    The optimal schedule sends iff e'Γe + V(e) > g, where V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) is the value of not
+    sending and g is the least average cost. It is computed by policy iteration on the renewal equations, for at most
+    three states (``renewal/optimal``). Nodes cannot run this schedule; ``near_optimal`` has a trigger for nodes.
 
     Args:
-        plant: the plant; where it is continuous and its full state measured, both ends predict in continuous time.
+        plant: the plant; if it is continuous in time with measured full state, both ends predict in continuous time.
         cost: the average cost.
-        price: λ > 0, of a send, in the units of the cost per step, or per second times seconds.
+        price: price λ > 0 of a send, in cost per step (for a continuous plant, cost per second times seconds).
         period: seconds between checks; only with a continuous plant.
 
     Returns:
-        What evaluation solves.
+        The optimal stopping problem, which is solved when the policy is evaluated.
 
     Raises:
-        ProblemError: λ not positive; noise in jumps with an output that is measured; period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if λ is not positive, the plant has jumps and C or V, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: cogill2007
 
@@ -44,6 +44,6 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         plant,
         cost,
         period,
-        lambda problem, reset: Form((reset.error,), reset.square, -price / problem.tick),
+        lambda problem, reset: Form((reset.error,), reset.weight, -price / problem.tick),
     )
     return OptimalPolicy("optimal", policy, price)

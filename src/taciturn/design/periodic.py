@@ -1,4 +1,4 @@
-"""Time-triggered control: sending at every tick, and optimal control that sends at fixed ticks."""
+"""Time-triggered control: sending at every step, and optimal control that sends at fixed steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taciturn.design.certainty import (
     CLOCK,
     SEND,
     Actuation,
-    Certainty,
+    CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     count_ticks,
@@ -28,26 +28,26 @@ from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
-LONGEST = 1_000_000  # ticks of a cycle
+LONGEST = 1_000_000  # largest number of steps of a cycle
 MEASURES_WHEN_IT_SENDS = (
     "it measures only when it sends; with every = 1, 2, … and a shorter period it measures between sends too"
 )
 
 
 def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None = None) -> Policy:
-    """Design optimal LQG control that sends at every tick: J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) per tick.
+    """Design optimal LQG control that sends at every step: J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) per step.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        period: seconds between ticks; only with a continuous plant.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy, with its exact cost.
 
     Raises:
-        ProblemError: period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: anderson1990optimal
 
@@ -67,28 +67,29 @@ def periodic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design the optimal controller that sends at fixed ticks, whatever happens.
+    """Design the optimal time-triggered controller, which sends at fixed steps.
 
-    With ``every`` the plant is measured and filtered at every tick, and the input is sent every ``every`` ticks, or
-    after each interval of a cycle. Without it a continuous plant is sampled exactly at ``period``
-    [astrom1997computer], and each sample sent: this controller measures only when it sends. With
-    ``actuation = "model"`` the actuator predicts between sends: from tick to tick, or without ``every`` in continuous
-    time.
+    With ``every``, the plant is measured and filtered at every step, and the input is sent every ``every`` steps, or
+    after each interval of a cycle. Without ``every``, a continuous plant is sampled exactly at ``period``
+    [astrom1997computer] and every sample is sent, so the controller measures only when it sends. With
+    ``actuation = "model"``, the actuator predicts between sends, in discrete time with ``every`` and in continuous time
+    without it.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        every: ticks from one send to the next, at least 1, or a cycle of them, such as ``(4, 5)``.
-        period: seconds between ticks; only with a continuous plant.
-        actuation: ``"hold"`` or ``"model"``; the latter needs the full state where the plant is continuous and
+        every: steps from one send to the next, at least 1, or a cycle of such intervals, for example ``(4, 5)``.
+        period: seconds between steps; only with a continuous plant.
+        actuation: ``"hold"`` or ``"model"``; ``"model"`` requires a measured full state if the plant is continuous and
             ``every`` is not given.
 
     Returns:
         The policy, with its exact cost.
 
     Raises:
-        ProblemError: every or period missing or out of place, or output feedback with a continuous prediction.
-        UnstableError: no stabilising gain at this rate.
+        ProblemError: if every or period is missing or not applicable, or a continuous prediction is combined with C or
+            V.
+        UnstableError: if no stabilising gain exists at this rate.
 
     Source: astrom1997computer, bengaid2006
 
@@ -108,16 +109,16 @@ def periodic(
     certainty = design_certainty("periodic", discretise(plant, cost, period))
     intervals = _cycle(every)
     if actuation == "hold":
-        return held_by_the_clock("periodic", certainty, certainty.held.solve(intervals))
+        return held_in_cycles("periodic", certainty, certainty.held.solve(intervals))
     average = predicted_cost(certainty, intervals)
-    return _by_the_clock("periodic", certainty, certainty.regulator.L, "model", intervals, average)
+    return _time_triggered("periodic", certainty, certainty.regulator.L, "model", intervals, average)
 
 
-def predicted_cost(certainty: Certainty, intervals: Sequence[int]) -> float:
-    """Return what control costs per tick whose actuator predicts from send to send.
+def predicted_cost(certainty: CertaintyEquivalentDesign, intervals: Sequence[int]) -> float:
+    """Return the cost per step of control whose actuator predicts between sends.
 
-    J_all + Σ_{j<k} tr(L'HL V_j) of every interval k, over the ticks of the cycle: the error V_j before a send is what
-    the innovations of j ticks have left.
+    The additional cost above J_all is the sum of Σ_{j<k} tr(L'HL V_j) over all intervals k of the cycle, divided by the
+    number of its steps. V_j is the error covariance accumulated from the innovations of j steps after a send.
     """
     plant = certainty.problem.plant
     free = np.zeros((plant.inputs, plant.inputs))
@@ -125,34 +126,41 @@ def predicted_cost(certainty: Certainty, intervals: Sequence[int]) -> float:
     return certainty.cost_all_time + sum(lift(*given, ticks).noise_cost for ticks in intervals) / sum(intervals)
 
 
-def held_by_the_clock(kind: str, certainty: Certainty, pattern: Pattern) -> Policy:
-    """Return the policy that renews a held input as a pattern says, with its exact cost."""
+def held_in_cycles(kind: str, certainty: CertaintyEquivalentDesign, pattern: Pattern) -> Policy:
+    """Return the policy that updates a held input according to a pattern, with its exact cost."""
     _, gains = pattern.unrolled()
     L = gains[0] if len(pattern.gains) == 1 else Scheduled(CLOCK, gains)
-    return _by_the_clock(kind, certainty, L, "hold", pattern.intervals, certainty.unseen + pattern.cost)
+    return _time_triggered(kind, certainty, L, "hold", pattern.intervals, certainty.estimation_cost + pattern.cost)
 
 
 def _cycle(every: object) -> tuple[int, ...]:
-    """Return the intervals from send to send.
+    """Return the intervals between sends.
 
     Raises:
-        ProblemError: none, no whole numbers, or too many ticks.
+        ProblemError: if there are no intervals, an interval is not a positive integer, or their sum is too large.
     """
     if every is None:
-        raise ProblemError("every is missing; expected the ticks between sends, at least 1, or a list of them")
+        raise ProblemError(
+            "every is missing; expected the number of steps between sends, at least 1, or a list of such numbers"
+        )
     listed = list(cast("Sequence[object]", every)) if isinstance(every, list | tuple) else [every]
     intervals = tuple(count("every", ticks) for ticks in listed)
     if not intervals:
-        raise ProblemError("every is an empty list; expected the ticks between sends, at least 1, or a list of them")
+        raise ProblemError("every is an empty list; expected the steps between sends, at least 1, or a list of them")
     if sum(intervals) > LONGEST:
-        raise ProblemError(f"every adds up to {sum(intervals)} ticks; expected at most {LONGEST}")
+        raise ProblemError(f"every adds up to {sum(intervals)} steps; expected at most {LONGEST}")
     return intervals
 
 
-def _by_the_clock(
-    kind: str, certainty: Certainty, L: Matrix, actuation: Actuation, intervals: Sequence[int], average: float
+def _time_triggered(
+    kind: str,
+    certainty: CertaintyEquivalentDesign,
+    L: Matrix,
+    actuation: Actuation,
+    intervals: Sequence[int],
+    average: float,
 ) -> Policy:
-    """Return the policy that sends after each of these intervals, with its cost per tick."""
+    """Return the policy that sends after each of the given intervals, with its cost per step."""
     length, sends = sum(intervals), np.cumsum((0, *intervals[:-1]))
     turn = Scheduled(CLOCK, np.where(np.isin(np.arange(length), sends), -1.0, 1.0))
     trigger = Trigger({"silent": Form(), SEND: Form(constant=turn)})
@@ -170,7 +178,7 @@ def _by_the_clock(
     )
 
 
-def _every_tick(kind: str, certainty: Certainty, notes: tuple[str, ...] = ()) -> Policy:
+def _every_tick(kind: str, certainty: CertaintyEquivalentDesign, notes: tuple[str, ...] = ()) -> Policy:
     plant, L = certainty.problem.plant, certainty.regulator.L
     steps, initial = control_steps(plant, certainty.estimation, L, "hold", None)
     return certainty_policy(
@@ -185,7 +193,7 @@ def _every_tick(kind: str, certainty: Certainty, notes: tuple[str, ...] = ()) ->
 
 
 def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Policy:
-    """Samples sent to an actuator that runs ẋ̂ = (A + BL)x̂ between them; the scheduled link is the sensor's."""
+    """Return the policy that sends samples over the sensor link to an actuator that runs ẋ̂ = (A + BL)x̂ between them."""
     if not plant.full_state:
         raise ProblemError(
             "actuation = 'model' with a continuous-time plant needs the full state; "

@@ -1,4 +1,4 @@
-"""The best offline pattern: so many sends within so many ticks, again and again."""
+"""The best periodic schedule with a given number of sends within a given number of steps."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import comb
 
 from taciturn._arrays import count
 from taciturn.design.certainty import design_certainty
-from taciturn.design.periodic import held_by_the_clock
+from taciturn.design.periodic import held_in_cycles
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import Pattern, necklaces
@@ -15,30 +15,31 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Policy
 
 MOST_PATTERNS = 2000
-LONGEST = 1000  # ticks of a pattern
+LONGEST = 1000  # largest number of steps of a pattern
 
 
 def periodic_schedule(
     plant: Plant | ContinuousPlant, cost: Cost, *, length: int, sends: int, period: float | None = None
 ) -> Policy:
-    """Design the best controller that sends at fixed places of a pattern that repeats.
+    """Design the best controller that sends according to a repeating pattern of steps.
 
-    Every pattern of ``length`` ticks with ``sends`` sends is tried, up to rotation. Between sends the input is held;
-    each has the optimal gains of its periodic Riccati equation and its exact cost.
+    All patterns of ``length`` steps with ``sends`` sends are compared, up to rotation. The input is held between sends.
+    Each pattern is evaluated with the optimal gains of its periodic Riccati equation and its exact cost.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        length: ticks of the pattern.
-        sends: of these, at least 1 and at most ``length``.
-        period: seconds between ticks; only with a continuous plant.
+        length: number of steps of the pattern.
+        sends: number of sends in the pattern, at least 1 and at most ``length``.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy, with its exact cost.
 
     Raises:
-        ProblemError: more sends than ticks, more than 1,000 ticks or 2,000 patterns, period missing or out of place.
-        UnstableError: no pattern has a stabilising gain.
+        ProblemError: if there are more sends than steps, more than 1,000 steps or more than 2,000 patterns, or period
+            is missing or not applicable.
+        UnstableError: if no pattern has a stabilising gain.
 
     Source: bengaid2006
 
@@ -49,12 +50,12 @@ def periodic_schedule(
     """
     length, sends = count("length", length), count("sends", sends)
     if length > LONGEST:
-        raise ProblemError(f"length is {length}; expected at most {LONGEST} ticks")
+        raise ProblemError(f"length is {length}; expected at most {LONGEST} steps")
     if sends > length:
-        raise ProblemError(f"sends is {sends} and length is {length}; expected at most as many sends as ticks")
+        raise ProblemError(f"sends is {sends} and length is {length}; expected at most as many sends as steps")
     if comb(length - 1, sends - 1) > MOST_PATTERNS * sends:
         raise ProblemError(
-            f"length is {length} and sends is {sends}, which is some {comb(length, sends) // length} patterns; "
+            f"length is {length} and sends is {sends}, which gives about {comb(length, sends) // length} patterns; "
             f"expected at most {MOST_PATTERNS}: a shorter pattern, or fewer sends"
         )
     problem = discretise(plant, cost, period)
@@ -68,7 +69,7 @@ def periodic_schedule(
         found = tried if found is None or tried.cost < found.cost else found
     if found is None:
         raise UnstableError(
-            f"no pattern of {sends} sends in {length} ticks can be stabilised: held so long, the input loses a mode; "
-            "expected another length, or more sends"
+            f"no pattern of {sends} sends in {length} steps has a stabilising gain: an input held for so long cannot "
+            "control every mode; expected another length, or more sends"
         )
-    return held_by_the_clock("periodic-schedule", certainty, found)
+    return held_in_cycles("periodic-schedule", certainty, found)

@@ -1,4 +1,4 @@
-"""A sensor and a controller that run one model in continuous time, corrected by what is sent."""
+"""Policies whose sensor and controller run the same continuous-time model, which each send corrects."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, instance
+from taciturn._display import Displayed
 from taciturn.design.certainty import SEND, expect_average
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import Discrete, discretise
@@ -20,16 +21,16 @@ from taciturn.model.trigger import Form, Trigger
 ERROR = "error"
 
 
-@dataclass(frozen=True, eq=False)
-class Predicted:
-    """What every policy shares that looks at the error of a prediction every τ seconds.
+@dataclass(frozen=True, eq=False, repr=False)
+class Predicted(Displayed):
+    """The common part of policies that check the error of a prediction every τ seconds.
 
     Args:
-        problem: the plant from look to look; its input is the state of the model.
-        prediction: of the actuator.
-        price: what predicting on costs, as a function of time.
-        Gamma: Γ(τ), cost in silence of an error before the decision, per look.
-        cost_all_time: V_p(1/τ), of sending at every look, per second.
+        problem: the discrete-time problem between checks; its input is the state of the model.
+        prediction: the model of the actuator.
+        price: cost of the prediction as a function of time.
+        Gamma: weight Γ(τ) of the error before the decision, for the cost of silence per check.
+        cost_all_time: cost V_p(1/τ) of sending at every check, per second.
     """
 
     problem: Discrete
@@ -40,17 +41,17 @@ class Predicted:
 
     @property
     def reset(self) -> Reset:
-        """The error of the prediction."""
+        """The prediction error, which a send resets."""
         square = self.Gamma / self.problem.tick
         return Reset(self.problem.plant.W, {ERROR: np.eye(len(self.Gamma))}, square)
 
 
 def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> Predicted:
-    """Return the problem of a sensor that looks every τ seconds.
+    """Return the problem of a sensor that checks the prediction error every τ seconds.
 
     Raises:
-        ProblemError: a discrete plant, C or V, a cost that is no average, or no period.
-        UnstableError: no stabilising gain.
+        ProblemError: if the plant is discrete in time or has C or V, the cost is not an average, or period is missing.
+        UnstableError: if no stabilising gain exists.
     """
     plant = refuse_what_is_not_predicted(kind, plant, cost)
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
@@ -63,14 +64,14 @@ def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, 
 def predicted_policy(
     kind: str, predicted: Predicted, rule: Trigger, guarantee: Guarantee | None = None, notes: tuple[str, ...] = ()
 ) -> Policy:
-    """Return the policy whose sensor decides by a rule over the ``error`` of the prediction.
+    """Return the policy whose sensor decides by a trigger on the ``error`` of the prediction.
 
     Args:
-        kind: name in the catalogue.
-        predicted: the problem from look to look.
-        rule: over ``error``.
-        guarantee: what is proved.
-        notes: what a reader of its numbers must know.
+        kind: name of the policy kind in the catalogue.
+        predicted: the problem between checks.
+        rule: the trigger on ``error``.
+        guarantee: proven bound on the cost.
+        notes: remarks that a reader of the results should know.
     """
     problem, base = predicted.problem, predicted.cost_all_time
     closed = problem.plant.A + problem.plant.B
@@ -95,10 +96,10 @@ def predicted_policy(
 
 
 def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
-    """Return the plant, if both ends can predict its state in continuous time.
+    """Return the plant, if sensor and actuator can predict its state in continuous time.
 
     Raises:
-        ProblemError: a discrete plant, C or V, or a cost that is no average.
+        ProblemError: if the plant is discrete in time or has C or V, or the cost is not an average.
     """
     instance("plant", plant, Plant, ContinuousPlant)
     instance("cost", cost, Cost)
@@ -114,11 +115,11 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the steps of a sensor that decides on the error of a prediction it shares with the other end.
+    """Return the policy steps of a sensor that decides on the error of a prediction made at both ends.
 
     Args:
-        closed: e^{(A+BL)τ}, (n, n).
-        rule: over ``error``, the state less its prediction.
+        closed: state transition matrix e^{(A+BL)τ} of the model, (n, n).
+        rule: the trigger on ``error``, the difference between the state and its prediction.
     """
     unit = np.eye(len(closed))
     return (

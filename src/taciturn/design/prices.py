@@ -1,4 +1,4 @@
-"""What inputs and estimation errors cost over the time that a cost looks at: an average, a discount, a horizon."""
+"""Weights of input errors and estimation errors for average, discounted and finite-horizon costs."""
 
 from __future__ import annotations
 
@@ -7,22 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.design.certainty import CLOCK
 from taciturn.lqg.discrete import Discrete
 from taciturn.lqg.riccati import refuse_uncertain, regulate_discounted, regulate_finite
 from taciturn.model.trigger import Matrix, Scheduled
 
 
-@dataclass(frozen=True, eq=False)
-class Prices:
-    """The optimal gain and what departing from it costs: at each tick of a finite horizon, or always the same.
+@dataclass(frozen=True, eq=False, repr=False)
+class Prices(Displayed):
+    """The optimal gain and the weight of input errors: constant, or for each step of a finite horizon.
 
     Args:
-        problem: the problem from tick to tick.
-        K: cost-to-go, (n, n), or (N + 1, n, n).
-        L: gain, (m, n), or (N, m, n).
-        H: price of another input than Lx̂, (m, m), or (N, m, m).
-        error: bound on the error of K, (n, n); 0 of a finite horizon, whose recursion is exact to rounding.
+        problem: the discrete-time problem.
+        K: matrix of the cost-to-go, (n, n), or (N + 1, n, n).
+        L: feedback gain, (m, n), or (N, m, n).
+        H: weight of the difference of the input from Lx̂, (m, m), or (N, m, m).
+        error: bound on the error of K, (n, n); 0 for a finite horizon, whose recursion is exact up to rounding.
     """
 
     problem: Discrete
@@ -33,42 +34,42 @@ class Prices:
 
     @property
     def P(self) -> Array:
-        """Price L'HL of an estimation error, (n, n), or (N, n, n)."""
+        """Weight L'HL of the estimation error, (n, n), or (N, n, n)."""
         return np.swapaxes(self.L, -1, -2) @ self.H @ self.L
 
     @property
     def average(self) -> bool:
-        """Whether the cost is an average, and not the total of a mission."""
+        """Whether the cost is an average, and not a finite-horizon or discounted total."""
         return not self.problem.cost.mission
 
     @property
     def ticks(self) -> float:
-        """Ticks that the cost counts, each with its weight: 1 of an average, N, or 1/(1−α)."""
+        """Total weight of the steps in the cost: 1 for an average, N for a horizon, 1/(1−α) for a discounted sum."""
         cost = self.problem.cost
         if cost.horizon is not None:
             return float(cost.horizon)
         return 1.0 if self.average else 1 / (1 - cost.discount)
 
     def in_units(self, cost: float) -> float:
-        """Return a cost per tick, or a total, with the inter-sample noise cost, in the units of the cost."""
+        """Return a cost per step or a total in the units of the cost, including the inter-sample noise cost."""
         return self.problem.per_unit(cost) if self.average else cost + self.problem.noise_cost * self.ticks
 
     def square(self) -> Matrix:
-        """Return the weight of the completed square, H, in the units of the cost."""
+        """Return the weight H of the completed square in the units of the cost."""
         return by_clock(self.H / self.problem.tick if self.average else self.H)
 
     def total(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of applying Lx̂ at every tick: per tick, or the total.
+        """Return the cost of applying Lx̂ at every step, per step or in total.
 
-        tr(KW) + mean tr(PΣ_k) of an average; E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) of a horizon; discounted
-        E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k).
+        The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
+        and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.
 
         Args:
-            covariance: Σ_k of the estimate, (ticks, n, n).
-            start: tick from which it repeats, or None with a horizon.
+            covariance: error covariances Σ_k of the estimate, (steps, n, n).
+            start: step from which the covariances repeat, or None with a horizon.
 
         Raises:
-            UnstableError: rounding makes the cost uncertain.
+            UnstableError: if rounding makes the cost uncertain.
 
         Source: khashooei2017
         """
@@ -92,15 +93,15 @@ class Prices:
         if start is None:
             return float(begin + np.sum(K[1:] * plant.W) + errors.sum())
         weights = alpha ** np.arange(len(errors))
-        weights[start:] /= 1 - alpha ** (len(errors) - start)  # every later turn of the cycle counts so much less
+        weights[start:] /= 1 - alpha ** (len(errors) - start)  # geometric sum over the discounted repetitions
         return float(begin + alpha / (1 - alpha) * np.sum(K * plant.W) + weights @ errors)
 
 
 def price_control(problem: Discrete) -> Prices:
-    """Return the optimal gain and the prices of a problem.
+    """Return the optimal gain and the weights of input and estimation errors of a problem.
 
     Raises:
-        UnstableError: no stabilising gain, or a cost that overflows over the horizon.
+        UnstableError: if no stabilising gain exists, or the cost overflows over the horizon.
 
     Source: khashooei2017
     """
@@ -115,5 +116,5 @@ def price_control(problem: Discrete) -> Prices:
 
 
 def by_clock(values: Array) -> Matrix:
-    """Return one matrix for ever, or one for each tick of the clock."""
+    """Return a constant matrix unchanged, or a table with one matrix for each step of the step counter."""
     return values if values.ndim == 2 else Scheduled(CLOCK, values)

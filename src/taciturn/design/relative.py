@@ -1,4 +1,4 @@
-"""The relative threshold: send when the error is large beside the state."""
+"""The relative threshold: send when the error is large compared with the state."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ def relative(
 ) -> Policy:
     """Design LQG control that sends if and only if |e|² > σ²|x̂|².
 
-    e = x̃ − x̂, with x̃ the state that the actuator acts on: the last estimate sent, or its prediction. Without noise the
-    state vanishes if σ is small; under noise the rule sends often where the state happens to be near zero.
+    The error is e = x̃ − x̂, where x̃ is the state that the actuator uses: the last estimate sent, or its prediction.
+    Without noise the state tends to zero if σ is small. With noise, the rule sends often while the state is near zero.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        sigma: σ ≥ 0, the share of the state.
-        period: seconds between ticks; only with a continuous plant.
+        sigma: σ ≥ 0, the threshold relative to the norm of the state.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1 it costs
-        J ≤ (J_all − s(tr(QΣ) + c))/(1−s), c the inter-sample noise cost, 0 of a discrete plant; no bound is known for a
-        larger σ.
+        The policy. With μ = λ_max(L'HL), q = λ_min(Q − NR^{-1}N') and s = σ²μ/q < 1, its cost is
+        J ≤ (J_all − s(tr(QΣ) + c))/(1−s), where c is the inter-sample noise cost, 0 for a discrete plant. No bound is
+        known for a larger σ.
 
     Raises:
-        ProblemError: σ < 0, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if σ < 0, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: tabuada2007
 

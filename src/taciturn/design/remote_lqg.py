@@ -1,4 +1,4 @@
-"""A controller away from its sensor: an offline schedule queries the sensor, an online trigger sends the input."""
+"""Remote LQG control: an offline schedule queries the sensor, and an online trigger sends the input."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from taciturn.design.certainty import (
     silence_form,
     steps_at_the_actuator,
 )
-from taciturn.design.estimation import ESTIMATE, HELD, Estimation
+from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.prices import Prices, by_clock, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -68,30 +68,32 @@ def remote_lqg(
 ) -> Policy:
     """Design the policy that queries the sensor by a schedule and sends the input by a trigger.
 
-    The measurement of step k reaches the control of step k + 1: x̂_k predicts x_k with error covariance Σ_k. The sensor
-    is queried iff h(Σ_k) > ζ, where h is what a query now saves of the optimal cost-to-go; covariances alone decide, so
-    the schedule is computed here. The input is sent iff
+    The measurement of step k is available to the control of step k + 1: x̂_k predicts x_k with error covariance Σ_k.
+    The sensor is queried iff h(Σ_k) > ζ, where h is the reduction of the optimal cost-to-go by a query. Since h depends
+    only on covariances, the schedule is computed offline. The input is sent iff
 
         [x̂; û]'Γ[x̂; û] > θ tr(QΣ_k),  Γ = [[(1+θ)P − θQ, N + α(1+θ)A'KB], [·, R + α(1+θ)B'KB]]
 
-    with û the input held and P = L'(R + αB'KB)L. Of a finite horizon K, L, P and h depend on the step (K_{k+1} in Γ_k).
+    with the held input û and P = L'(R + αB'KB)L. With a finite horizon, K, L, P and h depend on the step (K_{k+1} in
+    Γ_k).
 
     Args:
         plant: the plant.
-        cost: an average, a discounted sum or a finite horizon.
+        cost: an average, a discounted sum or a finite-horizon cost.
         theta: the share θ ≥ 0; not with controller = "actuator".
-        zeta: the price ζ ≥ 0 of a query, in cost per tick; not with controller = "sensor".
-        controller: ``"remote"``, or at the place of the ``"actuator"`` or the ``"sensor"``: then one link is left.
-        period: seconds between ticks; only with a continuous plant.
+        zeta: the price ζ ≥ 0 of a query, in cost per step; not with controller = "sensor".
+        controller: site of the controller: ``"remote"``, or at the ``"actuator"`` or the ``"sensor"``, which leaves one
+            link.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
-        The policy with its schedule, and J ≤ (1+θ)(J_all + ζ) for an average, (1+θ)(J_all + ζ/(1−α)) discounted,
-        (1+θ)(J_all + (N−1)ζ) for N steps; mean-square stable. Of a sampled plant θ times the inter-sample noise cost
-        is taken off, as no control changes it.
+        The policy with its schedule, and J ≤ (1+θ)(J_all + ζ) for an average, (1+θ)(J_all + ζ/(1−α)) for a discounted
+        sum, (1+θ)(J_all + (N−1)ζ) for N steps; mean-square stable. For a sampled plant, θ times the inter-sample noise
+        cost is subtracted from the bound, since no control changes this cost.
 
     Raises:
-        ProblemError: θ or ζ negative, missing or of no use; period missing or out of place.
-        UnstableError: no stabilising gain or filter, or no schedule that repeats.
+        ProblemError: if θ or ζ is negative, missing or not applicable, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists, or no schedule repeats.
 
     Source: khashooei2017
 
@@ -115,9 +117,9 @@ def remote_lqg(
         threshold = theta * (problem.Q * watch.covariance).sum(axis=(1, 2))
         rule = {"silent": silence_form(problem, prices.H, theta), SEND: Form(constant=Scheduled(CLOCK, threshold))}
         steps, initial = control_steps(problem.plant, estimation, by_clock(prices.L), "hold", Trigger(rule))
-    queries = prices.ticks - 1 if cost.horizon is not None else prices.ticks  # the last one comes too late to be used
+    queries = prices.ticks - 1 if cost.horizon is not None else prices.ticks  # the last measurement is not used
     closed_form = None
-    if controller == "actuator" and watch.schedule is not None:  # no action looks at the state
+    if controller == "actuator" and watch.schedule is not None:  # no decision depends on the state
         closed_form = ClosedForm(cost_of_watch, {"sensor": watch.schedule.rate})
     return Policy(
         kind="remote-lqg",
@@ -147,13 +149,13 @@ def remote_lqg(
 
 @dataclass(frozen=True, eq=False)
 class _Watch:
-    """The filter along a schedule of queries, or with the sensor read at every tick.
+    """The filter for a schedule of queries, or for measurements at every step.
 
     Args:
-        covariance: Σ_k of the prediction, (ticks, n, n).
-        gains: of the innovation, zero where nothing is measured, (ticks, n, p).
-        start: tick from which both repeat, or None with a horizon.
-        schedule: of the queries; None where the sensor is read at every tick.
+        covariance: error covariances Σ_k of the prediction, (steps, n, n).
+        gains: gains of the innovation, zero at steps without a measurement, (steps, n, p).
+        start: step from which covariances and gains repeat, or None with a finite horizon.
+        schedule: schedule of the queries; None if the sensor is read at every step.
     """
 
     covariance: Array
@@ -163,7 +165,7 @@ class _Watch:
 
 
 def _watch(prices: Prices, zeta: float | None) -> _Watch:
-    """Return the filter with queries at a price, or without: from the initial state on, or steady for an average."""
+    """Return the filter with queries at a price, or at every step if ``zeta`` is None; steady for an average cost."""
     plant, cost = prices.problem.plant, prices.problem.cost
     initial, steady = plant.covariance, None
     if prices.average:
@@ -175,7 +177,7 @@ def _watch(prices: Prices, zeta: float | None) -> _Watch:
         schedule = found.repeating() if prices.average else found
         gains = Predictor(plant).gain(schedule.covariance) * schedule.queries[:, None, None]
         return _Watch(schedule.covariance, gains, schedule.start, schedule)
-    if steady is not None:  # its gain is a stable observer's also where nothing is random
+    if steady is not None:  # its gain gives a stable observer even without noise
         return _Watch(steady.prior[None], (plant.A @ steady.gain)[None], 0, None)
     covariance, start = follow_every_query(plant, initial, cost.horizon)
     return _Watch(covariance, Predictor(plant).gain(covariance), start, None)
@@ -187,16 +189,18 @@ def _settling(prices: Prices, watch: _Watch) -> float:
         plant,
         [plant.A - gain @ plant.C for gain in watch.gains],
         prices.problem.slowest(plant.A + plant.B @ prices.L),
-        "too few queries for what the noise leaves undetermined; expected a smaller zeta, or noise V on the "
-        "measurement",
+        "there are too few queries to determine states that the noise does not reach; expected a smaller zeta, or "
+        "noise V on the measurement",
     )
 
 
 def _parameter(name: str, value: float | None, controller: Controller, place: Controller) -> float:
-    """Return a parameter, 0 where the controller's place leaves it without use."""
+    """Return a parameter, or 0 if it does not apply at this site of the controller."""
     if controller == place:
         if value is not None:
-            raise ProblemError(f"{name} is given with controller = {place!r}, which has no use for it: remove it")
+            raise ProblemError(
+                f"{name} is given with controller = {place!r}, which does not use it; expected no {name}"
+            )
         return 0.0
     if value is None:
         raise ProblemError(f"{name} is missing; expected a number, at least 0, with controller = {controller!r}")
@@ -215,8 +219,8 @@ def _statement(prices: Prices, controller: Controller) -> str:
     return f"J ≤ {bound}" + (", mean-square stable" if prices.average else "")
 
 
-def _estimate(plant: Plant, watch: _Watch) -> Estimation:
-    """Return the steps that predict: x̂⁺ = Ax̂ + Bû + gain·innovation, the innovation 0 where nothing is measured."""
+def _estimate(plant: Plant, watch: _Watch) -> FilterSteps:
+    """Return the steps of the predictor x̂⁺ = Ax̂ + Bû + gain·innovation, with innovation 0 without a measurement."""
     n, p = plant.states, plant.outputs
     seen = {"y": np.eye(p), ESTIMATE: -plant.C}
     query: tuple[Step, ...] = ()
@@ -233,7 +237,7 @@ def _estimate(plant: Plant, watch: _Watch) -> Estimation:
         S = plant.C @ watch.covariance[0] @ plant.C.T + plant.V
         innovations = Innovations("innovation", symmetrised(S), ESTIMATE, watch.covariance[0])
     moved = {ESTIMATE: plant.A, HELD: plant.B, "innovation": Scheduled(CLOCK, watch.gains)}
-    return Estimation(
+    return FilterSteps(
         (Assign("controller", ESTIMATE, {"prior": np.eye(n)}),),
         (*query, innovation, Assign("controller", "prior", moved)),
         {"prior": plant.mean},

@@ -1,4 +1,4 @@
-"""Rollout: of all futures with as many sends as periodic control, take the one that costs least from here."""
+"""Rollout: select the cheapest of all schedules that have as many sends as periodic control."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from taciturn._arrays import Array, count, symmetrised
 from taciturn.design.certainty import (
     CLOCK,
     SEND,
-    Certainty,
+    CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     count_ticks,
@@ -33,28 +33,29 @@ MOST_FUTURES = 256
 def rollout(
     plant: Plant | ContinuousPlant, cost: Cost, *, horizon: int, every: int, period: float | None = None
 ) -> Policy:
-    """Design the policy that rearranges the sends of periodic control within a window, and so beats it.
+    """Design the policy that reschedules the sends of periodic control within a window to reduce the cost.
 
-    The window is of as many whole periods as fit into ``horizon``, and one at least. At its start the controller
-    compares all schedules of the window that have as many sends as periodic control, each with its optimal gains and
-    followed by periodic control: quadratic forms of the estimate and of the input held. It takes the cheapest. Periodic
-    control is one of them, hence
+    The window consists of as many whole periods as fit into ``horizon``, but at least one. At the start of the window,
+    the controller compares all schedules that have as many sends as periodic control. The cost of each schedule, with
+    its optimal gains and followed by periodic control, is a quadratic form of the estimate and the held input. The
+    controller selects the cheapest schedule. Since periodic control is one of the schedules,
 
         rate = 1/every exactly,  J ≤ J_periodic(every).
 
     Args:
         plant: the plant.
         cost: the average cost.
-        horizon: ticks of the window, rounded to whole periods.
-        every: ticks between sends of the periodic controller, at least 2.
-        period: seconds between ticks; only with a continuous plant.
+        horizon: steps of the window, rounded down to whole periods, at least one period.
+        every: steps between sends of the periodic controller, at least 2.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy, with its guarantee.
 
     Raises:
-        ProblemError: ``every`` below 2, more than 256 schedules, period missing or out of place.
-        UnstableError: no stabilising periodic controller.
+        ProblemError: if ``every`` is below 2, there are more than 256 schedules, or period is missing or not
+            applicable.
+        UnstableError: if no stabilising periodic controller exists.
 
     Source: antunes2014rollout
 
@@ -68,8 +69,8 @@ def rollout(
     horizon = periods * every
     if horizon > MOST_FUTURES or comb(horizon, periods) > MOST_FUTURES:
         raise ProblemError(
-            f"horizon is {horizon} and every is {every}, which is more than {MOST_FUTURES} schedules; "
-            f"expected at most {MOST_FUTURES}: a shorter horizon"
+            f"horizon is {horizon} and every is {every}, which gives more than {MOST_FUTURES} schedules; "
+            f"expected at most {MOST_FUTURES}: use a shorter horizon"
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("rollout", problem), np.eye(problem.plant.inputs)
@@ -107,30 +108,30 @@ def rollout(
             count_ticks(horizon, 0),
             Location(PLACE, rooms.following, "controller", FUTURE),
         ),
-        guarantee=Guarantee(problem.per_unit(certainty.unseen + base.cost), statement, "antunes2014rollout"),
+        guarantee=Guarantee(problem.per_unit(certainty.estimation_cost + base.cost), statement, "antunes2014rollout"),
         fixed_rates={"actuator": 1 / every},
         slower=horizon,
     )
 
 
 def _schedules(horizon: int, every: int) -> list[tuple[int, ...]]:
-    """Return the ticks of the sends of each schedule; periodic control first, so that ties go to it."""
+    """Return the steps of the sends of each schedule; periodic control is first, so it is selected at equal costs."""
     usual = tuple(range(0, horizon, every))
     return [usual, *(sends for sends in combinations(range(horizon), len(usual)) if sends != usual)]
 
 
 class _Future:
-    """A schedule of the window, with optimal gains, followed by periodic control: what it costs from [x̂; û] on.
+    """A schedule of the window followed by periodic control, with optimal gains and its cost-to-go from [x̂; û].
 
     Args:
         certainty: filter and regulator.
-        K: cost-to-go x̂'Kx̂ of periodic control when it sends, at the end of the window.
-        sends: ticks.
-        horizon: of the window.
+        K: matrix of the cost-to-go x̂'Kx̂ of periodic control at a send, at the end of the window.
+        sends: steps of the sends.
+        horizon: number of steps of the window.
     """
 
-    def __init__(self, certainty: Certainty, K: Array, sends: tuple[int, ...], horizon: int) -> None:
-        """Go back from the end: a send frees the input, silence keeps it."""
+    def __init__(self, certainty: CertaintyEquivalentDesign, K: Array, sends: tuple[int, ...], horizon: int) -> None:
+        """Compute the cost-to-go backwards; a send chooses the input, and silence holds the input."""
         p, n = certainty.problem, len(K)
         F = np.block([[p.plant.A, p.plant.B], [np.zeros((p.plant.inputs, n)), np.eye(p.plant.inputs)]])
         stage = np.block([[p.Q, p.N], [p.N.T, p.R]])
@@ -146,25 +147,25 @@ class _Future:
         self.form = Form((ESTIMATE, "candidate"), V, noise)
 
     def gain(self, tick: int) -> Array:
-        """Return the gain of a tick; where nothing is sent, any does."""
+        """Return the gain of a step; at a step without a send, the gain is arbitrary."""
         return self.gains.get(tick, next(iter(self.gains.values())))
 
 
 class _Rooms:
-    """The places of a window: its start, and what is still to be sent at each later tick.
+    """The discrete states of a window: its start, and for each later step the remaining sends.
 
     Args:
         futures: all schedules.
-        horizon: ticks of the window.
+        horizon: number of steps of the window.
 
     Attributes:
-        due: whether a place sends, (places,).
-        gains: of a place, (places, m, n).
-        following: next place, by the future that is chosen at the start, (places, futures).
+        due: whether the input is sent in each state, (places,).
+        gains: gain in each state, (places, m, n).
+        following: next state for each schedule that may be selected at the start, (places, futures).
     """
 
     def __init__(self, futures: list[_Future], horizon: int) -> None:
-        """Number the places: futures whose rest is the same share it."""
+        """Number the states; schedules with the same remaining sends share a state."""
         numbers: dict[tuple[int, tuple[int, ...]], int] = {}
         owners: list[tuple[int, _Future]] = [(0, futures[0])]
         for future in futures:

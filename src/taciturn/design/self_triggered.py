@@ -1,4 +1,4 @@
-"""Self-triggered LQ control: each send says when the next one will come, as late as the promised cost allows."""
+"""Self-triggered LQ control: each send determines the time of the next send, as late as the guaranteed cost allows."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ LONGEST = 100
 def self_triggered(
     plant: Plant | ContinuousPlant, cost: Cost, *, beta: float, max_interval: int, period: float | None = None
 ) -> Policy:
-    """Design LQG control whose sends fix the time of the next one.
+    """Design LQG control in which each send determines the time of the next send.
 
-    With the estimate x̂ at a send, the input is held for the largest M ≤ ``max_interval`` ticks with
+    With the estimate x̂ at a send, the input is held for the largest M ≤ ``max_interval`` steps with
 
-        min_u E[cost of M ticks + β x̂_M'Kx̂_M] ≤ β x̂'Kx̂ + β M J_all,
+        min_u E[cost of M steps + β x̂_M'Kx̂_M] ≤ β x̂'Kx̂ + β M J_all,
 
-    and is the minimising u. The left side is x̂'P_Mx̂ plus the cost of noise; M = 1 always satisfies it. Summed over the
-    sends, J ≤ β J_all.
+    and the input is the minimising u. The left side is x̂'P_Mx̂ plus the cost of noise. M = 1 always satisfies the
+    inequality. The sum over the sends gives J ≤ β J_all.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        beta: β ≥ 1, what sending always may be multiplied by.
-        max_interval: ticks from a send to the next at most, 1 to 100.
-        period: seconds between ticks; only with a continuous plant.
+        beta: factor β ≥ 1 on the cost of sending every sample that bounds the cost.
+        max_interval: largest number of steps between sends, 1 to 100.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy, with J ≤ β J_all − (β−1)c and mean-square stability; c is the inter-sample noise cost, which no
-        control changes: 0 of a discrete plant.
+        control changes and which is 0 for a discrete plant.
 
     Raises:
-        ProblemError: β < 1, an interval out of range, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if β < 1, max_interval is out of range, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: gommans2014
 
@@ -57,7 +57,7 @@ def self_triggered(
     """
     beta, max_interval = number("beta", beta, 1.0, LARGEST, closed=True), count("max_interval", max_interval)
     if max_interval > LONGEST:
-        raise ProblemError(f"max_interval is {max_interval}; expected at most {LONGEST} ticks")
+        raise ProblemError(f"max_interval is {max_interval}; expected at most {LONGEST} steps")
     problem = discretise(plant, cost, period)
     certainty = design_certainty("self-triggered", problem)
     K, all_time, m = certainty.regulator.K, certainty.cost_all_time, problem.plant.inputs
@@ -67,7 +67,7 @@ def self_triggered(
     for ticks in range(2, max_interval + 1):
         held = stretches.lifted(ticks)
         P, L = step_back(held, beta * K)
-        noise = ticks * certainty.unseen + held.noise_cost + beta * float(np.sum(K * held.W))
+        noise = ticks * certainty.estimation_cost + held.noise_cost + beta * float(np.sum(K * held.W))
         worse = Form((ESTIMATE,), symmetrised(P - beta * K), noise - beta * ticks * all_time)
         asked = f"{SLEEP} {ticks}"
         choose += [

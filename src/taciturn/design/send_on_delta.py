@@ -1,4 +1,4 @@
-"""Send-on-delta: the sensor sends when an output has moved."""
+"""Send-on-delta: the sensor sends when an output has changed by more than a threshold."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
-from taciturn.design.estimation import ESTIMATE, HELD, Estimation
+from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.cost import Cost
@@ -19,23 +19,24 @@ LAST, HEARD = "last", "heard"
 
 
 def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, period: float | None = None) -> Policy:
-    """Design LQG control whose sensor sends its outputs if and only if one has moved by more than Δ since it sent last.
+    """Design LQG control whose sensor sends if and only if an output has changed by more than Δ since the last send.
 
-    The controller, at the actuator, filters the last outputs sent as if they were measured now, each with an error that
-    is uniform in ±Δ beside V: the steady Kalman filter for V + (Δ²/3) I [suh2007].
+    The controller, at the actuator, filters the last outputs sent as if they were measured at the current step. The
+    filter models the change since the send as an additional error, uniform in ±Δ: it is the steady-state Kalman filter
+    for the measurement noise V + (Δ²/3) I [suh2007].
 
     Args:
         plant: the plant.
         cost: the average cost.
-        delta: Δ ≥ 0, in the units of the outputs.
-        period: seconds between ticks; only with a continuous plant.
+        delta: threshold Δ ≥ 0, in the units of the outputs.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy; no bound on its cost is known.
 
     Raises:
-        ProblemError: Δ < 0, period missing or out of place.
-        UnstableError: no stabilising gain or filter.
+        ProblemError: if Δ < 0, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists.
 
     Source: miskowicz2006, suh2007
 
@@ -53,12 +54,12 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
     return sensor_policy("send-on-delta", certainty, _heard(plant, steady, delta), settling)
 
 
-def _heard(plant: Plant, steady: Filter, delta: float) -> Estimation:
-    """Return the steps from the outputs to the estimate."""
+def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:
+    """Return the policy steps that send the outputs and compute the estimate."""
     p, unit = plant.outputs, np.eye(plant.outputs)
     moved = {f"output {i}": Form(("moved",), -np.diag(unit[i]), delta**2) for i in range(p)}
     kept, now = {LAST: unit}, {"y": unit}
-    return Estimation(
+    return FilterSteps(
         (
             Assign("sensor", "moved", {"y": unit, LAST: -unit}),
             Decide("sensor", SEND, Trigger({"silent": Form(), **moved})),

@@ -1,4 +1,4 @@
-"""The stochastic trigger: a drawn threshold keeps what is Gaussian Gaussian, so that cost and rate are exact."""
+"""The stochastic trigger: a random threshold preserves Gaussian distributions, so cost and rate are exact."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from taciturn.design.certainty import (
     DEVIATION,
     SEND,
     Actuation,
-    Certainty,
+    CertaintyEquivalentDesign,
     certainty_policy,
     control_steps,
     design_certainty,
@@ -24,8 +24,8 @@ from taciturn.model.policy import ClosedForm, Draw, Guarantee, Policy
 from taciturn.model.trigger import Form, Trigger
 
 DRAWN = "luck"
-LONGEST = 100_000  # ticks of silence that are followed one by one
-CONVERGED = 1e-13  # relative change of a covariance
+LONGEST = 100_000  # largest number of silent steps that are computed one by one
+CONVERGED = 1e-13  # relative change of a covariance at convergence
 
 
 def stochastic(
@@ -37,32 +37,33 @@ def stochastic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that keeps silent with the probability exp(−½ s e'We).
+    """Design LQG control that stays silent with probability exp(−½ s e'We).
 
-    e = x̃ − x̂, with x̃ the state that the actuator acts on. It is sent iff ½ s e'We > ξ, ξ drawn from the exponential
-    law of mean 1. With ``actuation = "model"`` a send resets e, and silence leaves it Gaussian: of a covariance Σ
-    before the look it has (Σ^{-1} + sW)^{-1} after, with the probability det(I + sWΣ)^{-½}. Products and sums of these
-    are the exact rate and cost.
+    The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The controller sends iff ½ s e'We > ξ, where ξ
+    is drawn from the exponential distribution with mean 1. With ``actuation = "model"``, a send resets e, and silence
+    leaves e Gaussian: a covariance Σ before the check becomes (Σ^{-1} + sW)^{-1} after a silent check, which has the
+    probability det(I + sWΣ)^{-½}. The exact rate and cost follow from products and sums of these terms.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        weight: W, (n, n), semidefinite; omitted: the identity.
-        scale: s > 0.
-        period: seconds between ticks; only with a continuous plant.
+        weight: weight W, (n, n), positive semidefinite; default the identity.
+        scale: scale s > 0 of the weight.
+        period: seconds between steps; only with a continuous plant.
         actuation: ``"hold"`` keeps the last input, ``"model"`` runs x̃⁺ = (A + BL) x̃ from the last sent estimate.
 
     Returns:
-        The policy, with J ≤ J_all + 2μ/(e s), μ the least with L'HL ⪯ μW, as t exp(−t/2) ≤ 2/e; with a model and
-        Gaussian noise its exact cost and rate.
+        The policy, with J ≤ J_all + 2μ/(e s), where μ is the smallest number with L'HL ⪯ μW, since t exp(−t/2) ≤ 2/e.
+        With a model and Gaussian noise, the policy has its exact cost and rate.
 
     Raises:
-        ProblemError: W of the wrong size, indefinite or zero, s not positive, period missing or out of place.
-        UnstableError: no stabilising gain or filter, or a weight that lets a growing error stand.
+        ProblemError: if W has the wrong size, is indefinite or is zero, s is not positive, or period is missing or not
+            applicable.
+        UnstableError: if no stabilising gain or filter exists, or the weight does not limit a growing error.
 
     Source: han2015
 
-    Example: from e = 0 a random walk of variance 3 is silent with the probability 1/2.
+    Example: starting from e = 0, a random walk of variance 3 stays silent with probability 1/2.
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[3.0]]), Cost([[1.0]], [[1.0]])
         >>> policy = stochastic(plant, cost, actuation="model")
@@ -74,7 +75,9 @@ def stochastic(
     certainty, n = design_certainty("stochastic", problem), problem.plant.states
     W = scale * (np.eye(n) if weight is None else semidefinite("weight", weight, n, "(states, states)"))
     if not W.any():
-        raise ProblemError("weight is zero, so that nothing would ever be sent; expected a weight that sees an error")
+        raise ProblemError(
+            "weight is zero, so nothing would ever be sent; expected a weight with at least one nonzero entry"
+        )
     rule = Trigger({"silent": Form((DEVIATION,), W / 2), SEND: Form(plus={DRAWN: 1.0})})
     steps, initial = control_steps(
         problem.plant,
@@ -99,29 +102,31 @@ def stochastic(
         guarantee=guarantee,
         closed_form=_renewed(certainty, W) if exact else None,
         reset=certainty.reset(actuation),
-        notes=("no bound is known: the weight does not see every error that costs",) if mu is None else (),
+        notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
     )
 
 
-def _renewed(certainty: Certainty, W: Array) -> ClosedForm | None:
-    """Return cost and rate from one send to the next; None where silence may last too long to be followed.
+def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | None:
+    """Return the exact cost and rate, computed over one interval between sends, or None if silence may last too long.
 
     Raises:
-        UnstableError: silence that the weight does not end costs more and more, so that the mean is infinite.
+        UnstableError: if the cost of silence grows faster than its probability decreases, so the mean is infinite.
     """
     problem, A, noise = certainty.problem, certainty.problem.plant.A, certainty.corrections
     half = root(W)
     Sigma, silent, length, excess, before = noise, 1.0, 1.0, 0.0, np.inf
     for _ in range(LONGEST):
-        factor = np.linalg.cholesky(np.eye(half.shape[1]) + half.T @ Sigma @ half)
-        reach = np.linalg.solve(factor, half.T @ Sigma)
-        kept, stays = symmetrised(Sigma - reach.T @ reach), 1 / float(np.prod(np.diag(factor)))
+        spread = root(Sigma)
+        rows = np.vstack([np.eye(spread.shape[1]), half.T @ spread])
+        factor: Array = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+        reach = np.linalg.solve(factor.T, spread.T)
+        kept, stays = symmetrised(reach.T @ reach), 1 / abs(float(np.prod(np.diag(factor))))
         following = symmetrised(A @ kept @ A.T + noise)
         silent *= stays
         paid = silent * float(np.sum(certainty.square * kept))
         unit = np.sqrt(np.maximum(np.diag(following), TINY))
         settled = np.abs((following - Sigma) / unit / unit[:, None]).max() <= CONVERGED
-        tail = stays / (1 - stays) if settled and stays < 1 else 0.0  # what is left is geometric
+        tail = stays / (1 - stays) if settled and stays < 1 else 0.0  # the remaining sum is geometric
         length, excess = length + silent * (1 + tail), excess + paid * (1 + tail)
         ended = silent <= CONVERGED * length
         if tail or (ended and paid <= CONVERGED * excess):
@@ -129,8 +134,8 @@ def _renewed(certainty: Certainty, W: Array) -> ClosedForm | None:
             return ClosedForm(problem.per_unit(average), {"actuator": 1 / length})
         if ended and paid >= before:
             raise UnstableError(
-                "the mean cost is infinite: weight does not see an error that grows faster than silence becomes rare; "
-                "expected a weight that sees every mode that does not decay, or a larger scale"
+                "the mean cost is infinite: an error that the weight does not limit grows faster than silence becomes "
+                "rare; expected a weight that is positive for every mode that does not decay, or a larger scale"
             )
         Sigma, before = following, paid
         if not np.isfinite(Sigma @ Sigma).all():

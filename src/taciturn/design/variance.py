@@ -1,4 +1,4 @@
-"""Variance-based triggering: the sensor sends when its measurement is predicted too badly."""
+"""Variance-based triggering: the sensor sends when the predicted variance of an output is too large."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from taciturn._arrays import Array, number
 from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, sensor_policy
-from taciturn.design.estimation import ESTIMATE, HELD, Estimation
+from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import Predictor, schedule_by_variance
@@ -20,25 +20,26 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, period: float | None = None) -> Policy:
     """Design LQG control whose sensor sends if and only if max_i (CΣ̃C')_ii > threshold.
 
-    Σ̃ is the covariance with which both ends predict the state. It does not depend on what is measured, so the rule is a
-    schedule, computed here, that repeats. The controller is at the actuator and filters what it gets.
+    Σ̃ is the error covariance of the state prediction at both ends. Since Σ̃ does not depend on the measured values, the
+    rule is a repeating schedule that is computed offline. The controller is at the actuator and filters the received
+    measurements.
 
     Args:
         plant: the plant.
         cost: the average cost.
-        threshold: at least 0, a variance in the units of y².
-        period: seconds between ticks; only with a continuous plant.
+        threshold: a variance in the units of y², at least 0.
+        period: seconds between steps; only with a continuous plant.
 
     Returns:
         The policy with its schedule and its exact cost.
 
     Raises:
-        ProblemError: a threshold below 0, period missing or out of place.
-        UnstableError: no stabilising gain or filter, or no schedule that repeats.
+        ProblemError: if the threshold is below 0, or period is missing or not applicable.
+        UnstableError: if no stabilising gain or filter exists, or no schedule repeats.
 
     Source: trimpe2014
 
-    Example: a random walk of variance 1, measured exactly.
+    Example: a random walk of variance 1 that is measured exactly.
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
         >>> variance(plant, cost, threshold=2.5).closed_form.rates
@@ -62,8 +63,8 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
             plant,
             [plant.A @ kept for kept in left],
             certainty.regulator.slowest,
-            "too few measurements for what the noise leaves undetermined; expected a smaller threshold, or noise V on "
-            "the measurement",
+            "there are too few measurements to determine states that the noise does not reach; expected a smaller "
+            "threshold, or noise V on the measurement",
         ),
         locations=(count_ticks(len(schedule.queries), 0),),
         closed_form=ClosedForm(problem.per_unit(average), {"sensor": schedule.rate}),
@@ -71,12 +72,12 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
     )
 
 
-def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> Estimation:
-    """Return the steps that filter the measurements that come."""
+def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> FilterSteps:
+    """Return the policy steps that send and filter the scheduled measurements."""
     p, n = plant.outputs, plant.states
     turn = Form(constant=Scheduled(CLOCK, np.where(schedule.queries, -1.0, 1.0)))
     nothing, seen = {"prior": np.zeros((p, n))}, {"y": np.eye(p), "prior": -plant.C}
-    return Estimation(
+    return FilterSteps(
         (
             Decide("sensor", "query", Trigger({"silent": Form(), "query": turn})),
             Send("sensor", "sensor", ("y",), "query"),

@@ -18,7 +18,7 @@ from taciturn.export.node import CNode
 from taciturn.export.vector import Vector
 
 Level = Literal["-O2", "-Os"]
-PACKAGES = {  # of Debian
+PACKAGES = {  # Debian packages
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "arm-none-eabi-size": "binutils-arm-none-eabi",
     "arm-none-eabi-nm": "binutils-arm-none-eabi",
@@ -27,19 +27,19 @@ PACKAGES = {  # of Debian
     "size": "binutils",
     "nm": "binutils",
 }
-COUNTING = ("-icount", "shift=7")  # board.h tells why
-PATIENCE = 60.0  # seconds that a run may take
-LONGEST = 500  # characters of what a tool has said
+COUNTING = ("-icount", "shift=7")  # see board.h for the reason
+PATIENCE = 60.0  # time limit of a run in seconds
+LONGEST = 500  # characters of a tool's output that an error message quotes
 
 
 class Board(NamedTuple):
     """A board that QEMU emulates.
 
     Args:
-        processor: its name.
-        machine: what QEMU calls the board.
-        flags: of the compiler.
-        prefix: of the names of its tools.
+        processor: name of the processor.
+        machine: name of the board in QEMU.
+        flags: compiler flags.
+        prefix: prefix of the names of its tools.
     """
 
     processor: str
@@ -56,17 +56,17 @@ class Board(NamedTuple):
 M3 = Board("Cortex-M3", "mps2-an385", ("-mcpu=cortex-m3", "-mthumb"))
 M4F = Board(
     "Cortex-M4F", "mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
-)  # whose floating-point unit knows single precision alone
-HOST = Board(platform.machine(), "", (), "")  # this machine, which no emulator runs
+)  # its floating-point unit supports single precision only
+HOST = Board(platform.machine(), "", (), "")  # this machine, without an emulator
 
 
 class Main(NamedTuple):
-    """What is to run on a board.
+    """A program for a board.
 
     Args:
-        files: of the folder of C, and those of the board, by name.
-        flags: of the compiler and the linker.
-        own: further sources, by name: their texts.
+        files: names of files from the folder of C sources and from the board's files.
+        flags: flags of the compiler and the linker.
+        own: texts of further sources, by name.
     """
 
     files: tuple[str, ...]
@@ -83,13 +83,13 @@ def self_check(folder: CFolder) -> Main:
 
 
 def measurement(folder: CFolder) -> Main:
-    """Return the self-check that counts instructions as well; it runs where QEMU counts them."""
+    """Return the self-check with instruction counting, for QEMU with its instruction counter."""
     wrapped = tuple(f"-Wl,--wrap={name}" for name in ("main", *(f"{one}_{folder.sizes}" for one in _WRAPPED)))
     return Main((*self_check(folder).files, "measure.c"), wrapped)
 
 
 def in_the_loop(node: CNode) -> Main:
-    """Return one node, whose ticks a host asks for over the UART: the frames stand in ``loop.c``."""
+    """Return a program with one node, whose steps a host requests over the UART; ``loop.c`` defines the frames."""
     names = {"LOOP_HEADER": f'"{node.name}.h"', "LOOP_NODE": node.name, "LOOP_START": f"{node.name}_start"}
     sources = (*(name for name in CORE if name.endswith(".c")), f"{node.name}.c", "loop.c")
     return Main(sources, tuple(f"-D{name}={value}" for name, value in names.items()))
@@ -99,17 +99,17 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
     """Compile exported nodes for a board; warnings are errors.
 
     Args:
-        board: whose processor it is for.
-        folder: the nodes.
-        main: what is to run: ``self_check(folder)``, ``measurement(folder)`` or ``in_the_loop(node)``.
+        board: target board.
+        folder: folder with the nodes.
+        main: program to compile: ``self_check(folder)``, ``measurement(folder)`` or ``in_the_loop(node)``.
         into: folder for sources and objects.
-        level: of optimisation.
+        level: optimisation level.
 
     Returns:
-        The program, an ELF file in ``into``.
+        The path of the program, an ELF file in ``into``.
 
     Raises:
-        ProblemError: no compiler, or it refuses.
+        ProblemError: the compiler is missing, or it reports an error.
     """
     objects = _compile(board, folder, (*main.files, "startup.c"), into, level, main)
     program = into / "program.elf"
@@ -121,7 +121,7 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
 def _compile(
     board: Board, folder: CFolder, sources: Sequence[str], into: Path, level: Level, main: Main | None = None
 ) -> list[str]:
-    """Write all sources and compile some of them, and those that a program brings; return the names of the objects."""
+    """Write all sources, compile the given ones and those of ``main``, and return the names of the objects."""
     main = main or Main(())
     folder.write(into)
     ours = files("taciturn.export") / "board"
@@ -136,12 +136,12 @@ def _compile(
 
 
 class Sizes(NamedTuple):
-    """What a part of a program takes, in bytes; numbers that stand between instructions are code.
+    """The size of a part of a program in bytes; constants between instructions count as code.
 
     Args:
-        code: instructions.
-        constants: in read-only memory.
-        memory: variables.
+        code: size of the instructions.
+        constants: size of the constants in read-only memory.
+        memory: size of the variables.
     """
 
     code: int
@@ -150,15 +150,15 @@ class Sizes(NamedTuple):
 
 
 def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[str, Sizes]:
-    """Return what each node takes, and ``"core"``, what they share: libraries (arithmetic in software) not counted.
+    """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic).
 
     Args:
-        board: whose processor it is for.
-        folder: the nodes.
-        level: of optimisation.
+        board: target board.
+        folder: folder with the nodes.
+        level: optimisation level.
 
     Raises:
-        ProblemError: no compiler.
+        ProblemError: the compiler is missing.
     """
     with TemporaryDirectory() as name:
         into = Path(name)
@@ -172,16 +172,16 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return what each node takes on a Cortex-M, or on this machine where that has no compiler; None: neither has.
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if only that compiler is installed; or None.
 
     Args:
-        folder: the nodes; optimised for size.
+        folder: folder with the nodes, which are compiled with optimisation for size.
 
     Returns:
-        The processor and the sizes of each node, and of the ``"core"``.
+        The processor and the sizes of each node and of the ``"core"``, or None if no compiler is installed.
 
     Raises:
-        ProblemError: the compiler refuses.
+        ProblemError: the compiler reports an error.
     """
     boards = (M4F if folder.single else M3, HOST)
     board = next((board for board in boards if shutil.which(board.compiler)), None)
@@ -201,18 +201,18 @@ def run_on(
     board: Board, program: Path, vector: Vector | None = None, *, single: bool = False, counting: bool = False,
     patience: float = PATIENCE,
 ) -> str:  # fmt: skip
-    """Run a program on a board, and return what it says.
+    """Run a program on a board, and return its output.
 
     Args:
         board: the board.
-        program: from ``compile_for``.
-        vector: what the self-check compares; omitted: what is compiled in.
-        single: whether its numbers are to have single precision.
-        counting: whether the board's timer is to count instructions.
-        patience: seconds that it may take.
+        program: program from ``compile_for``.
+        vector: recording for the self-check; default: the recording that is compiled in.
+        single: whether the numbers of the recording are passed in single precision.
+        counting: whether the board's timer counts instructions.
+        patience: time limit in seconds.
 
     Raises:
-        ProblemError: no emulator, the program ends with another code than 0, or not in time.
+        ProblemError: the emulator is missing, or the program fails or exceeds the time limit.
     """
     with TemporaryDirectory() as folder:
         words = ["program"]
@@ -227,17 +227,17 @@ def run_on(
 def check_on(
     board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
 ) -> str:
-    """Run the self-check on a board, and return the sentence with which it passes.
+    """Run the self-check on a board, and return the line that it prints if it passes.
 
     Args:
         board: the board.
-        folder: the nodes.
-        vector: what it compares; omitted: what is compiled in.
-        level: of optimisation.
-        patience: seconds that it may take.
+        folder: folder with the nodes.
+        vector: recording for the self-check; default: the recording that is compiled in.
+        level: optimisation level.
+        patience: time limit in seconds.
 
     Raises:
-        ProblemError: no compiler or no emulator, or a bit differs: in which tick.
+        ProblemError: the compiler or the emulator is missing, or a bit differs; the message gives the step.
     """
     with TemporaryDirectory() as name:
         program = compile_for(board, folder, self_check(folder), Path(name), level)
@@ -248,19 +248,19 @@ def emulate(board: Board, program: Path, options: Sequence[str]) -> list[str]:
     """Return the command that runs a program on a board.
 
     Raises:
-        ProblemError: no emulator.
+        ProblemError: the emulator is missing.
     """
     plain = ["-M", board.machine, "-display", "none", "-monitor", "none"]
     return [find_tool("qemu-system-arm"), *plain, *options, "-kernel", str(program.absolute())]
 
 
 class Count(NamedTuple):
-    """Instructions of a tick.
+    """The number of instructions per step.
 
     Args:
-        mean: over the ticks.
-        longest: of a tick.
-        ticks: that were counted.
+        mean: mean over the steps.
+        longest: maximum over the steps.
+        ticks: number of counted steps.
     """
 
     mean: float
@@ -269,12 +269,12 @@ class Count(NamedTuple):
 
 
 class Counts(NamedTuple):
-    """Instructions of a node's ticks.
+    """The instruction counts of a node.
 
     Args:
-        step: of what is generated for its policy, alone; exact.
-        tick: of ``tac_step``, give or take the five with which it is called.
-        all: packets that come, ``tac_step``, and packets that go; each call give or take five.
+        step: instructions of the code generated for the policy; exact.
+        tick: instructions of ``tac_step``, within the five of its call.
+        all: instructions of received packets, ``tac_step`` and sent packets, within five per call.
     """
 
     step: Count
@@ -285,19 +285,19 @@ class Counts(NamedTuple):
 def count_instructions(
     board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
 ) -> dict[str, Counts]:
-    """Return how many instructions the ticks of each node take, while the self-check passes.
+    """Run the self-check, and return the numbers of instructions of each node's steps.
 
-    Instructions are no cycles: a processor takes one or more for each.
+    An instruction takes one or more cycles of the processor.
 
     Args:
         board: the board.
-        folder: the nodes.
-        vector: what the self-check compares; omitted: what is compiled in.
-        level: of optimisation.
-        patience: seconds that it may take.
+        folder: folder with the nodes.
+        vector: recording for the self-check; default: the recording that is compiled in.
+        level: optimisation level.
+        patience: time limit in seconds.
 
     Raises:
-        ProblemError: no compiler or no emulator, or the self-check fails.
+        ProblemError: the compiler or the emulator is missing, or the self-check fails.
     """
     with TemporaryDirectory() as name:
         program = compile_for(board, folder, measurement(folder), Path(name), level)
@@ -313,16 +313,16 @@ def find_tool(name: str) -> str:
     """Return the path of a compiler or an emulator.
 
     Raises:
-        ProblemError: it is missing; with the packages that bring it.
+        ProblemError: the tool is missing; the message names the packages that contain it.
     """
     found = shutil.which(name)
     if found is None:
-        raise ProblemError(f"{name} is missing; expected on the path, as after: apt install {PACKAGES[name]}")
+        raise ProblemError(f"{name} is missing; expected it on the path; install it by: apt install {PACKAGES[name]}")
     return found
 
 
 def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = PATIENCE) -> str:
-    """Run a tool in a folder, and return what it says."""
+    """Run a tool in a folder, and return its output."""
     command = [find_tool(tool), *arguments]
     try:
         done = subprocess.run(
@@ -336,12 +336,12 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
             stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
-        raise ProblemError(f"{tool} has not ended after {patience:g} s; expected it to be faster") from None
+        raise ProblemError(f"{tool} has not finished after {patience:g} s; expected a shorter run") from None
     if done.returncode != 0:
         said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
         if "will not fit in region" in said:
-            raise ProblemError("the program is larger than the board's 4 MiB; expected fewer rows to check")
+            raise ProblemError("the program is larger than the board's 4 MiB; expected a self-check with fewer steps")
         if "rdimon.specs" in said:
-            said = f"the C library is missing, apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
+            said = f"the C library is missing; install it by: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
         raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected it to succeed")
     return done.stdout

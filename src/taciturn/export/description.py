@@ -1,4 +1,4 @@
-"""What a functional mock-up unit says of itself: its variables, and the files in XML that list them."""
+"""The model description of a functional mock-up unit: its variables and the XML files that list them."""
 
 from __future__ import annotations
 
@@ -6,31 +6,33 @@ from dataclasses import dataclass
 from typing import Literal
 from xml.etree import ElementTree as Xml
 
+from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.loop import Loop
 from taciturn.model.policy import LinkName, Send
 from taciturn.model.wire import LINKS
 
 Version = Literal["3.0", "2.0"]
-REFERENCES = {"time": 0, "degraded": 1, "lost": 16, "sent": 32, "sends": 48, "y": 1024, "u": 2048}  # of first ones
+# value references; for several variables of a name, the reference of the first
+REFERENCES = {"time": 0, "degraded": 1, "lost": 16, "sent": 32, "sends": 48, "y": 1024, "u": 2048}
 _TYPES = {
     "number": {"3.0": "Float64", "2.0": "Real"},
     "truth": {"3.0": "Boolean", "2.0": "Boolean"},
     "count": {"3.0": "UInt64", "2.0": "Integer"},
 }
-_STARTS = {"number": "0", "truth": "false"}  # of inputs
+_STARTS = {"number": "0", "truth": "false"}  # start values of inputs
 
 
-@dataclass(frozen=True)
-class Variable:
+@dataclass(frozen=True, repr=False)
+class Variable(Displayed):
     """A variable of a unit.
 
     Args:
-        name: as FMI structures it.
-        reference: by which it is read and written.
-        kind: of its value: a real number, a truth value, or a whole number that only grows.
-        causality: who sets it.
-        text: what it is.
+        name: structured name, as FMI defines it.
+        reference: value reference.
+        kind: type of the value: a real number, a Boolean, or a counter that never decreases.
+        causality: independent, input or output.
+        text: description of the variable.
     """
 
     name: str
@@ -41,23 +43,23 @@ class Variable:
 
 
 def used_links(loop: Loop) -> tuple[LinkName, ...]:
-    """Return the links between nodes that packets go over, in the order of their numbers."""
+    """Return the links between nodes over which packets are sent, in the order of their numbers."""
     found: set[LinkName] = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     return tuple(sorted(found, key=LINKS.index))
 
 
 def tick_length(loop: Loop) -> float:
-    """Return the seconds of a tick; 1 where the problem does not say."""
+    """Return the length of a step in seconds, or 1 if the problem does not specify one."""
     return loop.problem.plant.dt or 1.0
 
 
 def may_lose(loop: Loop) -> bool:
-    """Return whether packets may be lost, by the network that the policy is for."""
+    """Return whether the network of the loop may drop packets."""
     return loop.network.protocol != "ideal"
 
 
 def list_variables(loop: Loop) -> tuple[Variable, ...]:
-    """Return the variables of the unit of a loop's policy, but for the time."""
+    """Return the variables of the unit of a loop's policy, without the time."""
     links, first, model = used_links(loop), REFERENCES, loop.policy.model
     found = [
         Variable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
@@ -67,7 +69,7 @@ def list_variables(loop: Loop) -> tuple[Variable, ...]:
         found += [
             Variable(
                 f"lost_{link}", first["lost"] + LINKS.index(link), "truth", "input",
-                f"A packet that is sent on the {link} link in the next step is lost",
+                f"A packet that is sent on the {link} link in the next step is dropped",
             )
             for link in links
         ]  # fmt: skip
@@ -83,10 +85,10 @@ def list_variables(loop: Loop) -> tuple[Variable, ...]:
             ),
             Variable(
                 f"sends_{link}", first["sends"] + LINKS.index(link), "count", "output",
-                f"Packets that were sent on the {link} link so far",
+                f"Number of packets sent on the {link} link so far",
             ),
         ]  # fmt: skip
-    what = "Something has happened that the theory of the policy does not know"
+    what = "An assumption of the theory of the policy was violated, for example by an unexpected packet loss"
     return (*found, Variable("degraded", first["degraded"], "truth", "output", what))
 
 
@@ -94,18 +96,18 @@ def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple
     """Return the model description of a unit.
 
     Args:
-        loop: whose policy it is.
-        name: of the model, and of its files.
-        version: of FMI.
-        token: that tells the unit apart.
-        sources: files to compile.
-        ticks: that an importer may try.
+        loop: loop whose policy the unit contains.
+        name: name of the model and of its files.
+        version: version of FMI.
+        token: unique identifier of the unit.
+        sources: names of the files to compile.
+        ticks: length of the default experiment in steps.
     """
     tick, variables = tick_length(loop), list_variables(loop)
     new = version == "3.0"
     root = Xml.Element("fmiModelDescription", {
         "fmiVersion": version, "modelName": name, "instantiationToken" if new else "guid": token,
-        "description": f"Event-triggered policy of kind {loop.policy.kind}, one tick a step",
+        "description": f"Event-triggered policy of kind {loop.policy.kind}, one sampling period per step",
         "generationTool": f"taciturn {__version__}", "variableNamingConvention": "structured",
     })  # fmt: skip
     capabilities = {"modelIdentifier": name, "canHandleVariableCommunicationStepSize": "false"}
@@ -119,7 +121,7 @@ def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple
         for source in sources:
             Xml.SubElement(listed, "File", {"name": source})
     categories = Xml.SubElement(root, "LogCategories")
-    Xml.SubElement(categories, "Category", {"name": "logStatusError", "description": "Why something was refused"})
+    Xml.SubElement(categories, "Category", {"name": "logStatusError", "description": "Reasons why a call was rejected"})
     Xml.SubElement(
         root, "DefaultExperiment", {"startTime": "0", "stopTime": repr(tick * ticks), "stepSize": repr(tick)}
     )
@@ -129,7 +131,7 @@ def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple
 
 
 def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
-    """Return how the sources of a unit of FMI 3.0 are built."""
+    """Return the build description of a unit of FMI 3.0."""
     root = Xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     build = Xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
     listed = Xml.SubElement(build, "SourceFileSet", {"language": "C99"})
@@ -159,7 +161,7 @@ def _list(root: Xml.Element, variables: tuple[Variable, ...], version: Version) 
 
 
 def _structure(root: Xml.Element, variables: tuple[Variable, ...], version: Version) -> None:
-    """List the outputs: only a step changes them, so that none depends on an input of the same time."""
+    """List the outputs without dependencies: only a step changes them, so they do not depend on current inputs."""
     structure = Xml.SubElement(root, "ModelStructure")
     for old, new in (("Outputs", "Output"), ("InitialUnknowns", "InitialUnknown")):
         parent = structure if version == "3.0" else Xml.SubElement(structure, old)

@@ -1,4 +1,4 @@
-"""Writes a policy as a functional mock-up unit, for co-simulation by FMI 3.0 or 2.0 in any simulator."""
+"""Exports a policy as a functional mock-up unit, for co-simulation in other simulators by FMI 3.0 or 2.0."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from taciturn._display import Displayed
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.export.description import (
@@ -39,27 +40,27 @@ HEADERS: Mapping[Version, tuple[str, ...]] = {
     "3.0": ("fmi3PlatformTypes.h", "fmi3FunctionTypes.h", "fmi3Functions.h"),
     "2.0": ("fmi2TypesPlatform.h", "fmi2FunctionTypes.h", "fmi2Functions.h"),
 }
-SHARED = "-fPIC -shared -fvisibility=hidden"  # only the functions of FMI are seen from outside
+SHARED = "-fPIC -shared -fvisibility=hidden"  # exports only the functions of FMI
 _SYSTEMS = {"Linux": ("linux", ".so"), "Darwin": ("darwin", ".dylib"), "Windows": ("windows", ".dll")}
 _MACHINES = {"x86_64": "x86_64", "amd64": "x86_64", "aarch64": "aarch64", "arm64": "aarch64"}
-_OLD = {"x86_64-linux": "linux64", "x86_64-darwin": "darwin64", "x86_64-windows": "win64"}  # as FMI 2.0 names them
-_DAY = (1980, 1, 1, 0, 0, 0)  # of every file of an archive: the first there is
-_PATIENCE = 600.0  # seconds for a compiler
+_OLD = {"x86_64-linux": "linux64", "x86_64-darwin": "darwin64", "x86_64-windows": "win64"}  # names in FMI 2.0
+_DAY = (1980, 1, 1, 0, 0, 0)  # date of every file in the archive: the earliest that the format allows
+_PATIENCE = 600.0  # time limit of the compiler in seconds
 
 
-@dataclass(frozen=True, eq=False)
-class Fmu:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fmu(Displayed):
     """A functional mock-up unit.
 
     Args:
-        name: of the model.
-        kind: of the policy.
-        version: of FMI.
-        token: that tells the unit from those of other policies, and of other versions of its sources.
-        nodes: of the policy, all of them in the unit.
-        files: what the archive holds, by path.
-        binary: path of the compiled library among them; None: there is none.
-        notes: what the user should know.
+        name: name of the model.
+        kind: kind of the policy.
+        version: version of FMI.
+        token: unique identifier, which depends on the policy and on the sources of the unit.
+        nodes: all nodes of the policy, which the unit contains.
+        files: contents of the archive, by path.
+        binary: path of the compiled library in the archive, or None if there is none.
+        notes: notes for the user.
     """
 
     name: str
@@ -72,7 +73,7 @@ class Fmu:
     notes: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return what the unit is, for JSON."""
+        """Return the JSON document of the unit."""
         return {
             "policy": self.kind,
             "name": self.name,
@@ -85,7 +86,7 @@ class Fmu:
         }
 
     def lines(self) -> list[tuple[str, str]]:
-        """Return what is printed of it: names, and what stands behind them."""
+        """Return the lines to print, as pairs of name and value."""
         return [
             ("policy", self.kind),
             ("unit", f"FMI {self.version}, co-simulation, of {' and '.join(node.role for node in self.nodes)}"),
@@ -94,7 +95,7 @@ class Fmu:
         ]
 
     def archive(self) -> bytes:
-        """Return the bytes of the file: the same for the same content."""
+        """Return the bytes of the archive, which depend only on its content."""
         buffer = BytesIO()
         with zipfile.ZipFile(buffer, "w") as held:
             for path in sorted(self.files, key=lambda path: (path != "modelDescription.xml", path)):
@@ -114,17 +115,17 @@ class Fmu:
             write_whole(path, self.archive())
         except OSError as error:
             reason = error.strerror or str(error)
-            raise ProblemError(f"{path} cannot be written ({reason}); expected a path that can be") from None
+            raise ProblemError(f"{path} cannot be written ({reason}); expected a path with write permission") from None
 
 
 def check_name(path: Path) -> None:
-    """Refuse a name that does not end in ``.fmu``.
+    """Raise an error if a file name does not end in ``.fmu``.
 
     Raises:
-        ProblemError: it does not.
+        ProblemError: the name has another ending.
     """
     if path.suffix != ".fmu":
-        raise ProblemError(f"the unit is to be written to {path}; expected a name that ends in .fmu")
+        raise ProblemError(f"the file name of the unit is {path}; expected a name that ends in .fmu")
 
 
 def print_fmu(
@@ -137,22 +138,22 @@ def print_fmu(
 ) -> Fmu:
     """Return the policy of a loop as a functional mock-up unit.
 
-    All nodes are in it, and a step is one tick of them: they take the packets that have come, step and send. Inputs are
-    the measurements ``y[i]`` and, where packets may be lost, ``lost_LINK``; outputs are ``u[i]``, ``sent_LINK``,
-    ``sends_LINK`` and ``degraded``.
+    The unit contains all nodes. In each step, which is one sampling period, they receive packets, execute a step and
+    send packets. Inputs are the measurements ``y[i]`` and, if the network may drop packets, ``lost_LINK``. Outputs are
+    ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``.
 
     Args:
-        loop: plant, policy and network; its precision is that of the nodes.
-        name: an identifier of C.
-        version: of FMI.
-        seed: of the policy's own draws.
-        compiler: that makes a binary for this machine; None, or one that is not there: sources alone.
+        loop: loop with plant, policy and network; it also sets the precision of the nodes.
+        name: a C identifier.
+        version: version of FMI.
+        seed: seed of the random numbers of the policy.
+        compiler: compiler that builds a binary for this machine; without a compiler the unit contains only sources.
 
     Returns:
-        The unit; its notes tell where there is no binary.
+        The unit; a note gives the reason if it has no binary.
 
     Raises:
-        ProblemError: the nodes cannot be separated or are too large, FMI has no such version, the name is no
+        ProblemError: the nodes cannot be separated or are too large, FMI has no such version, or the name is not an
             identifier.
 
     Example:
@@ -165,7 +166,7 @@ def print_fmu(
     if version not in HEADERS:
         raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
     if not (name.isidentifier() and name.isascii()):
-        raise ProblemError(f"the name of the unit is {name!r}; expected an identifier of C, as two_mass")
+        raise ProblemError(f"the name of the unit is {name!r}; expected a C identifier such as two_mass")
     folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}
@@ -194,22 +195,22 @@ def print_fmu(
         place = _place(name, version, compiler)
         held[place] = _compile(texts, compiled, version, compiler or "")
     except _NoBinaryError as reason:
-        place, told = None, "an importer compiles its sources, as does `fmpy compile`"
-        notes = (f"the unit has no binary, for {reason}: {told}",)
+        place, told = None, "the importing simulator compiles the sources, or `fmpy compile` does"
+        notes = (f"the unit has no binary because {reason}: {told}",)
     return Fmu(name, folder.kind, version, token, folder.nodes, held, place, notes)
 
 
 class _NoBinaryError(Exception):
-    """Why there is no binary."""
+    """The unit cannot contain a binary; the message gives the reason."""
 
 
 def _place(name: str, version: Version, compiler: str | None) -> str:
-    """Return where the binary of this machine stands in an archive."""
+    """Return the path in the archive for the binary of this machine."""
     system, ending = _SYSTEMS.get(platform.system(), ("", ""))
     machine = _MACHINES.get(platform.machine().lower(), "")
     found = f"{machine}-{system}" if version == "3.0" else _OLD.get(f"{machine}-{system}", "")
     if compiler is None:
-        raise _NoBinaryError("none was asked for")
+        raise _NoBinaryError("none was requested")
     if shutil.which(compiler) is None:
         raise _NoBinaryError(f"there is no compiler {compiler!r} here")
     if not (system and machine and found):
@@ -218,7 +219,7 @@ def _place(name: str, version: Version, compiler: str | None) -> str:
 
 
 def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Version, compiler: str) -> bytes:
-    """Return the shared library of sources."""
+    """Compile the sources, and return the shared library."""
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)
         (place / "fmi").mkdir()
@@ -238,19 +239,19 @@ def _compile(texts: Mapping[str, str], compiled: tuple[str, ...], version: Versi
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
-            raise _NoBinaryError(f"{compiler} does not end ({error})") from None
+            raise _NoBinaryError(f"{compiler} does not finish ({error})") from None
         if done.returncode != 0:
             first = next((line for line in done.stderr.splitlines() if "error" in line), done.stderr.strip())
-            raise _NoBinaryError(f"{compiler} refuses the sources ({first})")
+            raise _NoBinaryError(f"{compiler} rejects the sources ({first})")
         if not (place / "unit").exists():
-            raise _NoBinaryError(f"{compiler} has written nothing")
+            raise _NoBinaryError(f"{compiler} has written no file")
         return (place / "unit").read_bytes()
 
 
 def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
-    """Return the function that starts the nodes, and which links there are."""
+    """Return C source of the function that starts the nodes, and of the list of links."""
     used = used_links(loop)
-    lines = [f'{MARK}: what begins the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
+    lines = [f'{MARK}: start of the nodes of a unit. Do not edit. */\n#include "fmu_data.h"\n']
     lines += [f"const bool fmu_links[] = {{{', '.join(_truth(link in used) for link in LINKS if link != 'plant')}}};"]
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
@@ -259,7 +260,7 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
 
 
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
-    """Return what tells a unit apart, the references of its variables, and the memory of its nodes."""
+    """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
         mark=MARK, token=token, stamp=digest[:16], tick=tick_length(loop).hex(),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
@@ -293,17 +294,17 @@ _DATA = """{mark}: the data of a unit. Do not edit. */
 #define FMU_MEASURED {measured}
 #define FMU_APPLIED {applied}
 
-/* references: of the first one, where there are several */
+/* value references; for an array, the reference of the first entry */
 {references}
 
 typedef struct {{
 {memory}
 }} fmu_memory;
 
-extern const bool fmu_links[]; /* whether packets go over each link */
-extern const bool fmu_lossy;   /* whether they may be lost */
+extern const bool fmu_links[]; /* whether packets are sent over each link */
+extern const bool fmu_lossy;   /* whether packets may be dropped */
 
-/* Start the nodes, and return how many there are. */
+/* Start the nodes, and return their number. */
 size_t fmu_start(fmu_memory *memory, tac_node **nodes);
 
 #endif
@@ -313,19 +314,20 @@ _PAGE = """<!DOCTYPE html>
 <head><meta charset="utf-8"><title>{name}</title></head>
 <body>
 <h1>{name}</h1>
-<p>A policy of kind {kind}: all nodes of it, which exchange packets inside the unit. A step is one tick of {tick:g}
-seconds, no other step is taken, and none begins but where the last one ended.</p>
-<p>The measurement of the time at which a step begins is set before the step; the input of the plant that answers it is
-there after the step. To act without delay it is applied from the time on at which the step began: the simulator steps
-this unit first, and the plant over the same time afterwards.</p>
+<p>This unit contains all nodes of a policy of kind {kind}, which exchange packets inside the unit. Each step must be
+one sampling period of {tick:g} seconds, and must begin at the end of the last step.</p>
+<p>Before a step, set the measurement at the time at which the step begins. After the step, read the input of the plant.
+For control without delay apply this input from the beginning of the step: step this unit first, and then the plant over
+the same time.</p>
 <table>
-<tr><th>variable</th><th>causality</th><th>what it is</th></tr>
+<tr><th>variable</th><th>causality</th><th>description</th></tr>
 {rows}
 </table>
 </body>
 </html>
 """
-_LICENSES = """The sources in this unit, and what is made of them, are those of taciturn: Apache-2.0, in apache-2.0.txt.
+_LICENSES = """The sources in this unit, and binaries made from them, are parts of taciturn.
+Their licence is Apache-2.0, in apache-2.0.txt.
 The library is compiled with the header files of FMI, which are under the 2-clause BSD licence, in fmi.txt.
-What is generated for a policy belongs to whoever designed it.
+The generated files belong to the designer of the policy.
 """

@@ -1,4 +1,4 @@
-"""One node of a policy as a header and a source of C99: its data, and the straight-line step of its program."""
+"""A node of a policy as a C99 header and source file: its data, and its step as straight-line code."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from taciturn._display import Displayed
 from taciturn._version import __version__
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
@@ -29,24 +30,24 @@ MOST = {
     "outputs": 0x7FFF,
     "clock": 0xFFFF,
     "packets": 0xFF,
-}  # of the header's types
+}  # limits of the types in the header
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _LINK = {link: f"TAC_{link.upper()}_LINK" for link in LINKS}
 _ENCODED = {"float64": "TAC_ENCODED_FLOAT64", "float32": "TAC_ENCODED_FLOAT32", "int16": "TAC_ENCODED_INT16"}
 
 
-@dataclass(frozen=True, eq=False)
-class CNode:
+@dataclass(frozen=True, eq=False, repr=False)
+class CNode(Displayed):
     """A node as C99.
 
     Args:
         role: ``"sensor"``, ``"controller"`` or ``"actuator"``.
-        name: of its type in C; that of its files, without ending.
-        header: its text.
-        source: its text.
-        operations: arithmetic and logical ones of a tick, draws included.
-        constants: numbers that it reads.
+        name: name of its C type, and of its files without extension.
+        header: text of the header.
+        source: text of the source file.
+        operations: number of arithmetic and logical operations per step, including random draws.
+        constants: number of constants.
     """
 
     role: NodeName
@@ -58,7 +59,7 @@ class CNode:
 
 
 def identifier(text: str) -> str:
-    """Return a name as an identifier of C.
+    """Return a name as a C identifier.
 
     Example:
         >>> identifier("two-mass"), identifier("3 tanks")
@@ -80,15 +81,15 @@ def print_node(
     """Return a node of a policy as C99, to be compiled with the core.
 
     Args:
-        policy: whose node it is.
-        role: which one.
-        network: which tells how payloads are rounded.
-        name: of its type.
-        precision: of its numbers.
-        seed: of its draws.
+        policy: policy that contains the node.
+        role: role of the node.
+        network: network, which defines the rounding of payloads.
+        name: name of the C type.
+        precision: precision of the numbers.
+        seed: seed of the random draws.
 
     Raises:
-        ProblemError: the nodes cannot be separated, or are larger than the core's data can say.
+        ProblemError: the nodes cannot be separated, or a node exceeds a size limit of the core.
     """
     program = lower_node(policy, place_of(policy, role), network, precision)
     layout = lay_out(policy, program)
@@ -120,7 +121,7 @@ def _numbers(program: Program) -> int:
 
 
 def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: Layout) -> None:
-    """Refuse what the small whole numbers of the core's data cannot say."""
+    """Raise an error if a size of the node exceeds the range of the core's integer types."""
     found = {
         "inputs": len(layout.inputs),
         "memory": len(program.parts[0].states),
@@ -147,7 +148,7 @@ class _Data:
     seed: int
 
     def arrays(self) -> list[str]:
-        """Return the arrays that the node's data point to."""
+        """Return the arrays to which the node's data point."""
         found, layout = list[str](), self.layout
         shapes = [
             (kind, link, encoding, entries, self._steps(found, f"{kind}_{link}", encoding))
@@ -215,7 +216,7 @@ class _Data:
         return f"static const tac_node_data data = {{\n{lines}\n}};\n\n" + _START.format(name=name)
 
     def _steps(self, found: list[str], name: str, encoding: Encoding) -> str:
-        """Return which arrays tell the steps of an encoding, and define them."""
+        """Define the arrays of the quantisation steps of an encoding, and return their names."""
         if encoding.name != "int16":
             return "NULL, NULL"
         found.append(array(REAL, f"{name}_per_unit", [self._number(LARGEST / s) for s in encoding.full_scale]))
@@ -231,7 +232,7 @@ def _truth(value: bool) -> str:
 
 
 def table(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as a table in Markdown; the first is its head."""
+    """Return rows as a Markdown table, whose header is the first row."""
     head, *rest = rows
     return "\n".join("| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rest]) + "\n"
 
@@ -247,7 +248,7 @@ _HEADER = """#ifndef {guard}
 extern "C" {{
 #endif
 
-/* What the place of {site} holds; its memory is all that it needs. */
+/* All memory of the node at the site of {site}. */
 typedef struct {{
   tac_node node;
   tac_channel channels[{channels}];
@@ -259,7 +260,7 @@ typedef struct {{
   uint16_t places[{clocks}];
 }} {name};
 
-/* Begin before the first tick, and return the node: see tac_start. */
+/* Start the node before its first step, and return it: see tac_start. */
 tac_node *{name}_start({name} *self, uint32_t epoch, uint16_t loop, tac_key key);
 
 #ifdef __cplusplus

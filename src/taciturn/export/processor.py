@@ -1,4 +1,4 @@
-"""Processor in the loop: a node on an emulated board, asked tick by tick over its serial port."""
+"""Processor in the loop: a node on an emulated board, which a host steps over the serial port."""
 
 from __future__ import annotations
 
@@ -19,21 +19,22 @@ from taciturn.export.cortex import Board, emulate
 BEGIN = 0x54  # first byte of a frame: see board/loop.c
 GONE_THROUGH, DEGRADED, HAS_INPUT = 1, 2, 4
 NO_TICK = b"\xff" * 8
-LAST = 2**64 - 1  # which is no tick
-MOST_DATAGRAMS, MOST_NUMBERS, LARGEST = 8, 255, 0xFFFF  # of a question; bytes of a datagram
-AGAIN = 0.5  # seconds after which a question is repeated
-PIECE = 1024  # bytes of a frame that are handed to the emulator at once
-SPACE = 1 << 20  # bytes of answers that may wait
+LAST = 2**64 - 1  # a number that no step has
+MOST_DATAGRAMS, MOST_NUMBERS, LARGEST = 8, 255, 0xFFFF  # datagrams and numbers of a request; bytes of a datagram
+AGAIN = 0.5  # seconds after which a request is repeated
+PIECE = 1024  # bytes of a frame that are sent to the emulator at once
+SPACE = 1 << 20  # size of the receive buffer in bytes
 
 
 class Answer(NamedTuple):
-    """What a node does in a tick.
+    """The result of a step of a node.
 
     Args:
-        gone: whether it went through the tick: false where it is not later than the last, or a measurement is missing.
-        degraded: whether something has happened that its theory does not know.
-        datagrams: that it sends, in order.
-        input: of the plant; None where the node has none.
+        gone: whether the node executed the step; false if it is not later than the last step, or if a measurement is
+            missing.
+        degraded: whether an assumption of the policy's theory was violated.
+        datagrams: datagrams that the node sends, in order.
+        input: input of the plant, or None if the node does not apply one.
     """
 
     gone: bool
@@ -43,33 +44,33 @@ class Answer(NamedTuple):
 
 
 class NodeOnBoard:
-    """A node that runs on an emulated board, until the end of a ``with`` block.
+    """A node on an emulated board, which runs until the end of a ``with`` block.
 
     Args:
         board: the board.
-        program: from ``compile_for`` with ``in_the_loop(node)``.
-        patience: seconds that it may take to begin, and each answer.
+        program: program from ``compile_for`` with ``in_the_loop(node)``.
+        patience: time limit for the start and for each answer, in seconds.
 
     Raises:
-        ProblemError: no emulator, or the program does not begin in time.
+        ProblemError: the emulator is missing, or the program does not start in time.
     """
 
     def __init__(self, board: Board, program: Path, patience: float = 30.0) -> None:
-        """Start it, and wait until it has said that it listens."""
+        """Start the emulator, and wait until the node reports that it listens."""
         self._name, self._patience = board.processor, patience
         self._bytes = bytearray()
         self._line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SPACE)
         self._line.bind(("127.0.0.1", 0))
         self._line.settimeout(AGAIN)
-        self._board: tuple[str, int] | None = None  # where it sends from: known when it has begun
+        self._board: tuple[str, int] | None = None  # address of the board, known after the first datagram
         port = self._line.getsockname()[1]
         serial = ["-serial", f"udp:127.0.0.1:{port}@127.0.0.1:0", "-semihosting-config", "enable=on,target=native"]
         try:
             command = emulate(board, program, serial)
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-                process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends this
+                process_group=0,  # Ctrl-C in a terminal must reach only this process, which ends the emulator
             )  # fmt: skip
         except ProblemError:
             self._line.close()
@@ -82,7 +83,7 @@ class NodeOnBoard:
             raise
 
     def __enter__(self) -> NodeOnBoard:
-        """Return it: it runs already."""
+        """Return the node, which already runs."""
         return self
 
     def __exit__(
@@ -92,24 +93,24 @@ class NodeOnBoard:
         self.close()
 
     def step(self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None) -> Answer:
-        """Have the node go through a tick.
+        """Let the node execute a step, and return the result.
 
         Args:
-            tick: later than the last.
-            datagrams: that have come since then, at most 8.
-            measurement: of the plant, where the node measures.
+            tick: number of the step, larger than that of the last step.
+            datagrams: at most 8 datagrams that arrived since the last step.
+            measurement: measurement of the plant, if the node measures.
 
         Raises:
-            ProblemError: what does not fit into a frame, no answer in time, or the emulator has ended.
+            ProblemError: the request does not fit into a frame, no answer arrives in time, or the emulator has ended.
         """
         numbers = [float(value) for value in (() if measurement is None else measurement)]
         if not 0 <= tick < LAST or len(datagrams) > MOST_DATAGRAMS or len(numbers) > MOST_NUMBERS:
             raise ProblemError(
-                f"tick {tick} comes with {len(datagrams)} datagrams and {len(numbers)} measurements; expected a tick "
-                f"from 0 to 2^64 - 2, at most {MOST_DATAGRAMS} datagrams and at most {MOST_NUMBERS} measurements"
+                f"step {tick} is given with {len(datagrams)} datagrams and {len(numbers)} measurements; expected a "
+                f"step from 0 to 2^64 - 2, at most {MOST_DATAGRAMS} datagrams and at most {MOST_NUMBERS} measurements"
             )
         if any(len(one) > LARGEST for one in datagrams):
-            raise ProblemError(f"a datagram has more than {LARGEST} bytes; expected those of the policy's nodes")
+            raise ProblemError(f"a datagram has more than {LARGEST} bytes; expected datagrams of the policy's nodes")
         body = struct.pack(">QB", tick, len(datagrams))
         body += b"".join(struct.pack(">H", len(one)) + one for one in datagrams)
         body += struct.pack(f">B{len(numbers)}d", len(numbers), *numbers)
@@ -117,10 +118,10 @@ class NodeOnBoard:
         return _read(self._wait(frame, body[:8]))
 
     def _wait(self, frame: bytes, tick: bytes) -> bytes:
-        """Send a frame, again and again if need be, and return the body of the answer that is of a tick."""
+        """Send a frame, repeatedly if necessary, and return the body of the answer for the given step."""
         end = time.monotonic() + self._patience
         asked = -AGAIN
-        while (found := self._next()) is None or found[:8] != tick:  # of another: a question was repeated
+        while (found := self._next()) is None or found[:8] != tick:  # of a repeated request
             now = time.monotonic()
             if self._process.poll() is not None or now > end:
                 raise ProblemError(self._sentence())
@@ -136,7 +137,7 @@ class NodeOnBoard:
         return found
 
     def _next(self) -> bytes | None:
-        """Return the body of the first whole frame among the bytes that have come; what is none is dropped."""
+        """Return the body of the first complete frame among the received bytes; invalid bytes are dropped."""
         while (first := self._bytes.find(BEGIN)) >= 0:
             del self._bytes[:first]
             if len(self._bytes) < 3:
@@ -153,13 +154,13 @@ class NodeOnBoard:
         return None
 
     def _sentence(self) -> str:
-        """Return why there is no answer."""
+        """Return the error message for a missing answer."""
         if self._process.poll() is None:
-            return f"the {self._name} has not answered for {self._patience:g} s; expected the program of a node"
+            return f"the {self._name} has not answered for {self._patience:g} s; expected a board that runs a node"
         errors = self._process.stderr
         said = "" if errors is None or errors.closed else errors.read().decode(errors="replace")
         why = " ".join(said.split()) or f"code {self._process.returncode}"
-        return f"the emulator of the {self._name} has ended ({why}); expected it to run"
+        return f"the emulator of the {self._name} has ended ({why}); expected it to keep running"
 
 
 def _end(process: subprocess.Popen[bytes], line: socket.socket) -> None:
@@ -171,7 +172,7 @@ def _end(process: subprocess.Popen[bytes], line: socket.socket) -> None:
 
 
 def _read(body: bytes) -> Answer:
-    """Return an answer as it stands in a frame."""
+    """Return the answer that the body of a frame contains."""
     flags, count = struct.unpack_from(">BB", body, 8)
     at, datagrams = 10, list[bytes]()
     for _ in range(count):

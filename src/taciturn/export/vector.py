@@ -1,4 +1,4 @@
-"""What a closed loop measured, lost, decided and applied: what exported nodes are compared with, bit for bit."""
+"""Recorded measurements, losses, decisions and inputs of a loop, for bit-exact comparison with exported nodes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -16,17 +17,17 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.draws import UNIFORM
 
 
-@dataclass(frozen=True, eq=False)
-class Vector:
-    """A run of a closed loop, tick by tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Vector(Displayed):
+    """A recorded run of a closed loop, step by step.
 
     Args:
-        links: on which packets are sent, in the order of the columns.
-        measured: y, (ticks, p).
-        drawn: uniform numbers of the policy's own draws, (ticks, draws).
-        arrived: 1 where a packet was sent and came, (ticks, links).
-        sent: 1 where a packet was sent, (ticks, links).
-        applied: u, (ticks, m).
+        links: links on which packets are sent, in the order of the columns.
+        measured: measurements y, (steps, p).
+        drawn: uniform random numbers that the policy draws, (steps, draws).
+        arrived: 1 if a packet was sent and arrived, otherwise 0, (steps, links).
+        sent: 1 if a packet was sent, otherwise 0, (steps, links).
+        applied: inputs u that the actuator applied, (steps, m).
     """
 
     links: tuple[LinkName, ...]
@@ -38,18 +39,18 @@ class Vector:
 
     @property
     def rows(self) -> Array:
-        """All of it, a row for each tick: what is given, and then what is expected."""
+        """All columns with one row per step: first the given values, then the expected ones."""
         return np.hstack([self.measured, self.drawn, self.arrived, self.sent, self.applied])
 
 
 def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> Vector:
-    """Run a loop by the parity build of its program, whose bits are those of NumPy.
+    """Run the bit-exact build of a loop's program, and return the recording.
 
     Args:
-        loop: the loop; in single precision where its nodes compute so.
-        ticks: to run.
-        seed: of noise, losses and draws.
-        drawn: the policy's own draws, (ticks, draws), instead of those of the seed.
+        loop: the loop, with the precision of its nodes.
+        ticks: number of steps.
+        seed: seed of noise, losses and draws.
+        drawn: random numbers of the policy, (steps, draws), in place of those from the seed.
 
     Raises:
         ProblemError: the loop is so unstable that it leaves the range of numbers.
@@ -80,14 +81,14 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     finite = np.isfinite(vector.rows).all(axis=1)
     if not finite.all():
         raise ProblemError(
-            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} ticks; "
+            f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} steps; "
             "expected a policy that stabilises it over this network"
         )
     return vector
 
 
 def drawn_by_the_policy(loop: Loop) -> list[int]:
-    """Return which uniform numbers of a tick are the policy's own; the rest decide on losses."""
+    """Return the indices of the uniform numbers of a step that the policy draws; the others determine losses."""
     count, own = sum(loop.network.burst(link) is not None for link in ENDS), list[int]()
     for step in loop.policy.steps:
         if isinstance(step, Draw):

@@ -1,5 +1,22 @@
 """Linear-quadratic-Gaussian control: matrices in, matrices out.
 
-``riccati`` makes gains, ``kalman`` filters, ``sampling`` turns a continuous problem into a discrete one,
-``periodic`` prices an input that is held for several steps.
+This package solves the classical part of every design, and does not depend on policies.
+
+The regulator minimises the average of x'Qx + u'Ru + 2x'Nu for x⁺ = A x + B u + w. Its gain u = L x comes from
+
+    K = Q + A'KA − (A'KB + N) (R + B'KB)⁻¹ (B'KA + N'),   L = −(R + B'KB)⁻¹ (B'KA + N').
+
+The Kalman filter is the dual problem. The cost of the loop that sends every sample is J_all = tr(KW) + tr(PΣ): the
+regulator's share, and the share of the estimation error with covariance Σ.
+
+Read the modules in this order:
+
+1. ``riccati`` and ``kalman``: gains and filters, over infinite and finite horizons. The solvers are ``_dare`` and
+   ``_care``. They choose coordinates (``_axes``), leave out states whose cost-to-go is zero (``_worth``), start with
+   the doubling algorithm (``_doubling``), and end with Newton's method and an error bound (``_newton``). A solution
+   that is not accurate to 1e-6 is rejected.
+2. ``sampling`` and ``discrete``: exact sampling of a continuous problem, with the cost of noise between samples.
+3. ``periodic`` and ``prediction``: an input that is held for several steps, or computed from a predicted state.
+4. ``lossy`` and ``_mean_square``: control over links that drop packets, and the critical loss probabilities.
+5. ``queries``, ``_flow`` and ``_interval``: the value of a measurement, and the resulting schedule of measurements.
 """

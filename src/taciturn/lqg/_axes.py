@@ -1,6 +1,6 @@
-"""Coordinates in which a quadratic problem has numbers of like size: units that are powers of two, or principal axes.
+"""Coordinates in which a quadratic problem has numbers of similar size: units that are powers of two, or main axes.
 
-Every quantity that decides something is formed there, so that the units a problem is stated in decide nothing.
+All decisions of the solvers use these coordinates, so that results do not depend on the units of a problem.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from taciturn import _arrays
 from taciturn._arrays import TINY, Array, ArrayLike, Bits, symmetrised
 from taciturn._modes import ROUNDOFF, reach
 
-CRUMB = 1e-13  # relative: a cost this much smaller than the products it is the sum of is their rounding
-VANISHING = 1e-40  # of what a cost could be
-FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which an axis is no longer told from others
+CRUMB = 1e-13  # cost relative to the products in its sum, below which it counts as their rounding
+VANISHING = 1e-40  # cost relative to its natural size, below which an iteration has driven it to zero
+FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which axes cannot be distinguished
 
 
 class Quadratic(NamedTuple):
@@ -30,10 +30,10 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def checked(cls, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Quadratic:
-        """Return the problem of matrices as they were given, read-only.
+        """Return the problem for given matrices, after a check, with read-only arrays.
 
         Raises:
-            ProblemError: data of the wrong shape, not finite, or Q or R not symmetric.
+            ProblemError: data of the wrong shape or not finite, or Q or R is not symmetric.
         """
         A = _arrays.square("A", A, "states × states")
         B = _arrays.array("B", B, (len(A), None), "states × inputs")
@@ -47,7 +47,7 @@ class Quadratic(NamedTuple):
         )
 
     def among(self, states: Bits) -> Quadratic:
-        """Return the problem of some of the states alone."""
+        """Return the problem restricted to some of the states."""
         A, B, Q, R, N = self
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
@@ -57,13 +57,13 @@ class Quadratic(NamedTuple):
         return self.A + self.B @ L, symmetrised(stage)
 
     def terms(self, L: Array) -> Array:
-        """Return the size of what is summed for the stage cost of each state, (n,)."""
+        """Return the sum of the absolute terms in the stage cost of each state, (n,)."""
         size = np.abs(L)
         pushed = 2 * np.abs(self.N.T) + np.abs(self.R) @ size
         return np.asarray(np.abs(self.Q.diagonal()) + (size * pushed).sum(axis=0), dtype=np.float64)
 
     def moved(self, K: Array, L: Array) -> Array:
-        """Return the cost of the states to which each one leads if nothing of A + BL cancels, (n,)."""
+        """Return a bound on the cost of the next state from each state, without cancellation in A + BL, (n,)."""
         size = np.abs(self.A) + np.abs(self.B) @ np.abs(L)
         return np.asarray((np.sqrt(np.maximum(K.diagonal(), 0.0)) @ size) ** 2, dtype=np.float64)
 
@@ -73,9 +73,9 @@ class Axes:
     """Coordinates x = T z of the state and u = units·v of the input.
 
     Args:
-        T: (n, n).
+        T: transformation of the state, (n, n).
         inverse: T^{-1}, (n, n).
-        units: (m,), powers of two.
+        units: units of the inputs, powers of two, (m,).
     """
 
     T: Array
@@ -83,7 +83,7 @@ class Axes:
     units: Array
 
     def problem(self, given: Quadratic) -> Quadratic:
-        """Return a problem in these coordinates; exact where T is of powers of two."""
+        """Return a problem in these coordinates; the result is exact if T contains only powers of two."""
         A, B, Q, R, N = given
         return Quadratic(
             self.inverse @ A @ self.T,
@@ -94,11 +94,11 @@ class Axes:
         )
 
     def then(self, inner: Axes) -> Axes:
-        """Return the coordinates that lie within these ones as ``inner``."""
+        """Return the composition of these coordinates with ``inner``, which are relative to them."""
         return Axes(self.T @ inner.T, inner.inverse @ self.inverse, self.units * inner.units)
 
     def sizes(self, given: Quadratic) -> tuple[Array, Array]:
-        """Return the sizes of what is summed for A and Q here: their rounding is relative to these."""
+        """Return the sums of the absolute terms of A and Q in these coordinates; rounding is relative to them."""
         T, inverse = np.abs(self.T), np.abs(self.inverse)
         return inverse @ np.abs(given.A) @ T, T.T @ np.abs(given.Q) @ T
 
@@ -107,15 +107,15 @@ class Axes:
         return L @ self.T / self.units[:, None]
 
     def gain_from(self, L: Array) -> Array:
-        """Return a gain of these coordinates in the given ones."""
+        """Return a gain in the original coordinates, from these."""
         return self.units[:, None] * (L @ self.inverse)
 
     def form_from(self, K: Array) -> Array:
-        """Return a quadratic form of these coordinates in the given ones."""
+        """Return a quadratic form in the original coordinates, from these."""
         return symmetrised(self.inverse.T @ K @ self.inverse)
 
     def price_from(self, H: Array) -> Array:
-        """Return a quadratic form of the input in the given coordinates."""
+        """Return a quadratic form of the input in its original units."""
         return H / self.units / self.units[:, None]
 
 
@@ -126,23 +126,23 @@ def units_of_reach(given: Quadratic) -> Axes:
 
 
 def units_of_weight(given: Quadratic) -> Axes:
-    """Return the units in which the weight of each state, or of the states that it moves, is about 1."""
+    """Return the units in which the weight of each state, or of the states that it affects, is about 1."""
     natural = _spread(given.A, np.maximum(given.Q.diagonal(), 0.0))
     units = _power_of_two(np.sqrt(natural))
     pushed = given.R.diagonal() + natural @ given.B**2
     return Axes(np.diag(units), np.diag(1 / units), _power_of_two(np.sqrt(np.maximum(pushed, 0.0))))
 
 
-def nothing(given: Quadratic, K: Array, L: Array) -> Array:
-    """Return for each state the cost below which it has none: rounding, or one that tends to zero by iteration, (n,).
+def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
+    """Return for each state the cost that counts as zero: rounding, or a cost that iterations drive to zero, (n,).
 
-    A state with a weight of its own has that at least. Another one is measured by the price of the inputs that move
-    it, or by the states that it moves.
+    A state with a weight in Q has at least this cost. The natural size of the cost of another state follows from the
+    weight of the inputs that affect it, or from the states that it affects.
 
     Args:
         given: the problem.
         K: the cost-to-go.
-        L: the gain; what its stage cost is summed of has a rounding, and so has the state to which it leads.
+        L: the gain, which determines the rounding of the stage cost and of the cost of the next state.
     """
     weight = np.maximum(given.Q.diagonal(), 0.0)
     rounding = np.maximum(CRUMB * given.terms(L), (4 * len(K) * ROUNDOFF) ** 2 * given.moved(K, L))
@@ -154,15 +154,15 @@ def nothing(given: Quadratic, K: Array, L: Array) -> Array:
 
 
 def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
-    """Return the units in which the costs K of a closed loop F, and the prices H of inputs, have a diagonal of 1.
+    """Return the units in which the cost K of a closed loop F, and the weight H of the inputs, have a diagonal of 1.
 
-    A loop without cost to see a state by gives it the unit of what reaches it.
+    A state without cost gets the unit of the states that affect it.
 
     Args:
-        F: (n, n) of a step; of continuous time, divided by its pace.
-        K: (n, n), semidefinite but for rounding.
-        H: (m, m), semidefinite but for rounding.
-        least: for each state the cost that is as good as none, (n,).
+        F: closed loop of a step, or in continuous time divided by its pace, (n, n).
+        K: cost-to-go, semidefinite up to rounding, (n, n).
+        H: weight of the inputs, semidefinite up to rounding, (m, m).
+        least: for each state the cost that counts as zero, (n,).
     """
     diagonal = K.diagonal()
     spread = np.sqrt(np.where(diagonal > least, diagonal, 0.0))
@@ -175,7 +175,7 @@ def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
 
 
 def principal_axes(of: Axes, K: Array) -> Axes:
-    """Return the axes of a cost K that is given in the coordinates ``of``, each in its own unit."""
+    """Return the principal axes of a cost K that is given in the coordinates ``of``, each scaled to unit cost."""
     values, vectors = np.linalg.eigh(K)
     largest = float(values[-1]) if values[-1] > TINY else 1.0
     units = _power_of_two(np.sqrt(np.maximum(values, FLAT * largest)))
@@ -183,7 +183,7 @@ def principal_axes(of: Axes, K: Array) -> Axes:
 
 
 def _spread(A: Array, weight: Array) -> Array:
-    """Return the weight of each state, where it has none that of the states that it moves."""
+    """Return the weight of each state; a state without a weight gets that of the states that it affects."""
     for _ in range(len(weight)):
         if (weight > 0).all():
             break
@@ -192,5 +192,5 @@ def _spread(A: Array, weight: Array) -> Array:
 
 
 def _power_of_two(sizes: Array) -> Array:
-    """Return 1/size as powers of two; 1 for none."""
+    """Return 1/size, rounded to powers of two; 1 for a size of 0."""
     return np.exp2(-np.round(np.log2(np.where(sizes > 0, sizes, 1.0))))

@@ -1,4 +1,4 @@
-"""The stabilising solution of the continuous Riccati equation: scipy starts, Newton's method adds the digits."""
+"""The stabilising solution of the continuous Riccati equation: by scipy, refined by Newton's method."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from taciturn.lqg._worth import Worth
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
-    """Return the solution with A + BL stable, R definite, or None where none was found."""
+    """Return the solution with A + BL stable, for definite R, or None if none was found."""
     return _FLOW.solve(Quadratic(A, B, Q, R, N))
 
 
 def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
-    """Return which states have a cost-to-go."""
+    """Return which states have a nonzero cost-to-go."""
     return _FLOW.worth(Quadratic(A, B, Q, R, N))
 
 

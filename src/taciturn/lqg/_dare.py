@@ -1,8 +1,7 @@
-"""The stabilising solution of the discrete Riccati equation: doubling starts, Newton's method adds the digits.
+"""The stabilising solution of the discrete Riccati equation: by doubling, refined by Newton's method.
 
-Serves the regulator and, by duality, the filter. H = R + B'KB may be singular (noise-free measurements): the
-gain then obeys H L = −(B'KA + N') and keeps, in the directions where H vanishes, whatever makes A + BL
-stable.
+The regulator and, by duality, the filter use it. H = R + B'KB may be singular (noise-free measurements). The gain then
+satisfies H L = −(B'KA + N'), and in the directions in which H is zero it is any gain with which A + BL is stable.
 """
 
 from __future__ import annotations
@@ -16,19 +15,19 @@ from taciturn.lqg._doubling import double
 from taciturn.lqg._newton import Answer, Solution, Time
 from taciturn.lqg._worth import Worth
 
-MARGIN = 1e-10  # a closed loop nearer to the unit circle than this is not called stable
-# Where R is singular no test on the data foretells a closed-loop eigenvalue on the circle. Rounding pulls
-# such a double eigenvalue about 1e-8 inside, so the answer must stand clear of that.
+MARGIN = 1e-10  # least distance to the unit circle of a closed loop that counts as stable
+# If R is singular, no test of the data excludes a closed-loop eigenvalue on the unit circle. Rounding moves such a
+# double eigenvalue about 1e-8 inside, so the required distance is larger than that.
 SINGULAR_MARGIN = 1e-6
-CLEAR = 1e-4  # from the unit circle: much further than rounding pulls an eigenvalue inside
-LAST = 1e-6  # of what moving a state costs: a price on the last state, by which also modes without weight are seen
+CLEAR = 1e-4  # distance from the unit circle, much larger than rounding moves an eigenvalue
+LAST = 1e-6  # small terminal weight, relative to the cost of moving a state, so that modes without weight count too
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     """Return H = R + B'KB and its inverse, or a pseudo-inverse that maps null directions to zero.
 
-    A diagonal entry counts as zero when it is rounding of the products it sums; the rest is judged with a
-    unit diagonal. So the units of the variables decide nothing.
+    A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
+    are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
     """
     H = symmetrised(R + B.T @ K @ B)
     diagonal = H.diagonal()
@@ -36,7 +35,7 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
     kept = diagonal > np.maximum(1e-14 * products, TINY)
     scale = 1 / np.sqrt(diagonal) if kept.all() else np.where(kept, 1 / np.sqrt(np.where(kept, diagonal, 1.0)), 0.0)
     values, vectors = np.linalg.eigh(H * scale * scale[:, None])
-    # With R definite every direction is real; otherwise one this small may be the error of a computed K.
+    # If R is definite, every direction counts; otherwise a small eigenvalue may be the error of a computed K.
     vectors = scale[:, None] * vectors
     inside = values > 1e-10 * len(diagonal)
     if not inside.all():
@@ -47,20 +46,20 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
-    """Return the solution with A + BL stable, or None where none was found."""
+    """Return the solution with A + BL stable, or None if none was found."""
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
 def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
-    """Return which states have a cost-to-go."""
+    """Return which states have a nonzero cost-to-go."""
     return STEPS.worth(Quadratic(A, B, Q, R, N))
 
 
 def is_clear(found: Solution) -> bool:
-    """Say whether a solution is sound and its closed loop clear of the unit circle.
+    """Return whether a solution is sound and its closed loop has a distance from the unit circle.
 
-    Then the inputs move all modes that do not decay, and the cost sees all modes on the circle, but for those that
-    neither touches.
+    Then all modes that do not decay are controllable, and all modes on the unit circle affect the cost, except modes
+    that have neither property.
     """
     return found.sound and found.slowest < 1 - CLEAR
 

@@ -1,4 +1,4 @@
-"""The discrete Riccati equation by doubling: after k turns the cost of 2^k steps, by products of n×n matrices alone."""
+"""The doubling algorithm for discrete Riccati equations: after k iterations it has the cost of 2^k steps."""
 
 from __future__ import annotations
 
@@ -7,26 +7,26 @@ import numpy as np
 from taciturn._arrays import Array, symmetrised
 
 TURNS = 40  # 2^40 steps
-SETTLED = 1e-6  # relative change of the last turn: what is left is its square, which Newton's method squares again
+SETTLED = 1e-6  # last relative change; the remaining error is its square, which Newton's method squares again
 
 
 def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array) -> Array:
-    """Return the stabilising solutions of discrete Riccati equations, of one or of a stack; not finite where none is.
+    """Return the stabilising solution of a discrete Riccati equation, or of a stack of them; not finite if none exists.
 
-    Each is the limit of the cost of ever more steps with a price X ≻ 0 on the state after them, K = X + Δ. Δ solves an
-    equation without cross weight, whose inputs have the price H = R + B'XB, definite also where R is not. From
+    The solution K = X + Δ is the limit of the cost of more and more steps with a terminal weight X ≻ 0. Δ solves an
+    equation without cross weight, with the input weight H = R + B'XB, which is definite even if R is not. From
 
         F = A + BL,  G = BH^{-1}B',  Δ = Ric(X) − X,  L = −H^{-1}(B'XA + N'),
 
-    each turn makes the same of twice as many steps: with W = I + GΔ,
+    each iteration computes the same matrices for twice as many steps: with W = I + GΔ,
 
         F ← F W^{-1} F,  G ← G + F W^{-1} G F',  Δ ← Δ + F'Δ W^{-1} F.
 
     Args:
         A, B, Q, N: the problem, (…, n, n), (…, n, m), (…, n, n), (…, n, m).
-        last: X, (…, n, n).
+        last: X, the terminal weight, (…, n, n).
         H: R + B'XB, (…, m, m).
-        inverse: of H; a pseudo-inverse leaves the directions alone that cost nothing.
+        inverse: inverse of H; with a pseudo-inverse, inputs without cost are 0.
 
     Source: anderson1978
     """
@@ -51,7 +51,7 @@ def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, invers
 
 
 def _divided(matrix: Array, right: Array) -> Array:
-    """Return M^{-1}R, of one or of a stack; of those that are singular no number, without loss to the others."""
+    """Return M^{-1}R for one matrix or a stack; NaN for singular matrices, without effect on the others."""
     try:
         return np.asarray(np.linalg.solve(matrix, right), dtype=np.float64)
     except np.linalg.LinAlgError:

@@ -1,4 +1,4 @@
-"""Riccati's map of many ticks in closed form: how a difference of two covariances fades under measurements."""
+"""The Riccati map of many steps in closed form: the decay of a difference of two covariances under measurements."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from taciturn.errors import UnstableError
 from taciturn.lqg.kalman import steady_filter
 from taciturn.model.plant import Plant
 
-ROUNDING = 1e-17  # share of a sum below which a term is lost in it
-FORGOTTEN = 1e-12  # of an error, after which what is left of it counts no more: its square is below rounding
-MOST, NUMBERS = 100_000, 20_000_000  # ticks, and what their matrices hold together
-CONDITION = 1e6  # of the matrix that is inverted: then the result has nine digits
+ROUNDING = 1e-17  # relative size of a term below which it does not change a sum
+FORGOTTEN = 1e-12  # remaining fraction of an error that is negligible, as its square is below rounding
+MOST, NUMBERS = 100_000, 20_000_000  # most steps, and most entries of all their matrices
+CONDITION = 1e6  # largest condition number of the inverted matrix, for nine accurate digits
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """The map of s ticks about the steady covariance Σ̄, s = 0, 1, ….
+    """The Riccati map of s = 0, 1, … steps, relative to the steady covariance Σ̄.
 
-    With F̄ = A − ḠC, O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)^{-1}C F̄^j, and X, Y any two covariances,
+    With F̄ = A − ḠC and O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)^{-1}C F̄^j, any two covariances X and Y satisfy
 
         Ric^s(X) − Ric^s(Y) = F̄^s (I + (X − Σ̄)O_s)^{-1} (X − Y) (I + O_s(Y − Σ̄))^{-1} F̄'^s.
 
     Args:
-        steady: Σ̄, (n, n).
-        unit: of each state, its spread, (n,).
+        steady: Σ̄, the steady covariance, (n, n).
+        unit: standard deviation of each state, (n,).
         step: F̄, (n, n).
-        powers: F̄^s, (ticks, n, n).
-        observed: O_s, (ticks + 1, n, n); the last one stands for all later ones too, unless the ticks end.
+        powers: F̄^s, (steps, n, n).
+        observed: O_s, (steps + 1, n, n); without a horizon, the last one is valid for all later steps.
 
     Source: anderson1990optimal
     """
@@ -43,15 +43,15 @@ class Flow:
     observed: Array
 
     def attracts(self, covariances: Array) -> bool:
-        """Say whether covariances (…, n, n) come near the steady one: then the closed form has its digits."""
+        """Return whether covariances (…, n, n) converge to the steady one, so that the closed form is accurate."""
         off = (covariances - self.steady) @ self.observed[-1]
         return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < CONDITION).all())
 
     def weighed(self, P: Array, discount: float) -> Array:
-        """Return α^{s+1} F̄'^s P F̄^s for every s, and what all later ones sum to, (ticks + 1, n, n).
+        """Return α^{s+1} F̄'^s P F̄^s for every s, and last the sum over all later s, (steps + 1, n, n).
 
         Args:
-            P: (n, n), or one for each tick to come, (ticks to come, n, n); then nothing follows the last.
+            P: weight, (n, n), or one for each remaining step, (remaining steps, n, n); then there is no sum at the end.
             discount: α.
         """
         powers = self.powers if P.ndim == 2 else self.powers[: len(P)]
@@ -64,21 +64,21 @@ class Flow:
         return np.concatenate([each, factors[-1:] * rest])
 
     def faded(self, covariance: Array, parts: Array, ticks: slice) -> Array:
-        """Return (I + (X − Σ̄)O_s)^{-1} parts for some s, (ticks, n, columns)."""
+        """Return (I + (X − Σ̄)O_s)^{-1} parts for a range of s, (steps, n, columns)."""
         off = np.eye(len(self.unit)) + (covariance - self.steady) @ self.observed[ticks]
         return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (len(off), *parts.shape))), dtype=np.float64)
 
 
 def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
-    """Return the map of as many ticks as matter.
+    """Return the Riccati map for all steps that are not negligible.
 
     Args:
-        plant: A, C, W and V.
-        discount: α of a later tick.
-        horizon: after which no tick matters, or None.
+        plant: plant with A, C, W and V.
+        discount: α, weight of each further step.
+        horizon: last step, or None.
 
     Returns:
-        The map, or None where V is singular, no steady filter exists, or its errors fade too slowly.
+        The map, or None if V is singular, no steady filter exists, or its errors decay too slowly.
 
     Source: anderson1990optimal
     """

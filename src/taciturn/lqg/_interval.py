@@ -1,8 +1,7 @@
-"""What a stretch of time does to a noisy linear system and its quadratic cost; two stretches compose exactly.
+"""The effect of a time interval on a noisy linear system and its quadratic cost; consecutive intervals compose exactly.
 
-All of ``Ad``, ``Bd``, the weights, the noise and its cost follow from one extended system ż = Fz + noise of
-intensity G with cost ∫ z'Mz dt, where z holds the state and whatever the actuator keeps between two
-decisions.
+``Ad``, ``Bd``, the weights, the noise and its cost all follow from one extended system ż = Fz + noise of intensity G
+with the cost ∫ z'Mz dt. The vector z contains the state and the data that the actuator stores between two decisions.
 """
 
 from __future__ import annotations
@@ -15,16 +14,15 @@ from taciturn import _arrays
 from taciturn._arrays import Array, symmetrised
 from taciturn.errors import ProblemError
 
-DECAYED = 0.5  # norm of a transition after which nothing lasts
+DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
 
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """A discrete problem that stands for a stretch of finer time.
+    """A discrete problem that is equivalent to an interval of continuous time, or of several steps.
 
-    x⁺ = Ax + Bu + w, w of covariance W; the cost of the stretch is x'Qx + u'Ru + 2x'Nu + noise_cost on
-    average. No controller changes ``noise_cost``, but costs are only comparable between stretches of
-    different length with it.
+    x⁺ = Ax + Bu + w, with w of covariance W. The mean cost of the interval is x'Qx + u'Ru + 2x'Nu + noise_cost. No
+    controller can change ``noise_cost``, but costs of intervals of different length can only be compared with it.
     """
 
     A: Array
@@ -38,7 +36,7 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Transition ``Phi``, cost weight ``M`` at its start, noise ``G`` at its end, and the cost of noise."""
+    """Transition matrix ``Phi``, weight ``M`` at the start, noise covariance ``G`` at the end, and cost of noise."""
 
     Phi: Array
     M: Array
@@ -47,7 +45,7 @@ class Interval:
 
 
 def compose(first: Interval, second: Interval) -> Interval:
-    """Return the stretch that is ``first`` followed by ``second``."""
+    """Return the interval that consists of ``first`` followed by ``second``."""
     return Interval(
         second.Phi @ first.Phi,
         symmetrised(first.M + first.Phi.T @ second.M @ first.Phi),
@@ -57,7 +55,7 @@ def compose(first: Interval, second: Interval) -> Interval:
 
 
 def repeat(once: Interval, times: int) -> Interval:
-    """Return ``times`` stretches in a row, by binary powers."""
+    """Return ``times`` intervals in a row, by binary powers."""
     result: Interval | None = None
     while True:
         if times & 1:
@@ -70,12 +68,12 @@ def repeat(once: Interval, times: int) -> Interval:
 
 
 def integrate(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
-    """Return the stretch of length ``period`` of ż = Fz + noise of intensity ``G`` with cost ∫ z'Mz dt.
+    """Return the interval of length ``period`` for ż = Fz + noise of intensity ``G`` with cost ∫ z'Mz dt.
 
-    Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt: power series over
-    h/2^k, then k doublings. Block exponentials with e^{−Fh} in one corner lose all digits when ‖Fh‖ is large;
-    doublings only add semidefinite terms. ``units``, powers of two, are those of z in which F is best scaled;
-    they are undone exactly.
+    Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt. They are computed by
+    power series over h/2^k, then by k doublings, which only add semidefinite terms. (Block exponentials with e^{−Fh} in
+    one corner are inaccurate if ‖Fh‖ is large.) ``units``, powers of two, are the units of z in which F is best scaled;
+    the scaling is exact.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         F, M, G = F / units[:, None] * units, M * units * units[:, None], G / units / units[:, None]
@@ -86,8 +84,7 @@ def integrate(F: Array, M: Array, G: Array, period: float, units: Array) -> Inte
             if all(np.isfinite(part).all() for part in (result.Phi, result.M, result.G, result.noise_cost)):
                 return _in_units(result, units)
     raise ProblemError(
-        f"period is {period:g}, over which the state grows beyond every number the computer holds "
-        f"(‖A‖·period = {size:.3g}); shorten the period"
+        f"period is {period:g}, over which the state overflows (‖A‖·period = {size:.3g}); shorten the period"
     )
 
 
@@ -108,8 +105,8 @@ def _doubled(F: Array, M: Array, G: Array, step: float, doublings: int) -> Inter
         cost = 2 * cost + float(np.sum(M * G))
         M = symmetrised(M + Phi.T @ M @ Phi)
         G = symmetrised(G + Phi @ G @ Phi.T)
-        # Squares of Φ double the relative error of a slow mode each time; those of Φ − I do not, and are as good for a
-        # fast one, whose rounding is beside the slow ones. Where all modes have decayed Φ itself carries the digits.
+        # Each squaring of Φ doubles the relative error of a slow mode; the same step for Φ − I does not, and is as
+        # accurate for a fast mode. Once all modes have decayed, Φ itself is more accurate.
         if np.linalg.norm(Phi[np.ix_(moving, moving)], 1) < DECAYED:
             Phi = Phi @ Phi
         else:
@@ -119,7 +116,7 @@ def _doubled(F: Array, M: Array, G: Array, step: float, doublings: int) -> Inter
 
 
 def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Array, float]:
-    """Return Φ − I, M_h, G_h and c over a step with ‖Fh‖ ≤ 1/2, where 24 terms reach rounding."""
+    """Return Φ − I, M_h, G_h and c over a step with ‖Fh‖ ≤ 1/2, for which 24 terms are accurate to rounding."""
     change, weight, noise, cost = np.zeros_like(F), np.zeros_like(F), np.zeros_like(F), 0.0
     power, m, g = np.eye(len(F)), M * step, G * step
     for k in range(1, 26):
@@ -133,7 +130,7 @@ def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Ar
 
 
 def split(stretch: Interval, states: int) -> Sampled:
-    """Return the stretch as a problem whose first ``states`` variables are the state, the rest the input."""
+    """Return the interval as a problem whose first ``states`` variables are the state and the others the input."""
     n = states
     return Sampled(
         A=_arrays.frozen(stretch.Phi[:n, :n]),

@@ -1,11 +1,12 @@
-"""The mean square of a loop over lossy links under one gain: what it costs, and how fast it grows.
+"""The mean square of a loop over lossy links under a given gain: its cost and its growth.
 
-The loop acts on pairs of weights (K, T), T = K + P, and is linear:
+The cost-to-go has a weight K of the state and a weight P of the estimation error. One step of the loop is a linear map
+of the pairs (K, T), T = K + P:
 
     K ← M'KM + αᾱ L'YL,   T ← A'((1−β)K + βT)A,   M = A + ᾱBL,   Y = B'((1−φ)K + φT)B.
 
-It is two Lyapunov equations, joined by the symmetric matrix Y of the size of the inputs: so sixty states are no more
-than a few Lyapunov equations of sixty, where stacked rows would be 7200 unknowns.
+These are two Lyapunov equations, coupled only by the symmetric matrix Y, whose size is the number of inputs. So a loop
+with sixty states needs only a few Lyapunov equations with sixty states, instead of one system of 7200 unknowns.
 """
 
 from __future__ import annotations
@@ -18,31 +19,31 @@ from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
 from taciturn._modes import radius, summed
 
-FEW = 6  # states for which the stacked rows, 72 unknowns, are faster
-NEAREST = 1e-12  # relative distance to where the equations are singular, from which they are not solved
+FEW = 6  # most states for which one linear system, of up to 72 unknowns, is faster
+NEAREST = 1e-12  # least relative distance to the level at which the equations are singular
 
 
 class MeanSquare:
-    """The map of pairs of weights under a gain, divided by a level in every step.
+    """The map of pairs of weights (K, T) under a gain, divided by a level in every step.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
         L: (m, n) gain.
-        losses: α of the actuator's link and β of the sensor's.
-        reach: φ, the probability that an error made now still stands at the next control; 0 with acknowledgements.
-        level: growth per step that is divided out.
+        losses: loss probabilities α of the actuator link and β of the sensor link.
+        reach: φ, the probability that an error made now still persists at the next control; 0 with acknowledgements.
+        level: growth per step by which the map is divided.
     """
 
     def __init__(
         self, A: Array, B: Array, L: Array, losses: tuple[float, float], reach: float, level: float = 1.0
     ) -> None:
-        """Keep what is given."""
+        """Store the loop."""
         self.A, self.B, self.L, self.level = A, B, L, level
         self.alpha, self.beta = losses
         self.reach = reach
-        self.moved = A + (1 - self.alpha) * (B @ L)
-        self.spread = self.alpha * (1 - self.alpha)
+        self.moved = A + (1 - self.alpha) * (B @ L)  # M: the mean of A + BL and A over the losses
+        self.spread = self.alpha * (1 - self.alpha)  # variance of the loss
 
     def at(self, level: float) -> MeanSquare:
         """Return the same loop at another level."""
@@ -50,12 +51,12 @@ class MeanSquare:
 
     @property
     def apart(self) -> float:
-        """The growth without what joins the two equations: no growth is below it."""
+        """The growth without the coupling of the two equations, a lower bound on the growth."""
         return max(radius(self.moved) ** 2, self.beta * radius(self.A) ** 2)
 
     @property
     def bounded(self) -> bool:
-        """Whether the mean square grows less than the level."""
+        """Whether the mean square grows by less than the level per step."""
         return self.apart < self.level and self.joined() < 1
 
     def growth(self) -> float:
@@ -64,8 +65,10 @@ class MeanSquare:
             if self.reach:
                 return radius(self._stacked)
             squared = len(self.A) ** 2
-            # the weights do not meet; A alone may be defective, and has all digits of its modes
+            # the map is block triangular: K and T do not affect each other's growth. The radius of A itself is more
+            # accurate than that of its Kronecker square, as A may be defective.
             return max(radius(self._stacked[:squared, :squared]), self.beta * radius(self.A) ** 2)
+        # the growth is the level at which the loop gain of Y (``joined``) is 1; it decreases with the level
         low = max(self.apart, 1e-12)
         if self.spread == 0 or self.at(low * (1 + NEAREST)).joined() <= 1:
             return self.apart
@@ -75,26 +78,27 @@ class MeanSquare:
         return _scipy.crossing(lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high)
 
     def joined(self) -> float:
-        """Return the growth of Y from one passage through both equations to the next: below 1 where they have a sum."""
+        """Return the spectral radius of the map of Y through both equations; the sums over all steps exist below 1."""
         if self.spread == 0:
             return 0.0
         return radius(self._turn) if np.isfinite(self._turn).all() else np.inf
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Return K and T for what is added to either in each step: the sum over all steps.
+        """Solve the coupled Lyapunov equations for K and T, the sums over all steps of terms added in each step.
 
         Args:
-            first: (n, n), added to K.
-            second: (n, n), added to T.
+            first: term added to K, (n, n).
+            second: term added to T, (n, n).
 
         Raises:
-            LinAlgError: the level is that of the growth itself, or so near that the sums overflow.
+            LinAlgError: the level is the growth itself, or so close to it that the sums overflow.
         """
         if len(self.A) <= FEW:
             rows = np.concatenate([first.ravel(), second.ravel()])
             found = np.linalg.solve(self.level * np.eye(len(rows)) - self._stacked, rows)
             one, two = np.split(np.asarray(found, dtype=np.float64), 2)
             return symmetrised(one.reshape(first.shape)), symmetrised(two.reshape(first.shape))
+        # solve without coupling, then for the coupling Y = Y_0 + turn·Y, then add the response to Y
         K, T = self._apart(first, second)
         if not all(np.isfinite(part).all() for part in (K, T, self._turn)):
             raise np.linalg.LinAlgError
@@ -108,7 +112,7 @@ class MeanSquare:
 
     @cached_property
     def _stacked(self) -> Array:
-        """The map on stacked rows, (2n², 2n²)."""
+        """The map as a matrix that acts on the entries of K and T, (2n², 2n²)."""
         pushed = self.B @ self.L
         spread, free = self.spread * np.kron(pushed.T, pushed.T), np.kron(self.A.T, self.A.T)
         upper = [np.kron(self.moved.T, self.moved.T) + (1 - self.reach) * spread, self.reach * spread]
@@ -116,7 +120,7 @@ class MeanSquare:
 
     @cached_property
     def _answers(self) -> list[tuple[Array, Array]]:
-        """K and T for each entry of Y, by rows of its upper half."""
+        """The response (K, T) to each entry of the upper triangle of Y, row by row."""
         found: list[tuple[Array, Array]] = []
         for i, j in zip(*np.triu_indices(len(self.L)), strict=True):
             one = np.outer(self.L[i], self.L[j])
@@ -126,7 +130,7 @@ class MeanSquare:
 
     @cached_property
     def _turn(self) -> Array:
-        """The map from Y to the Y that its K and T make."""
+        """The map from Y to the Y of its response (K, T)."""
         if self.spread == 0:
             return np.zeros((0, 0))
         upper = np.triu_indices(len(self.L))
@@ -137,7 +141,7 @@ class MeanSquare:
 
     def _apart(self, first: Array, second: Array) -> tuple[Array, Array]:
         root = np.sqrt(self.level)
-        with np.errstate(over="ignore", invalid="ignore"):  # the callers look for overflow
+        with np.errstate(over="ignore", invalid="ignore"):  # callers check for overflow
             K = summed((self.moved / root).T, symmetrised(first)) / self.level
             second = second + (1 - self.beta) * self.A.T @ K @ self.A
             T = summed((np.sqrt(self.beta) / root * self.A).T, symmetrised(second)) / self.level

@@ -1,4 +1,4 @@
-"""Newton's method for Riccati equations of either time, in coordinates that fit, and what its answer may be off by."""
+"""Newton's method for discrete and continuous Riccati equations, in suitable coordinates, with an error bound."""
 
 from __future__ import annotations
 
@@ -11,35 +11,43 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 from taciturn._arrays import TINY, Array, exceeds, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import ROUNDOFF, TOLERANCE, Modes, bound_residual, eigenvalues, radius
 from taciturn.errors import UnstableError
-from taciturn.lqg._axes import Axes, Quadratic, nothing, principal_axes, units_of, units_of_reach, units_of_weight
+from taciturn.lqg._axes import (
+    Axes,
+    Quadratic,
+    principal_axes,
+    rounding_floor,
+    units_of,
+    units_of_reach,
+    units_of_weight,
+)
 from taciturn.lqg._worth import Worth, worth_of
 
-ENOUGH = 1e-11  # relative error of ten states, above which other coordinates are tried; rounding grows as states²
-POOR = 1e-4  # relative error from which on a start that gained nothing is the last
-FAIR = 1e-8  # relative error above which other starts are tried: other coordinates gain little where one start settled
+ENOUGH = 1e-11  # relative error, for ten states, above which other coordinates are tried; rounding grows as states²
+POOR = 1e-4  # relative error below which no further start is tried after one without improvement
+FAIR = 1e-8  # relative error above which other starts are tried; below, other coordinates improve it little
 TURNS = 100
-HUGE = 1e60  # cost, where weights are about 1, of an unstable mode that no input moves
-FAST = 1e3  # growth of a mode within a step that a shorter period would mend
-RESIDUAL = 1e-9  # relative to the terms of the equation: Newton's method leaves 1e-14 where it settles
+HUGE = 1e60  # cost, for weights of about 1, that indicates an uncontrollable unstable mode
+FAST = 1e3  # growth of a mode per step from which on a shorter period is recommended
+RESIDUAL = 1e-9  # largest residual relative to the terms of the equation; after convergence it is about 1e-14
 
 
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """The stabilising solution of a Riccati equation, and what is known of its error.
+@dataclass(frozen=True, eq=False, repr=False)
+class Solution(Displayed):
+    """The stabilising solution of a Riccati equation, with a bound on its error.
 
     Args:
         K: cost-to-go, (n, n).
         L: gain, u = L x, (m, n).
-        H: price of another input, (m, m).
-        error: (n, n) with −error ⪯ K − exact ⪯ error: the equation's measured residual, and the rounding that may be
-            in it, summed along the closed loop. To first order.
-        residual: of the equation, relative to its terms, where K has a diagonal of 1.
-        unit: cost of each state; where it is rounding, that of its terms, (n,).
-        slowest: modulus of the slowest mode of the closed loop but for those that stand still; its real part in
-            continuous time.
-        still: modes of the closed loop on the edge of stability, which no input moves and the cost does not see.
+        H: weight of a deviation from the optimal input, (m, m).
+        error: (n, n) with −error ⪯ K − exact ⪯ error, to first order: the computed residual of the equation and the
+            bound on its rounding, summed along the closed loop.
+        residual: residual of the equation relative to its terms, in units in which K has a diagonal of 1.
+        unit: cost of each state, or the size of its terms if the cost is only rounding, (n,).
+        slowest: modulus of the slowest mode of the closed loop except ``still``; its real part in continuous time.
+        still: marginally stable modes of the closed loop, which no input affects and which do not affect the cost.
     """
 
     K: Array
@@ -58,15 +66,15 @@ class Solution:
 
     @property
     def doubt(self) -> float:
-        """Bound on the relative error of the cost tr(KW) of a noise that excites each state by its own unit of cost."""
+        """Bound on the relative error of tr(KW) if the noise excites each state in proportion to its unit of cost."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
     def within(self, worth: Worth, others: float) -> Solution:
-        """Return the solution of a problem with more states, the cost-to-go of which is 0.
+        """Return the solution of a problem with additional states that have no cost-to-go.
 
         Args:
-            worth: the states of this solution, and the modes of the others.
-            others: the slowest mode of the others that decay.
+            worth: the states of this solution, and the modes of the additional states.
+            others: pace of the slowest decaying mode of the additional states.
         """
         states, n = worth.states, len(worth.states)
         place = np.ix_(states, states)
@@ -77,38 +85,38 @@ class Solution:
 
     @property
     def sound(self) -> bool:
-        """Whether its residual and its error are small enough."""
+        """Whether residual and error are small enough."""
         return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
 
 
 def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) -> None:
-    """Refuse a solution whose residual or error is too large.
+    """Reject a solution whose residual or error is too large.
 
     Args:
         found: the solution.
-        what: of whom the equation is.
-        remedy: modes that would do better.
-        A: of a step; None of continuous time.
+        what: name of the problem, such as regulator or filter.
+        remedy: which modes the plant should have instead, for the message.
+        A: dynamics of a step; None in continuous time.
 
     Raises:
-        UnstableError: with what is too large, the residual or the error, and the state whose cost is least certain.
+        UnstableError: residual or error is too large; the message names the state with the least certain cost.
     """
     if found.sound:
         return
     failed: list[str] = []
     if not found.residual <= RESIDUAL:
-        failed.append(f"its residual is {found.residual:.1e} of its terms (at most {RESIDUAL:.0e})")
+        failed.append(f"its relative residual is {found.residual:.1e} (at most {RESIDUAL:.0e})")
     if not found.doubt <= TOLERANCE:
         worst = int(np.argmax(found.relative))
         failed.append(
-            f"its solution is uncertain by {found.doubt:.1e} of its size (at most {TOLERANCE:.0e}), most in state "
-            f"{worst + 1}"
+            f"its solution has a relative error of up to {found.doubt:.1e} (at most {TOLERANCE:.0e}), most of it in "
+            f"state {worst + 1}"
         )
     growth = 1.0 if A is None else radius(A)
     step = f"a shorter period, as the plant grows by {growth:.1e} within a step, or " if growth > FAST else ""
     raise UnstableError(
-        f"the Riccati equation of the {what} is too badly conditioned: {', and '.join(failed)}; units do not matter "
-        f"here: expected {step}modes {remedy}"
+        f"the Riccati equation of the {what} is too badly conditioned: {', and '.join(failed)}; expected "
+        f"{step}modes {remedy}; other units would not help"
     )
 
 
@@ -117,7 +125,7 @@ def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
 
 
 class Answer(NamedTuple):
-    """The best gain L for a cost-to-go K, the price H of another input, and its inverse where it has one."""
+    """The best gain L for a cost-to-go K, the weight H of a deviation from it, and the (pseudo-)inverse of H."""
 
     K: Array
     L: Array
@@ -126,11 +134,11 @@ class Answer(NamedTuple):
 
 
 class Time(ABC):
-    """What differs between a Riccati equation of steps and one of continuous time.
+    """The differences between a discrete-time Riccati equation and one of continuous time.
 
     Args:
-        edge: pace of a mode on the edge of stability.
-        fastest: pace of a mode that is gone at once.
+        edge: pace (modulus or real part) of a marginally stable mode.
+        fastest: pace of a mode that vanishes immediately.
     """
 
     edge: ClassVar[float]
@@ -138,7 +146,7 @@ class Time(ABC):
 
     @abstractmethod
     def rough(self, given: Quadratic) -> Array | None:
-        """Return a fast solution that needs refinement, or None where it overflows."""
+        """Return an approximate solution that needs refinement, or None if it overflows."""
 
     @abstractmethod
     def pace(self, modes: Modes) -> Array:
@@ -146,7 +154,7 @@ class Time(ABC):
 
     @abstractmethod
     def margin(self, given: Quadratic) -> float:
-        """Return how far inside the edge of stability a mode must be to decay."""
+        """Return how far inside the stability limit a mode must be to decay."""
 
     @abstractmethod
     def summed(self, F: Array, stage: Array) -> Array:
@@ -154,22 +162,22 @@ class Time(ABC):
 
     @abstractmethod
     def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
-        """Return the best gain for a cost-to-go, which keeps L where all gains are as good."""
+        """Return the best gain for a cost-to-go; in directions in which all gains are equivalent, it keeps L."""
 
     @abstractmethod
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
-        """Return by how much K misses the cost of its loop, and for each state the size of F in units of cost."""
+        """Return the residual of K as the cost of the loop F, and for each state the size of F in units of cost."""
 
     @abstractmethod
     def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
-        """Return by how much the gain misses H L = −(B'KA + N'), or in continuous time R L = −(B'K + N')."""
+        """Return the residual of the gain in H L = −(B'KA + N'), or in continuous time R L = −(B'K + N')."""
 
     @abstractmethod
     def step(self, F: Array) -> Array:
-        """Return a closed loop as that of a step, up to a factor."""
+        """Return a closed-loop matrix as that of a discrete step, up to a factor."""
 
     def solve(self, given: Quadratic) -> Solution | None:
-        """Return the best of the solutions found; None where no start stabilises or nothing settles."""
+        """Return the most accurate solution found, or None if no start stabilises or no iteration converges."""
         worth = self.worth(given)
         if worth.states.all():
             return self._solved(given)
@@ -178,7 +186,7 @@ class Time(ABC):
         return None if found is None else found.within(worth, slowest)
 
     def worth(self, given: Quadratic) -> Worth:
-        """Return which states have a cost-to-go."""
+        """Return which states have a nonzero cost-to-go."""
         return worth_of(given, lambda modes: self.pace(modes) - self.edge, self.margin(given))
 
     def slowest(self, F: Array) -> float:
@@ -200,10 +208,10 @@ class Time(ABC):
         return best
 
     def _starts(self, given: Quadratic) -> Iterator[tuple[Axes, Array, Array, Array]]:
-        """Return costs, gains and prices that may stabilise, the likeliest first, in coordinates that suit them.
+        """Yield starts (costs, gains and input weights) in suitable coordinates, the most promising first.
 
-        The problem with unit weights has a solution whenever (A, B) is stabilisable; its gain is a safe start. Where an
-        input hardly moves a mode, a gain has its digits only along the axes of the cost.
+        The problem with unit weights has a solution whenever (A, B) is stabilisable; its gain is a safe start. If an
+        input hardly affects a mode, a gain is accurate only in coordinates along the principal axes of the cost.
         """
         n, m = given.B.shape
         unit, none = (np.eye(n), np.eye(m), np.zeros((n, m))), np.zeros((m, n))
@@ -225,19 +233,19 @@ class Time(ABC):
             kinds = further
 
     def _refined(self, given: Quadratic, axes: Axes, K: Array, L: Array, H: Array) -> Iterator[Solution]:
-        """Solve from a gain: in the units of its cost, in those of the best cost, then along the axes of that.
+        """Yield solutions that start from a gain: in units of its cost, then along the principal axes of the best cost.
 
         Args:
             given: the problem.
             axes: the coordinates of the gain.
-            K: about its cost.
+            K: approximate cost of the gain.
             L: the gain.
-            H: the price of another input.
+            H: weight of a deviation from the input.
         """
         here, found = axes.problem(given), None
         for _ in range(3):
             F = here.under(L)[0]
-            inner = units_of(self.step(F), K, H, np.maximum(nothing(here, K, L), TINY))
+            inner = units_of(self.step(F), K, H, np.maximum(rounding_floor(here, K, L), TINY))
             axes, L = axes.then(inner), inner.gain(L)
             here = axes.problem(given)
             found = self._settled(here, L)
@@ -256,10 +264,10 @@ class Time(ABC):
             yield self.judged(given, turned, here, *found)
 
     def _settled(self, given: Quadratic, L: Array) -> tuple[Answer, float] | None:
-        """Iterate K = cost of the gain L, L = best answer to K, from a stabilising L; None if nothing settles.
+        """Iterate K = cost of the gain L, L = best gain for K, from a stabilising L; None if this does not converge.
 
         Returns:
-            The answer, and the slowest mode of its loop.
+            The answer, and the pace of the slowest mode of its loop.
         """
         previous, change = None, np.inf
         for _ in range(TURNS):
@@ -270,11 +278,11 @@ class Time(ABC):
             terms = given.terms(L)
             found = self.answer(given, K, L)
             off, L = found.L - L, found.L
-            # Where the terms cancel, K holds their rounding and cannot settle below it.
+            # If the terms cancel, K contains their rounding and cannot converge below it.
             size = float(np.maximum(np.abs(K.diagonal()), terms).max(initial=0.0))
             last, change = change, (np.inf if previous is None else float(np.abs(K - previous).max(initial=0.0)))
-            # The next turn saves off'·H·off in each step, here below the rounding of the step's own cost. Where a
-            # closed-loop mode tends to the edge the changes halve instead.
+            # The next iteration saves off'·H·off per step; it is done if this is below the rounding of the stage cost.
+            # If a closed-loop mode tends to the stability limit, the changes only halve in each iteration.
             done = (np.einsum("ij,ij->j", off, found.H @ off) <= ROUNDOFF * terms).all()
             stalled = change <= 1e-5 * size and change >= 0.9 * last
             if done or change <= 1e-14 * size or stalled:
@@ -289,15 +297,15 @@ class Time(ABC):
         Args:
             given: the problem as it was given.
             axes: the coordinates of the answer.
-            here: the problem in these.
+            here: the problem in these coordinates.
             found: the answer.
-            slowest: mode of its stable loop.
+            slowest: pace of the slowest mode of its loop.
         """
         (size, weight), (K, L, H, inverse) = axes.sizes(given), found
         F, stage = here.under(L)
         missed, spread = self.residual(here, F, stage, K)
         off = self.missed(here, F, found)
-        missed = missed - off.T @ inverse @ off  # what the best gain would save
+        missed = missed - off.T @ inverse @ off  # minus what the best gain would save
         root = np.sqrt(np.maximum(K.diagonal(), 0.0))
         moved = (size + np.abs(here.B) @ np.abs(L)).T @ root
         pushed = np.abs(here.N) @ np.abs(L)
@@ -306,7 +314,7 @@ class Time(ABC):
         bound = bound_residual(missed, terms, len(K) + len(H))
         largest = float(terms.max(initial=0.0))
         K, L = axes.form_from(K), axes.gain_from(L)
-        diagonal, least = K.diagonal(), nothing(given, K, L)
+        diagonal, least = K.diagonal(), rounding_floor(given, K, L)
         error = axes.form_from(self.summed(F, bound))
         error.flat[:: len(K) + 1] += 2 * np.sqrt(len(K)) * ROUNDOFF * np.maximum(diagonal, 0.0)  # the rounding of K
         return Solution(

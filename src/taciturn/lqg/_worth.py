@@ -1,7 +1,7 @@
-"""The states whose cost-to-go is exactly zero, by the zeros of a problem: a Riccati equation is solved without them.
+"""The states whose cost-to-go is exactly zero, found from zeros in the data; Riccati equations are solved without them.
 
-Registers that no noise reaches, modes that nothing drives and the cost does not see: such a state has no size of its
-own by which an error could be measured, and iterations only halve its cost towards zero.
+Examples are registers that no noise reaches, and modes that nothing drives and that do not affect the cost. The cost of
+such a state has no natural size to which an error could be relative, and iterations only halve it towards zero.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from taciturn.lqg._axes import Quadratic
 
 
 class Worth(NamedTuple):
-    """Which states cost anything, and the modes of the others.
+    """Which states have a cost-to-go, and the modes of the other states.
 
     Args:
-        states: those for which the equation must be solved, (n,).
-        decaying: modes of the others that decay.
-        still: modes of the others on the edge of stability, which no input moves: they stay in the closed loop.
-        resting: the states that have these modes, (n,).
+        states: the states with a cost-to-go, for which the equation must be solved, (n,).
+        decaying: decaying modes of the other states.
+        still: marginally stable modes of the other states; no input affects them, so that they remain in the loop.
+        resting: the states with these marginally stable modes, (n,).
     """
 
     states: Bits
@@ -35,17 +35,17 @@ class Worth(NamedTuple):
 def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) -> Worth:
     """Return the states that have a cost-to-go.
 
-    A state x has none, Kx = 0, if no input is needed for it: it costs nothing, neither itself nor by the states that it
-    moves, and the modes of all these decay, or lie on the edge of stability where no input moves them. Modes are those
-    of states that move each other in circles, so that a chain of registers has the mode 0 however long it is.
+    A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
+    weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
+    sets of states that affect each other in cycles, so that a chain of registers has the mode 0 for any length.
 
     Args:
-        given: the problem; its exact zeros tell what moves what.
-        beyond: by how much modes are beyond the edge of stability.
-        margin: how far inside it a mode must be to decay.
+        given: the problem; its exact zeros determine which state affects which.
+        beyond: returns how far modes are beyond the stability limit.
+        margin: how far inside the stability limit a decaying mode must be.
     """
     nothing = np.zeros(0, dtype=np.complex128)
-    moved = np.asarray(given.A != 0, dtype=np.bool_)  # row by column
+    moved = np.asarray(given.A != 0, dtype=np.bool_)  # entry (i, j): state j affects state i
     needed = closure((given.Q != 0).any(axis=0) | (given.N != 0).any(axis=1), moved.T)
     resting = np.zeros(len(needed), dtype=np.bool_)
     if needed.all():
@@ -74,11 +74,11 @@ def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) 
 
 
 def closure(found: Bits, leads: Bits) -> Bits:
-    """Return these states and all those to which they lead.
+    """Return these states and all states that they affect, directly or through others.
 
     Args:
         found: the states, (n,).
-        leads: to which state, by row, which one leads, by column, (n, n).
+        leads: entry (i, j) is true if state j affects state i directly, (n, n).
     """
     while not found.all():
         more = found | leads[:, found].any(axis=1)
@@ -89,7 +89,7 @@ def closure(found: Bits, leads: Bits) -> Bits:
 
 
 def _paths(leads: Bits) -> Bits:
-    """Return to which states, by column, each leads in any number of steps, itself included, (n, n)."""
+    """Return the matrix whose entry (i, j) is true if i = j or a path leads from state i to state j, (n, n)."""
     found = leads | np.eye(len(leads), dtype=np.bool_)
     while True:
         more = found.astype(np.float32) @ found.astype(np.float32) > 0

@@ -1,4 +1,4 @@
-"""The discrete-time problem that a policy sees: a discrete plant as it is, a continuous one sampled exactly."""
+"""The discrete-time problem of a policy: a discrete plant unchanged, or a continuous plant sampled exactly."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from taciturn._arrays import Array, Bits, instance, number
+from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, radius
 from taciturn.errors import ProblemError
 from taciturn.lqg import _dare
@@ -16,20 +17,21 @@ from taciturn.lqg.sampling import sample, sample_prediction
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
 
-GROWTH = 1e8  # of an unstable mode within a period: half of the digits of a double
+GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the digits of a double
 
 
-@dataclass(frozen=True, eq=False)
-class Discrete:
-    """A discrete plant and its cost per tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Discrete(Displayed):
+    """A discrete plant and its cost per step.
 
     Args:
-        plant: the plant from tick to tick.
-        Q, R, N: weights of one tick; a sampled R may be only semidefinite.
+        plant: the plant from step to step.
+        Q, R, N: weights of one step; a sampled R may be only semidefinite.
         cost: horizon, terminal weight and discount, and the weights as the user gave them.
-        tick: seconds per tick; 1 where time is counted in steps.
-        noise_cost: inter-sample noise cost per tick, which no policy can change.
-        jumps: where the noise of a tick is that of Poisson jumps; plant.W is its covariance all the same.
+        tick: seconds per step; 1 where time is counted in steps.
+        noise_cost: inter-sample noise cost per step, which no policy can change.
+        jumps: Poisson jumps as the noise of a step, or None; plant.W is the covariance of the noise in both cases.
+        sampled: whether the plant is continuous in time, so that rates are per second.
     """
 
     plant: Plant
@@ -40,43 +42,49 @@ class Discrete:
     tick: float
     noise_cost: float
     jumps: JumpNoise | None = None
+    sampled: bool = False
+
+    def short(self) -> str:
+        """Return the numbers of states, inputs and outputs of the plant, as text."""
+        return self.plant.short()
 
     @cached_property
     def moving(self) -> Bits:
-        """The states but for those on the edge of stability that neither cost nor control touches, and what these move.
+        """The states without uncontrollable marginally stable ones that do not affect the cost, (n,).
 
-        (n,). An average cost says nothing of the others, whose variance may grow without end.
+        States that the excluded ones affect are excluded too. An average cost does not depend on the excluded states,
+        and their variance may grow without bound.
         """
         A = self.plant.A
         resting = _dare.worth(A, self.plant.B, self.Q, self.R, self.N).resting
         return ~closure(resting, np.asarray(A != 0, dtype=np.bool_))
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, (n, n), but for states that do not move."""
+        """Return the modulus of the slowest mode of a closed loop, (n, n), restricted to the states ``moving``."""
         return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:
-        """Return a cost per tick in the units of the cost: inter-sample noise added, per second for sampled plants."""
+        """Return the user's cost from a cost per step: with inter-sample noise cost, per second for a sampled plant."""
         return (cost + self.noise_cost) / self.tick
 
 
 def discretise(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
 ) -> Discrete:
-    """Return the problem from tick to tick.
+    """Return the discrete-time problem of a plant and a cost.
 
     Args:
-        plant: discrete, or continuous and then sampled exactly at ``period``.
-        cost: per step, or per second.
-        period: seconds between ticks; only with a continuous plant.
-        prediction: of an actuator that runs a model between ticks; then the input is the model's state.
+        plant: a discrete plant, or a continuous plant, which is sampled exactly.
+        cost: cost per step of a discrete plant, or per second of a continuous one.
+        period: seconds between steps; only for a continuous plant.
+        prediction: model that the actuator runs between steps; the input is then the state of this model.
 
     Returns:
-        The discrete plant with the weights of one tick.
+        The discrete plant with the weights of one step.
 
     Raises:
-        ProblemError: no plant or no cost, their sizes differ, period missing, out of place or too long for an unstable
-            mode, or a clipped input that changes between ticks.
+        ProblemError: an argument is not a plant or a cost, their sizes differ, the period is missing, not allowed, or
+            too long for an unstable mode, or a clipped input changes between steps.
 
     Source: vanloan1978
     """
@@ -84,35 +92,35 @@ def discretise(
     instance("cost", cost, Cost)
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
-            f"Q is {cost.Q.shape} and R is {cost.R.shape}; expected {(plant.states, plant.states)} and "
-            f"{(plant.inputs, plant.inputs)} = the states and inputs of the plant"
+            f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
+            f"{(plant.states, plant.states)} and {(plant.inputs, plant.inputs)}, by the states and inputs of the plant"
         )
     if isinstance(plant, Plant):
         if period is not None:
             raise ProblemError(
-                f"period is {period:g} with a discrete-time plant; expected none: its ticks are its steps "
-                "(if it is continuous, give it without dt, which is plant.dt in a file)"
+                f"period is {period:g}, and the plant is discrete in time; expected no period, as the steps are the "
+                "sampling instants (define a continuous plant without dt, which is plant.dt in a file)"
             )
         return Discrete(plant, cost.Q, cost.R, cost.N, cost, 1.0, 0.0)
     if period is None:
         raise ProblemError(
-            "period is missing; expected the seconds between ticks, as the plant is continuous in time "
-            "(give plant.dt if A and B are those of a step)"
+            "period is missing; expected the sampling period in seconds, as the plant is continuous in time "
+            "(give plant.dt if A and B describe one step)"
         )
     number("period", period, 0.0)
     rate = float(eigenvalues(plant.A).real.max())
     if rate * period > np.log(GROWTH):
         raise ProblemError(
-            f"period is {period:g}, within which the plant's fastest mode grows by e^{rate * period:.4g}; expected at "
-            f"most {GROWTH:.0e}, so a period below about {np.log(GROWTH) / rate:.3g}"
+            f"period is {period:g}, within which the fastest mode of the plant grows by e^{rate * period:.4g}; "
+            f"expected at most {GROWTH:.0e}, which is a period below about {np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)
     else:
         if plant.input_limit is not None:
             raise ProblemError(
-                f"input_limit is {plant.input_limit.tolist()}, and the input changes between ticks, where nothing "
-                "exact is known of a clipped one; expected no input_limit, or a policy that holds its input"
+                f"input_limit is {plant.input_limit.tolist()}, and the input changes between steps; a clipped input "
+                "that changes has no exact discretisation; expected no input_limit, or a policy that holds its input"
             )
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics
@@ -120,4 +128,4 @@ def discretise(
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
-    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps)
+    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True)

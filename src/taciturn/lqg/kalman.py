@@ -1,4 +1,4 @@
-"""Kalman filters: steady and time-varying, in filtered form, noise-free measurements included."""
+"""Kalman filters in filtered form, steady and time-varying, also for noise-free measurements."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Modes, lost_modes, mode_text, radius, root, uncontrollable_modes
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic, nothing
-from taciturn.lqg._kept import kept
+from taciturn.lqg._axes import Quadratic, rounding_floor
+from taciturn.lqg._cache import kept
 from taciturn.lqg._newton import refuse_doubtful
 from taciturn.lqg._worth import Worth, closure
 from taciturn.model.plant import Plant
 
-CRUMB = 1e-14  # relative to the prior: a posterior variance below this is rounding
+CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts as rounding
 
 
-@dataclass(frozen=True, eq=False)
-class Filter:
-    """A steady filter: x̂ = x̂⁻ + gain (y − C x̂⁻), x̂⁻ the prediction.
+@dataclass(frozen=True, eq=False, repr=False)
+class Filter(Displayed):
+    """A steady filter x̂ = x̂⁻ + gain (y − C x̂⁻) with the prediction x̂⁻.
 
-    ``prior`` and ``posterior`` are the error covariances before and after the measurement, ``innovation`` the
-    covariance S of y − C x̂⁻. The estimate is driven by corrections of covariance gain S gain' = prior −
-    posterior. ``error`` bounds what rounding may leave in the prior: −error ⪯ prior − exact ⪯ error, to first order.
-    ``slowest`` is the modulus of the slowest mode of its error, A − A gain C, but for those of ``resting_states``,
-    whose covariance and gain are 0.
+    ``prior`` and ``posterior`` are the error covariances before and after the measurement, and ``innovation`` is the
+    covariance S of y − C x̂⁻. The corrections of the estimate have the covariance gain S gain' = prior − posterior.
+    ``error`` bounds the rounding error of the prior: −error ⪯ prior − exact ⪯ error, to first order. ``slowest`` is the
+    modulus of the slowest mode of the filter error, A − A gain C, without the modes of ``resting_states``, whose
+    covariance and gain are 0.
     """
 
     prior: Array
@@ -40,11 +41,11 @@ class Filter:
     slowest: float
 
     def among(self, unknown: Bits, worth: Worth) -> Filter:
-        """Return the filter of a plant with more states, of which noise reaches none.
+        """Return the filter of a plant with additional states that no noise reaches.
 
         Args:
             unknown: the states of this filter.
-            worth: the modes of the others.
+            worth: the modes of the additional states.
         """
         if unknown.all():
             return self
@@ -56,9 +57,9 @@ class Filter:
         return Filter(prior, posterior, gain, self.innovation, error, slowest)
 
 
-@dataclass(frozen=True, eq=False)
-class Covariances:
-    """A filter in time, k = 0 … steps.
+@dataclass(frozen=True, eq=False, repr=False)
+class Covariances(Displayed):
+    """A time-varying filter for k = 0 … steps.
 
     ``prior`` and ``posterior`` have shape (steps+1, n, n), ``gains`` (steps+1, n, p).
     """
@@ -69,24 +70,24 @@ class Covariances:
 
 
 def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
-    """Return the steady Kalman filter of x⁺ = Ax + w, y = Cx + v, stable on all that noise or measurement touches.
+    """Return the stable steady Kalman filter of x⁺ = Ax + w, y = Cx + v.
 
     Σ̃ = AΣA' + W,  S = CΣ̃C' + V,  gain = Σ̃C'S^{-1},  Σ = Σ̃ − gain S gain', with A − A gain C stable.
 
-    What the noise leaves undetermined is settled so that the observer stays stable:
+    In special cases the equations do not determine the gain. It is then chosen such that the filter is stable:
 
-    - V = 0 and C of full column rank: the state is read off, gain = C^+ (the identity for C = I), Σ = 0, Σ̃ =
-      W.
-    - W = 0 and V = 0: nothing is random, Σ = Σ̃ = 0, S = 0; the gain is the one for W = sI, V = sI, which is
+    - V = 0 and C of full column rank: the measurement determines the state, gain = C^+ (the identity for C = I),
+      Σ = 0, Σ̃ = W.
+    - W = 0 and V = 0: nothing is random, Σ = Σ̃ = 0, S = 0. The gain is the one for W = sI, V = sI, which is
       the same for every s > 0.
-    - S singular otherwise: some output is known in advance; gain S = Σ̃C' still holds, and in the free
-      directions the gain keeps the entries of such a stable observer.
+    - S is singular for another reason: some output is known in advance. Then gain S = Σ̃C' still holds, and in the free
+      directions the gain is that of a stable observer.
     - W = 0, V > 0 and A unstable: Σ = 0 also solves the equation, but only until the first disturbance. The
-      filter returned is the stabilising one, the limit of W = sI as s → 0, with Σ > 0 on the unstable modes.
-    - A mode on the unit circle that W does not reach and C sees, with V > 0: its covariance falls to zero only as 1/k
-      and the gain with it; there is no steady stable filter, and the problem is refused.
-    - States with a mode on the unit circle that W does not reach and C does not see, themselves or by the states that
-      they move: they are known as well as at the start; covariance and gain are 0.
+      returned filter is the stabilising one, the limit of W = sI as s → 0, with Σ > 0 on the unstable modes.
+    - A mode on the unit circle that is observable and that W does not reach, with V > 0: covariance and gain decrease
+      only as 1/k. There is no stable steady filter, and the problem is rejected.
+    - States with a mode on the unit circle that W does not reach and that is unobservable, directly and through other
+      states: their uncertainty stays that of the start; covariance and gain are 0.
 
     Args:
         A: (n, n) dynamics.
@@ -98,9 +99,9 @@ def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Fil
         The filter (prior Σ̃, posterior Σ, gain, innovation S).
 
     Raises:
-        ProblemError: data of the wrong shape, or W or V not semidefinite.
-        UnstableError: an unstable mode that C does not see, or a mode on the unit circle that noise reaches and C does
-            not see, or that C sees and no noise reaches.
+        ProblemError: data of the wrong shape, or W or V is not semidefinite.
+        UnstableError: an unstable mode is unobservable, or a mode on the unit circle is reached by noise and
+            unobservable, or is observable and not reached by noise.
 
     Source: anderson1990optimal
 
@@ -118,7 +119,7 @@ def predict_covariances(
     """Return the covariances and gains of the time-varying Kalman filter.
 
     Σ̃_0 = initial,  gain_k = Σ̃_kC'(CΣ̃_kC' + V)^{-1},  Σ_k = (I − gain_kC)Σ̃_k,  Σ̃_{k+1} = AΣ_kA' + W.
-    Where CΣ̃C' + V is singular the pseudo-inverse stands for the inverse.
+    If CΣ̃C' + V is singular, the pseudo-inverse replaces the inverse.
 
     Args:
         A: (n, n) dynamics.
@@ -132,8 +133,8 @@ def predict_covariances(
         Prior Σ̃_k, posterior Σ_k and gains for k = 0 … steps.
 
     Raises:
-        ProblemError: data of the wrong shape, or a covariance not semidefinite.
-        UnstableError: the covariance overflows: an unstable mode that C does not see, over too many steps.
+        ProblemError: data of the wrong shape, or a covariance is not semidefinite.
+        UnstableError: the covariance overflows, because of an unobservable unstable mode and many steps.
 
     Source: anderson1990optimal
 
@@ -156,16 +157,16 @@ def predict_covariances(
             overflown = not np.isfinite(Sigma @ Sigma).all()
         if overflown:
             raise UnstableError(
-                f"the error covariance overflows after {k + 1} steps; expected (A, C) detectable; take fewer "
-                "steps or add a sensor"
+                f"the error covariance overflows after {k + 1} steps; expected (A, C) detectable; use fewer "
+                "steps, or add a sensor"
             )
     return Covariances(_arrays.frozen(prior), _arrays.frozen(posterior), _arrays.frozen(gains))
 
 
 def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: ArrayLike) -> Array:
-    """Return the next predicted covariance: one measurement, then one step.
+    """Return the next predicted covariance after one measurement and one step.
 
-    Ric(Σ) = AΣA' + W − AΣC'(CΣC' + V)^{-1}CΣA', with the pseudo-inverse where CΣC' + V is singular.
+    Ric(Σ) = AΣA' + W − AΣC'(CΣC' + V)^{-1}CΣA', with the pseudo-inverse if CΣC' + V is singular.
 
     Args:
         A: (n, n) dynamics.
@@ -178,7 +179,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
         Ric(Σ), (n, n).
 
     Raises:
-        ProblemError: data of the wrong shape, or a covariance not semidefinite.
+        ProblemError: data of the wrong shape, or a covariance is not semidefinite.
 
     Source: khashooei2017, anderson1990optimal
 
@@ -193,48 +194,48 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return the states with a mode on the unit circle that neither noise nor measurement touches, (n,).
+    """Return the states with a mode on the unit circle that no noise reaches and that is unobservable, (n,).
 
-    An estimate of them that is right at the start stays right, another one stays wrong.
+    The estimation error of these states remains that of the start.
     """
     return _dare.worth(plant.A.T, plant.C.T, plant.W, plant.V, np.zeros((plant.states, plant.outputs))).resting
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
-    """Refuse an unknown start of states that no measurement corrects, where it costs something for ever.
+    """Reject an uncertain initial state that no measurement corrects and that causes a cost forever.
 
     Args:
-        plant: with the covariance of its start.
+        plant: the plant, with the covariance of its initial state.
         seen: the states that have a cost-to-go, (n,).
 
     Raises:
-        UnstableError: such a state.
+        UnstableError: there is such a state.
     """
     resting = resting_states(plant)
     unknown = np.flatnonzero(resting & (plant.covariance.diagonal() > 0))
     if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
         raise UnstableError(
-            f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which "
-            "neither noise nor measurement ever touches, so the estimate never learns its start, and that costs "
-            "something for ever; expected 0 there (a start that is known, initial.mean), or a measurement of it"
+            f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which no "
+            "noise and no measurement affects, so that its initial error remains and causes a cost forever; expected 0 "
+            "there (a known initial state, initial.mean), or a measurement of this state"
         )
 
 
 def forgetting(
     plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
 ) -> float:
-    """Return the ticks in which a filter, steady or along a schedule that repeats, and a regulator forget.
+    """Return the memory in steps of a filter, steady or along a repeating schedule, together with a regulator.
 
-    1/(1 − |slowest mode per tick|), but for states that rest.
+    The result is 1/(1 − |slowest mode per step|), without the modes of ``resting_states``.
 
     Args:
-        plant: A, C, W and V.
-        filtered: (n, n) each, maps of the filter's error from tick to tick, once around.
+        plant: plant with A, C, W and V.
+        filtered: maps of the filter's error from step to step over one period of the schedule, (n, n) each.
         regulated: modulus of the slowest mode of A + BL.
-        remedy: what to do about a filter that does not.
+        remedy: reason and remedy in the error message.
 
     Raises:
-        UnstableError: the filter does not forget.
+        UnstableError: the filter error does not decay.
     """
     moving = ~resting_states(plant)
     turn = np.eye(int(moving.sum()))
@@ -242,20 +243,20 @@ def forgetting(
         turn = step[np.ix_(moving, moving)] @ turn
     slowest = radius(turn) ** (1 / len(filtered))
     if slowest >= 1 - 1e-12:
-        raise UnstableError(f"the filter along the schedule does not forget its start: {remedy}")
+        raise UnstableError(f"the filter error does not decay along the schedule: {remedy}")
     return 1 / (1 - max(regulated, slowest))
 
 
 @kept
 def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
-    """Return what :func:`steady_filter` returns, of matrices that were checked."""
+    """Return the filter of :func:`steady_filter` for matrices that were already checked."""
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)
         none, slowest = np.zeros((n, n)), radius(A - A @ gain @ C)
         return _frozen(Filter(W, none, gain, C @ W @ C.T, none, slowest))
     worth = _dare.worth(A.T, C.T, W, V, np.zeros((n, p)))
-    calm = not W.any() and not V.any()  # nothing is random: the gain is that of noise everywhere
+    calm = not W.any() and not V.any()  # nothing is random: the gain is computed as for noise on all states and outputs
     unknown = ~worth.resting if calm else worth.states
     place = np.ix_(unknown, unknown)
     noise = (np.eye(int(unknown.sum())), np.eye(p)) if calm else (W[place], V)
@@ -264,16 +265,16 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
     if found is None:
         _refuse_unreached(A[place], noise[0])
         raise UnstableError(
-            "no stable steady filter was found: with this V some combination of outputs is free of noise and "
-            "leaves a mode on the unit circle, or the data are too badly conditioned; give V a small positive part"
+            "no stable steady filter was found: with this V some combination of outputs has no noise and leaves a mode "
+            "on the unit circle, or the data are too badly conditioned; give V a small positive part"
         )
     if calm:
         none = np.zeros_like(found.prior)
         found = replace(found, prior=none, posterior=none, innovation=np.zeros((p, p)), error=none)
     if not np.isfinite(found.innovation).all():
         raise ProblemError(
-            f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output is beyond every number the "
-            "computer holds; expected outputs in larger units"
+            f"C has an entry of {np.abs(C).max():.3g}, with which the variance of an output overflows; expected "
+            "outputs in larger units"
         )
     return _frozen(found.among(unknown, worth))
 
@@ -281,20 +282,20 @@ def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
 def _filter(A: Array, C: Array, W: Array, V: Array) -> Filter | None:
     """Return the filter by duality with the regulator of (A', C', W, V), or None."""
     found = _dare.solve(A.T, C.T, W, V, np.zeros(C.T.shape))
-    if found is None or not _dare.is_clear(found):  # what it is that has no solution
+    if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
         _refuse_unseen(A, C)
         if is_definite(V):
             _refuse_unreached(A, W)
     if found is None:
         return None
-    refuse_doubtful(found, "filter", "that the outputs see more clearly, or a plant without them", A)
+    refuse_doubtful(found, "filter", "that are better observable, or a plant without these modes", A)
     L = found.L
     Sigma = _without_crumbs(found.K, L, A, C, W, V)
     S, inverse = _dare.price(C.T, Sigma, V)
     gain = Sigma @ C.T @ inverse
     slowest, definite = found.slowest, is_definite(S)
     if not definite:
-        # −L' = A gain, also in the directions S leaves free; there it is A times something by construction.
+        # −L' = A gain also in the directions that S leaves free; −L' = A X there for some X, by construction.
         gain = gain + np.linalg.pinv(A) @ (-L.T - A @ gain) @ (np.eye(len(S)) - S @ inverse)
     if not definite or Sigma is not found.K:
         slowest = radius(A - A @ gain @ C)
@@ -307,7 +308,7 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
     """Return the covariance after a measurement in Joseph's form, which stays semidefinite under rounding."""
     rest = np.eye(len(Sigma)) - gain @ C
     posterior = symmetrised(rest @ Sigma @ rest.T + gain @ V @ gain.T)
-    # A noise-free output leaves exact zeros, whose rounding must not be inverted at a next step.
+    # A noise-free output leaves exact zeros, whose rounding must not be inverted in the next step.
     if is_definite(V):
         return posterior
     half = root(posterior, Sigma, CRUMB)
@@ -315,8 +316,8 @@ def _posterior(Sigma: Array, gain: Array, C: Array, V: Array) -> Array:
 
 
 def _without_crumbs(Sigma: Array, L: Array, A: Array, C: Array, W: Array, V: Array) -> Array:
-    """Return ``Sigma`` with zeros for variances that are rounding or tend to zero by iteration."""
-    kept = np.diag(Sigma) > nothing(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), Sigma, L)
+    """Return ``Sigma`` with zeros for variances that are rounding or that iterations drive to zero."""
+    kept = np.diag(Sigma) > rounding_floor(Quadratic(A.T, C.T, W, V, np.zeros(C.T.shape)), Sigma, L)
     if kept.all() and is_definite(Sigma):
         return Sigma
     half = root(Sigma * np.outer(kept, kept))
@@ -328,9 +329,9 @@ def _refuse_unseen(A: Array, C: Array) -> None:
     if unseen.size:
         on_edge = "; it lies on the unit circle and noise W reaches it" if _on_circle(unseen[:1]).all() else ""
         raise UnstableError(
-            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not see{on_edge}; expected (A, C) "
-            "detectable: every eigenvalue on or outside the unit circle must show in y; add a sensor, or take that "
-            "state out of the problem"
+            f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not observe{on_edge}; expected (A, C) "
+            "detectable: every eigenvalue on or outside the unit circle must be observable; add a sensor, or remove "
+            "that state from the problem"
         )
 
 
@@ -340,7 +341,7 @@ def _refuse_unreached(A: Array, W: Array) -> None:
     if still.size:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(still[0]))} on the unit circle, which the noise W does "
-            "not reach, so the optimal gain fades to zero and no steady filter is stable; give W a small "
+            "not reach, so the optimal gain tends to zero and no steady filter is stable; give W a small "
             "positive part"
         )
 

@@ -1,6 +1,6 @@
-"""Optimal control over links that lose packets: gains, their fixed point, and the losses that can be survived.
+"""Optimal control over links that drop packets: gains, their fixed point, and critical loss probabilities.
 
-The actuator applies zero when nothing arrives; the sensor link delivers the state or nothing.
+The actuator applies zero if no packet arrives. A packet of the sensor link contains the state.
 """
 
 from __future__ import annotations
@@ -12,28 +12,29 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, Bits, frozen, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import SCATTER, balancing, bound_residual, eigenvalues, lost_modes, mode_text, radius
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
-from taciturn.lqg._axes import Quadratic, nothing, units_of
+from taciturn.lqg._axes import Quadratic, rounding_floor, units_of
 from taciturn.lqg._mean_square import MeanSquare
 from taciturn.lqg.riccati import regulate, states_with_cost
 
 TURNS = 100
-MOST_MODES = 12  # on or outside the unit circle, for which critical losses are sought: it takes seconds
-STRICT = 1e-9  # a growth nearer to 1 than this is not called stable
-NILPOTENT = 1e-6  # a growth below this is as good as none
+MOST_MODES = 12  # most modes on or outside the unit circle for which critical losses are computed (takes seconds)
+STRICT = 1e-9  # least distance to 1 of a growth that counts as stable
+NILPOTENT = 1e-6  # a growth below this counts as none
 
 
-@dataclass(frozen=True)
-class Channel:
-    """What the gains must know of the network.
+@dataclass(frozen=True, repr=False)
+class Channel(Displayed):
+    """The properties of the network that determine the gains.
 
     Args:
-        actuator_loss: α, in [0, 1].
-        sensor_loss: β, in [0, 1].
-        acknowledged: whether the controller learns what arrived (TCP-like) or not (UDP-like).
-        delayed: whether the measurement of step k reaches the control of step k + 1 only.
+        actuator_loss: α, loss probability of the actuator link, in [0, 1].
+        sensor_loss: β, loss probability of the sensor link, in [0, 1].
+        acknowledged: whether the actuator acknowledges packets (TCP-like) or not (UDP-like).
+        delayed: whether the controller uses the measurement of step k only at step k + 1.
     """
 
     actuator_loss: float
@@ -43,21 +44,22 @@ class Channel:
 
     @property
     def exposure(self) -> float:
-        """Probability φ that an error made now still stands at the next control: β, or 1 with the delay."""
+        """Probability φ that a present estimation error persists at the next control: β, or 1 with the delay."""
         return 1.0 if self.delayed else self.sensor_loss
 
     @property
     def coupling(self) -> float:
-        """Factor αφ by which an input not known to have arrived makes an estimation error; 0 where acknowledged."""
+        """Factor αφ of the estimation error caused by an unacknowledged input; 0 with acknowledgements."""
         return 0.0 if self.acknowledged else self.actuator_loss * self.exposure
 
 
-@dataclass(frozen=True, eq=False)
-class LossyRegulator:
-    """Gains over lossy links: u = L x̂; silence costs x̂'Γx̂; an error e of the estimate costs e'Pe.
+@dataclass(frozen=True, eq=False, repr=False)
+class LossyRegulator(Displayed):
+    """Gains over lossy links: u = L x̂, the cost x̂'Γx̂ of silence, and the cost e'Pe of an estimation error e.
 
-    K, P are (n, n), L (m, n), Gamma (n, n); of a finite horizon they have one more axis in front: K, P of length N + 1,
-    L, Gamma of length N. The price of a noise, tr((K + φP)W), is right to tr(error·W); 0 of a finite horizon.
+    K and P are (n, n), L is (m, n), and Gamma is (n, n). For a finite horizon they have one more leading axis, of
+    length N + 1 for K and P, and N for L and Gamma. The cost of noise, tr((K + φP)W), has an error of at most
+    tr(error·W); ``error`` is 0 for a finite horizon.
     """
 
     K: Array
@@ -67,10 +69,10 @@ class LossyRegulator:
     error: Array
 
     def within(self, states: Bits) -> LossyRegulator:
-        """Return the gains of a plant with more states, which cost nothing.
+        """Return the gains of a plant with additional states that have no cost-to-go.
 
         Args:
-            states: those of these gains.
+            states: the states of these gains.
         """
         n, place, L = len(states), np.ix_(states, states), np.zeros((len(self.L), len(states)))
         L[:, states] = self.L
@@ -83,7 +85,7 @@ class LossyRegulator:
 def lossy_step(
     A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return (K, P, L, Γ) of one step from K and P of the next.
+    """Return K, P, L and Γ of a step, from K and P of the next step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
@@ -113,7 +115,7 @@ def regulate_lossy_finite(
         Q: (n, n) semidefinite state weight.
         R: (m, m) definite input weight.
         terminal: (n, n) semidefinite weight of the final state.
-        horizon: steps N, at least 1.
+        horizon: number of steps N, at least 1.
         channel: loss probabilities, acknowledgement and delay.
 
     Returns:
@@ -134,8 +136,8 @@ def regulate_lossy_finite(
             overflown = not np.isfinite(K[k] @ K[k] + P[k] @ P[k]).all()
         if overflown:
             raise UnstableError(
-                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: too much is "
-                "lost for this plant; expected a shorter horizon or smaller losses"
+                f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the losses "
+                "are too large for this plant; expected a shorter horizon, or smaller losses"
             )
     return LossyRegulator(*(frozen(part) for part in (K, P, L, Gamma, np.zeros((n, n)))))
 
@@ -143,8 +145,8 @@ def regulate_lossy_finite(
 def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
     """Return the gains of the infinite-horizon average over lossy links: the fixed point of :func:`lossy_step`.
 
-    Policy iteration: the cost of a stabilising gain by linear equations, then the best answer to it, which converges
-    quadratically and never leaves the stabilising gains.
+    The gains are computed by policy iteration: the cost of a stabilising gain from linear equations, then the best gain
+    for this cost. This converges quadratically, and all its gains are stabilising.
 
     Args:
         A: (n, n) dynamics.
@@ -154,10 +156,10 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
         channel: loss probabilities, acknowledgement and delay.
 
     Returns:
-        The gains; the average cost of sending always is tr((K + φP)W).
+        The gains; the average cost of sending every sample is tr((K + φP)W).
 
     Raises:
-        UnstableError: more is lost than mean-square stability allows; the message names the critical values.
+        UnstableError: the losses exceed those that mean-square stability allows; the message has the critical values.
 
     Source: khashooei2017, schenato2007
     """
@@ -170,8 +172,10 @@ def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> 
 def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
     """Return the gains of a problem whose states all have a cost-to-go."""
     A, B, Q, R, N = given
-    plain = regulate(A, B, Q, R, N)  # refuses modes that no input moves or no weight sees
-    axes = units_of(A + B @ plain.L, plain.K, plain.H, nothing(given, plain.K, plain.L))
+    plain = regulate(
+        A, B, Q, R, N
+    )  # raises an error for uncontrollable modes and for modes that do not affect the cost
+    axes = units_of(A + B @ plain.L, plain.K, plain.H, rounding_floor(given, plain.K, plain.L))
     here = axes.problem(given)
     L = axes.gain(plain.L)
     if not _loop(here.A, here.B, L, channel).bounded:
@@ -180,7 +184,7 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
     for _ in range(TURNS):
         try:
             K, P = _cost_of(here, L, channel)
-        except np.linalg.LinAlgError:  # so near to the critical losses that the cost of the gain has no digits
+        except np.linalg.LinAlgError:  # so close to the critical losses that the cost of the gain cannot be computed
             break
         gap = float(np.abs(K).max())
         following = lossy_step(here.A, here.B, here.Q, here.R, K, P, channel)
@@ -191,9 +195,9 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
             return LossyRegulator(*(frozen(part) for part in (K, P, axes.gain_from(following[2]), Gamma, error)))
         previous, L = change, following[2]
     raise UnstableError(
-        "the fixed point of the lossy Riccati recursions was not reached to rounding: the last turn changed it by "
-        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} of its size (at most 1e-13); expected losses further from "
-        "the critical ones"
+        "the lossy Riccati recursion did not converge: the last iteration had a relative change of "
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected losses further from the critical "
+        "ones"
     )
 
 
@@ -201,7 +205,7 @@ def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
     """Return a gain under which the mean square is bounded.
 
     Raises:
-        UnstableError: more is lost than mean-square stability allows.
+        UnstableError: the losses exceed those that mean-square stability allows.
     """
     rate, L = slowest_growth(A, B, channel)
     if rate >= 1 - STRICT:
@@ -212,7 +216,7 @@ def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
 def _doubt(
     here: Quadratic, K: Array, P: Array, following: tuple[Array, Array, Array, Array], channel: Channel
 ) -> Array:
-    """Return the bound on the error of K + φP: what one step changes of it, and its rounding, summed by the loop."""
+    """Return a bound on the error of K + φP: its change in one step and its rounding, summed along the loop."""
     A, B, Q, R, _ = here
     L, alpha, beta = following[2], channel.actuator_loss, channel.sensor_loss
     pushed, price = np.abs(A) + np.abs(B) @ np.abs(L), np.abs(K) + channel.exposure * np.abs(P)
@@ -229,8 +233,8 @@ def _doubt(
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
     """Return the critical actuator loss at this sensor loss, and the critical sensor loss at this actuator loss.
 
-    At or above either, no linear control keeps the mean square of an unstable plant bounded; 1 for a plant that losses
-    cannot make unstable, 0 where the other link alone is too much.
+    At or above either value, no linear control keeps the mean square of an unstable plant bounded. A value is 1 if
+    losses on the link cannot make the plant unstable, and 0 if the losses on the other link alone are too large.
 
     Source: schenato2007
     """
@@ -246,7 +250,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
-    """Say by how much the losses pass what mean-square stability allows."""
+    """Return a sentence with the losses and those that mean-square stability allows."""
     many = int((np.abs(eigenvalues(A)) >= 1 - SCATTER).sum()) > MOST_MODES
     actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
@@ -262,11 +266,12 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
 
 
 def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
-    """Return the least growth per step of the mean square that a linear gain attains, and such a gain.
+    """Return the least growth per step of the mean square over all linear gains, and a gain with this growth.
 
-    Only modes on or outside the unit circle matter. On them the growth of a gain is the spectral radius of a positive
-    linear map on pairs of weights. Policy iteration: the cost of the gain with stage costs discounted by a little more
-    than its growth, then the best answer to it, whose growth is below that; the little is made smaller and smaller.
+    Only modes on or outside the unit circle matter. For these, the growth under a gain is the spectral radius of a
+    positive linear map on pairs of weights. Policy iteration minimises it: the cost of the gain with stage costs
+    discounted by slightly more than its growth, then the best gain for this cost, whose growth is below the discount.
+    The difference between discount and growth is reduced in each iteration.
 
     Args:
         A: (n, n) dynamics.
@@ -277,12 +282,12 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
         The growth (0 for a stable plant), and the gain (m, n).
 
     Raises:
-        UnstableError: a mode on or outside the unit circle that B cannot move.
+        UnstableError: a mode on or outside the unit circle is uncontrollable.
 
     Source: schenato2007
     """
     n, m = B.shape
-    scale = balancing(A)  # the units of the states decide nothing
+    scale = balancing(A)  # the result must not depend on the units of the states
     A, B = A / scale[:, None] * scale, B / scale[:, None]
     lost = lost_modes(A, B, False)
     if lost.size:
@@ -297,7 +302,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     while rate > NILPOTENT and slack > STRICT:
         try:
             K, P = _cost_of(free, L, channel, rate * (1 + slack))
-        except np.linalg.LinAlgError:  # so near to the growth that its rounding hits it
+        except np.linalg.LinAlgError:  # the discount equals the growth up to rounding
             break
         trial = _free_gain(A_u, B_u, K, P, channel)
         found = mean_square_rate(A_u, B_u, trial, channel)  # surely below rate·(1 + slack), mostly below rate
@@ -309,7 +314,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
-    """Return the factor per step by which the mean square under a gain shrinks, without noise.
+    """Return the factor per step by which the mean square grows under a gain, without noise.
 
     Source: schenato2007
     """
@@ -326,7 +331,7 @@ def _loop(A: Array, B: Array, L: Array, channel: Channel, level: float = 1.0) ->
 
 
 def _cost_of(given: Quadratic, L: Array, channel: Channel, level: float = 1.0) -> tuple[Array, Array]:
-    """Return K and P of a gain that grows less than ``level`` per step: the sum of stage costs divided by level^k."""
+    """Return K and P of a gain with a growth below ``level``: the sum of the stage costs divided by level^k."""
     stage = given.Q + (1 - channel.actuator_loss) * L.T @ given.R @ L
     K, total = _loop(given.A, given.B, L, channel, level).solve(stage, given.Q)
     return K, total - K

@@ -1,8 +1,8 @@
-"""Control that renews its input at fixed ticks: any cycle of intervals, with the best gains and the exact cost.
+"""Control with an input that changes only at fixed steps: optimal gains and exact cost for any cycle of intervals.
 
-An interval of k ticks is one tick of a slower plant, the lifted one. A cycle of intervals is one tick of a plant that
-is slower still, whose input stacks those of all sends: one Riccati equation gives the cost-to-go at its start, and a
-step back through each interval gives the others, with the gains.
+An interval of k steps is one step of a slower plant, the lifted plant. A cycle of intervals is one step of an even
+slower plant, whose input contains the inputs of all sends. One Riccati equation gives the cost-to-go at the start of
+the cycle; one backward step per interval gives the other costs-to-go and the gains.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, symmetrised
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._dare import price
@@ -25,11 +26,10 @@ __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
 
 def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int) -> Sampled:
-    """Return the problem of ``every`` steps taken as one, the input held meanwhile.
+    """Return the problem in which ``every`` steps with a constant input are one step.
 
     A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
-    and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of noise that entered since the
-    input was set.
+    and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set.
 
     Args:
         A: (n, n) dynamics of one step.
@@ -44,7 +44,7 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
         The lifted problem; its costs are sums over k steps.
 
     Raises:
-        ProblemError: data of the wrong shape or range, or a growth over k steps beyond the range of numbers.
+        ProblemError: data of the wrong shape or range, or the state overflows within k steps.
 
     Source: astrom1997computer
 
@@ -62,21 +62,19 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
     with np.errstate(over="ignore", invalid="ignore"):
         whole = repeat(once, every)
     if not all(np.isfinite(part).all() for part in (whole.Phi, whole.M, whole.G, whole.noise_cost)):
-        raise ProblemError(
-            f"every is {every}, over which the state grows beyond every number the computer holds; hold for fewer steps"
-        )
+        raise ProblemError(f"every is {every}, over which the state overflows; hold the input for fewer steps")
     return split(whole, n)
 
 
-@dataclass(frozen=True, eq=False)
-class Pattern:
-    """Sends that come these ticks after one another, again and again.
+@dataclass(frozen=True, eq=False, repr=False)
+class Pattern(Displayed):
+    """A periodic pattern of sends with given intervals.
 
     Args:
-        intervals: from one send to the next, in ticks.
+        intervals: steps from one send to the next, over one period.
         gains: u = L x̂ at each send, held until the next, (sends, m, n).
         values: cost-to-go x̂'Kx̂ at each send, (sends, n, n).
-        cost: average per tick of what the input and the corrections of the estimate cost.
+        cost: average cost per step of the input and of the corrections of the estimate.
     """
 
     intervals: tuple[int, ...]
@@ -85,25 +83,25 @@ class Pattern:
     cost: float
 
     def unrolled(self) -> tuple[Array, Array]:
-        """Return whether each tick sends, and its gain: that of the last send."""
+        """Return for each step of a period whether it sends, and the gain in use, that of the last send."""
         places = np.zeros(sum(self.intervals), dtype=bool)
         places[np.cumsum((0, *self.intervals[:-1]))] = True
         return places, np.repeat(self.gains, self.intervals, axis=0)
 
 
 class Held:
-    """A plant whose input is held from send to send, for every number of ticks that is asked.
+    """A plant whose input is held from send to send, for any number of steps.
 
-    The estimate is filtered at every tick and obeys x̂⁺ = Ax̂ + Bu + (corrections), white and independent of the error
-    of the estimate. So the average cost per tick is tr(QΣ), of the error, plus that of ``solve``.
+    The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
+    independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
 
     Args:
-        A: (n, n) dynamics of one tick.
+        A: (n, n) dynamics of one step.
         B: (n, m) input matrix.
         Q: (n, n) symmetric state weight.
         R: (m, m) symmetric input weight.
         N: (n, m) cross weight.
-        corrections: (n, n) covariance of what a measurement adds to the estimate, Σ̃ − Σ; W where the state is measured.
+        corrections: (n, n) covariance of the correction by a measurement, Σ̃ − Σ; W if the state is measured.
 
     Source: khashooei2017, astrom1997computer, bengaid2006
 
@@ -116,19 +114,19 @@ class Held:
     def __init__(
         self, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, corrections: ArrayLike
     ) -> None:
-        """Nothing is computed before it is asked."""
+        """Store the problem of one step."""
         self._tick, self._known = (A, B, Q, R, N, corrections), dict[int, Sampled]()
 
     def lifted(self, ticks: int) -> Sampled:
-        """Return the problem of holding the input for so many ticks."""
+        """Return the problem of holding the input for a number of steps."""
         if ticks not in self._known:
             self._known[ticks] = lift(*self._tick, ticks)
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return about what cycles of as many intervals each cost, all at once; inf where nothing was found.
+        """Return approximate costs of many cycles with equal numbers of intervals, together; inf if none was found.
 
-        The costs are those of the doubling algorithm without a check of its errors: they say which cycles to solve.
+        The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
         """
         ticks = sorted({interval for cycle in listed for interval in cycle})
         parts = [self.lifted(interval) for interval in ticks]
@@ -152,8 +150,8 @@ class Held:
         """Return the optimal gains of a cycle of intervals, and its cost.
 
         Raises:
-            ProblemError: the state grows beyond the range of numbers.
-            UnstableError: the plant cannot be stabilised so.
+            ProblemError: the state overflows within an interval.
+            UnstableError: the plant cannot be stabilised with this cycle.
         """
         stretches = [self.lifted(ticks) for ticks in intervals]
         try:
@@ -162,7 +160,7 @@ class Held:
             if sum(intervals) == 1:
                 raise
             named = " and ".join(str(ticks) for ticks in intervals)
-            lost = f"holding the input for {named} steps leaves the plant beyond control"
+            lost = f"holding the input for {named} steps prevents stabilisation"
             raise UnstableError(f"{lost}: {error}") from None
         gains: list[Array] = []
         total = 0.0
@@ -175,16 +173,16 @@ class Held:
 
 
 def _at_the_start(stretches: Sequence[Sampled]) -> Array:
-    """Return K at the first send: the cycle as one problem, whose input stacks those of all its sends."""
+    """Return K at the first send, from the cycle as one problem whose input contains the inputs of all sends."""
     A, B, Q, R, N = (np.array([[getattr(stretch, name)] for stretch in stretches]) for name in "ABQRN")
     whole = [part[0] for part in _stacked(A, B, Q, R, N)]
     return regulate(*whole).K
 
 
 def _stacked(A: Array, B: Array, Q: Array, R: Array, N: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """Return cycles as one problem each: the stages come first in what is given, (sends, cycles, …)."""
+    """Return one problem for each cycle, given the problems of its intervals, (sends, cycles, …)."""
     sends, many, n, m = B.shape
-    reach = np.zeros((many, n, n + sends * m))  # the state at a send, of the first one and the inputs so far
+    reach = np.zeros((many, n, n + sends * m))  # maps the state at the first send and the inputs to the state at send k
     reach[:, :, :n] = np.eye(n)
     M = np.zeros((many, n + sends * m, n + sends * m))
     for k in range(sends):
@@ -202,14 +200,14 @@ def _stacked(A: Array, B: Array, Q: Array, R: Array, N: Array) -> tuple[Array, A
 
 
 def _roughly(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Array:
-    """Return the costs-to-go of a stack of problems by the doubling algorithm, whose errors nobody has looked at."""
+    """Return the costs-to-go of a stack of problems by the doubling algorithm, without an error check."""
     last = Q + np.trace(Q, axis1=1, axis2=2)[:, None, None] / len(Q[0]) * np.eye(len(Q[0]))
     H = symmetrised(R + B.swapaxes(1, 2) @ last @ B)
     return double(A, B, Q, N, last, H, _inverse(H))
 
 
 def _inverse(H: Array) -> Array:
-    """Return the inverses of a stack of symmetric matrices, pseudo-inverses where one is singular; NaN stays NaN."""
+    """Return the inverses of a stack of symmetric matrices; pseudo-inverses if one is singular; NaN remains NaN."""
     try:
         return np.asarray(np.linalg.inv(H), dtype=np.float64)
     except np.linalg.LinAlgError:  # an input that costs nothing
@@ -222,19 +220,19 @@ def _inverse(H: Array) -> Array:
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
-    """Return the cost-to-go and the gain at the start of a stretch, from the cost-to-go at its end."""
+    """Return the cost-to-go and the gain at the start of an interval, from the cost-to-go at its end."""
     H, inverse = price(stretch.B, K, stretch.R)
     L = -inverse @ (stretch.B.T @ K @ stretch.A + stretch.N.T)
     return symmetrised(stretch.Q + stretch.A.T @ K @ stretch.A - L.T @ H @ L), L
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Return the ways to write ``length`` as a sum of so many intervals, one of all rotations: the largest."""
+    """Yield the ways to write ``length`` as a sum of intervals; of all rotations, the lexicographically largest one."""
     return _extended((), length, sends, range(1, length + 1))
 
 
 def cycles(intervals: Sequence[int], most: int) -> Iterator[tuple[int, ...]]:
-    """Return the cycles of at most so many of these intervals, one of all rotations, none that repeats another."""
+    """Yield the cycles of at most ``most`` of these intervals, one of all rotations, without repeated cycles."""
     low, high = min(intervals), max(intervals)
     for sends in range(1, most + 1):
         for length in range(low * sends, high * sends + 1):

@@ -1,4 +1,4 @@
-"""What it costs to act on a prediction: the error of a model that runs alone, between one correction and the next."""
+"""The cost of control with a predicted state, from the prediction error between successive corrections."""
 
 from __future__ import annotations
 
@@ -7,28 +7,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, number, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import balancing
 from taciturn.errors import ProblemError
 from taciturn.lqg._interval import Interval, integrate
 from taciturn.lqg.riccati import refuse_uncertain, regulate_continuous
 
-GRID = 400  # lengths at which the shape of the growing cost is looked at
+GRID = 400  # intervals at which the cost is evaluated
 
 
-@dataclass(frozen=True, eq=False)
-class PredictionCost:
-    """The cost per second of u = L x̂, where x̂ is predicted by the model and corrected at times of any policy.
+@dataclass(frozen=True, eq=False, repr=False)
+class PredictionCost(Displayed):
+    """The cost per second of u = L x̂ if a model predicts x̂ and a policy decides when x̂ is corrected.
 
-    The error e = x − x̂ obeys ė = A e + noise and is 0 after a correction; the cost is tr(PW) + E[e'S e], S = L'RL.
-    Corrected every h seconds: J_per(h) = tr(PW) + g(h), g(h) = (1/h) tr(S ∫_0^h V(s) ds),
+    The error e = x − x̂ obeys ė = A e + noise and is 0 after a correction. The cost is tr(PW) + E[e'S e], S = L'RL.
+    With a correction every h seconds, J_per(h) = tr(PW) + g(h), where g(h) = (1/h) tr(S ∫_0^h V(s) ds) and
     V(s) = ∫_0^s e^{Ar} W e^{A'r} dr.
 
     Args:
-        A: (n, n), per second.
-        W: noise intensity, per second, (n, n); of Poisson jumps rate × covariance.
+        A: dynamics per second, (n, n).
+        W: noise intensity per second, (n, n); for Poisson jumps rate × covariance.
         L: gain, (m, n).
         S: L'RL, (n, n).
-        base: tr(PW), cost of a state that is always known, per second.
+        base: tr(PW), cost per second if the state is always known.
 
     Source: khashooei2017
     """
@@ -44,40 +45,40 @@ class PredictionCost:
         return self._over(length).Phi
 
     def spread(self, length: float) -> Array:
-        """Return V(h), the covariance of the error after so many seconds, (n, n)."""
+        """Return V(h), the covariance of the error h seconds after a correction, (n, n)."""
         return self._over(length).G
 
     def weight(self, length: float) -> Array:
-        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, what an error costs until it is looked at again, (n, n)."""
+        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of the cost of an error until the next check, (n, n)."""
         return self._over(length).M
 
     def growth(self, length: float) -> float:
-        """Return g(h): what corrections every so many seconds cost more than a state that is always known."""
+        """Return g(h), the cost of corrections every h seconds in excess of that of an always known state."""
         return self._over(length).noise_cost / length
 
     def periodic(self, length: float) -> float:
-        """Return J_per(h), the cost per second of corrections every so many seconds."""
+        """Return J_per(h), the cost per second with corrections every h seconds."""
         return self.base + self.growth(length)
 
     def slope_in_rate(self, length: float) -> float:
-        """Return −dJ_per/dr at the rate r = 1/h, h² g'(h) = tr(S(hV(h) − ∫_0^h V))."""
+        """Return −dJ_per/dr at the rate r = 1/h, which is h² g'(h) = tr(S(hV(h) − ∫_0^h V))."""
         found = self._over(length)
         return float(length * np.sum(self.S * found.G) - found.noise_cost)
 
     @property
     def initial_slope(self) -> float:
-        """g'(0+) = ½ tr(SW)."""
+        """The slope g'(0+) = ½ tr(SW)."""
         return float(np.sum(self.S * self.W)) / 2
 
     def least_ratio(self, shortest: float, longest: float) -> tuple[float, float]:
-        """Return the infimum of g(h)/h over (shortest, longest], and where it is.
+        """Return the infimum of g(h)/h over (shortest, longest], and the h at which it is attained.
 
-        It is g'(0+) at shortest = 0 where g is convex, and then always at the left end.
+        If g is convex, the infimum is at the left end; for shortest = 0 it is g'(0+).
 
         Args:
-            shortest: seconds, at least 0.
-            longest: seconds, above ``shortest``; may be infinite: a ratio that still falls after a hundred time
-                constants is taken to fall to 0, as that of a stable plant does.
+            shortest: shortest interval in seconds, at least 0.
+            longest: longest interval in seconds, above ``shortest``. Infinity is allowed: a ratio that still decreases
+                after a hundred time constants is assumed to tend to 0, as for a stable plant.
         """
         lengths = self._lengths(shortest, longest)
         found = [self._reached(h) for h in lengths]
@@ -90,11 +91,10 @@ class PredictionCost:
         return float(ratios[least]), float(lengths[least])
 
     def convex_until(self, longest: float) -> float:
-        """Return the length until which g is convex, as far as a grid shows; ``longest`` where it is throughout.
+        """Return the h up to which g is convex, as evaluated on a grid; ``longest`` if it is convex throughout.
 
-        Where the error passes every number, g grows exponentially.
-
-        h g''(h) = v'(h) − 2g'(h), where v(s) = tr(SV(s)), v'(s) = tr(S e^{As}We^{A's}) and h g' = v − g.
+        The test uses h g''(h) = v'(h) − 2g'(h), where v(s) = tr(SV(s)), v'(s) = tr(S e^{As}We^{A's}) and h g' = v − g.
+        At lengths at which the error overflows, g grows exponentially and counts as convex.
         """
         scale = self.initial_slope
         for h in self._lengths(0.0, longest):
@@ -116,7 +116,7 @@ class PredictionCost:
         return lengths + (np.geomspace(lasting, longest, GRID)[1:].tolist() if beyond else [])
 
     def _reached(self, length: float) -> Interval | None:
-        """Return what so many seconds do; None where the error passes every number that the computer holds."""
+        """Return the integrals over an interval, or None if the error overflows."""
         try:
             return self._over(length)
         except ProblemError:
@@ -129,22 +129,22 @@ class PredictionCost:
 def prediction_cost(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
 ) -> PredictionCost:
-    """Return what acting on a prediction costs, with the gain of the continuous-time regulator.
+    """Return the cost of control with a predicted state, for the gain of the continuous-time regulator.
 
     Args:
-        A: (n, n), per second.
-        B: (n, m).
+        A: (n, n) dynamics, per second.
+        B: (n, m) input matrix, per second.
         Q: (n, n) state weight, per second.
-        R: (m, m) input weight, definite.
+        R: (m, m) definite input weight, per second.
         N: (n, m) cross weight.
         W: (n, n) noise intensity, per second.
 
     Returns:
-        The cost, whose P solves the continuous Riccati equation, and L = −R^{-1}(B'P + N').
+        The cost; P is the solution of the continuous Riccati equation, and L = −R^{-1}(B'P + N').
 
     Raises:
         ProblemError: data of the wrong shape or range.
-        UnstableError: no stabilising gain.
+        UnstableError: no gain stabilises the plant.
 
     Source: khashooei2017
 

@@ -1,4 +1,4 @@
-"""When to query a sensor: the value of a measurement to the controller, and the schedule it leads to."""
+"""When to query a sensor: the value of a measurement to the controller, and the resulting schedule of queries."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, frozen, is_definite, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
@@ -17,26 +18,26 @@ from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
 
-NEGLIGIBLE = 1e-14  # share of a sum that its last term may add
+NEGLIGIBLE = 1e-14  # last term of a sum, relative to the sum
 CONVERGED = 1e-11  # relative change of a covariance from which on the map of differences is constant
-SAME = 1e-11  # relative difference of covariances that count as the same place of a cycle
-LONGEST = 100_000  # ticks within which a schedule must repeat
-WORK = 6e10  # nanoseconds, about, for one schedule
+SAME = 1e-11  # relative difference of covariances that count as equal when a cycle is sought
+LONGEST = 100_000  # steps within which a schedule must repeat
+WORK = 6e10  # longest time for one schedule, approximate nanoseconds
 VALUE, TERM, STEP = (
     6e5,
     2e3,
     1.5e5,
-)  # of them: for one value of a query, for a term of its sum, for one that is followed
-CHUNK = 64  # ticks whose matrices are at hand together
-APART = 1e-6  # distance from the unit circle that computed eigenvalues of a double one can have
+)  # nanoseconds: for one value of a query, for a term of its sum, for a term that is computed step by step
+CHUNK = 64  # steps whose matrices are computed together
+APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
 
 
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """What an estimation error costs: α^k e'P_k e at tick k.
+@dataclass(frozen=True, eq=False, repr=False)
+class Weights(Displayed):
+    """The cost of an estimation error: α^k e'P_k e at step k.
 
     Args:
-        P: (n, n), or one for each tick of a finite horizon, (N, n, n).
+        P: weight, (n, n), or one for each step of a finite horizon, (N, n, n).
         discount: α; 1 for an average or a finite horizon.
     """
 
@@ -45,19 +46,19 @@ class Weights:
 
     @property
     def horizon(self) -> int | None:
-        """Ticks, or None."""
+        """Number of steps, or None for an infinite horizon."""
         return len(self.P) if self.P.ndim == 3 else None
 
 
 class Predictor:
-    """The filter of a plant whose measurement of tick k reaches the control of tick k + 1.
+    """The filter of a plant whose measurement of step k reaches the control of step k + 1.
 
     Args:
-        plant: A, C, W and V.
+        plant: plant with A, C, W and V.
     """
 
     def __init__(self, plant: Plant) -> None:
-        """Look once at what decides how a gain is computed."""
+        """Prepare the computation of gains, which depends on whether V is definite."""
         self.plant, self._noisy = plant, is_definite(plant.V)
         self._observer = np.zeros((plant.states, plant.outputs))
         if not self._noisy:
@@ -65,14 +66,14 @@ class Predictor:
                 self._observer = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
 
     def gain(self, Sigma: Array) -> Array:
-        """Return AΣC'(CΣC' + V)^{-1}, (…, n, p), that of the prediction."""
+        """Return the gain AΣC'(CΣC' + V)^{-1} of the prediction, (…, n, p)."""
         return self.plant.A @ self.correction(Sigma)
 
     def correction(self, Sigma: Array) -> Array:
-        """Return ΣC'(CΣC' + V)^{-1}, (…, n, p), that of the filtered estimate.
+        """Return the gain ΣC'(CΣC' + V)^{-1} of the filtered estimate, (…, n, p).
 
-        Where CΣC' + V is singular, outputs are known in advance: in these directions any gain is optimal, and that of a
-        stable observer is taken, which also forgets what rounding and the start have put there.
+        If CΣC' + V is singular, some outputs are known in advance, and any gain is optimal in these directions. The
+        gain of a stable observer is used there, so that errors from rounding and from the initial state decay.
         """
         p = self.plant
         seen = p.C @ Sigma
@@ -94,9 +95,10 @@ class Predictor:
         return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W)
 
     def change(self, before: Array, after: Array) -> Array:
-        """Return by how much covariances (…, n, n) differ from another, each state measured by its own spread.
+        """Return the relative differences of covariances (…, n, n) from another one, in units of standard deviations.
 
-        A variance that is small beside the products it is the sum of is measured by these: it may be their rounding.
+        A variance that is small compared with the products in its sum may be their rounding; its difference is relative
+        to these products.
         """
         spread = np.sqrt(np.maximum(np.diag(after), 0.0))
         unit = np.maximum(spread, 1e-2 * np.abs(self.plant.A) @ spread)
@@ -107,7 +109,7 @@ class Predictor:
         """Return the next covariance.
 
         Raises:
-            UnstableError: it overflows.
+            UnstableError: the covariance overflows.
         """
         with np.errstate(over="ignore", invalid="ignore"):
             following = self.queried(Sigma, self.gain(Sigma)) if query else self.silent(Sigma)
@@ -119,23 +121,23 @@ class Predictor:
 
 
 class QueryValue:
-    """h(Σ): what a query now saves of the optimal cost-to-go if the sensor is queried at every later tick.
+    """The value h(Σ) of a query: its saving in the optimal cost-to-go if the sensor is queried at every later step.
 
-    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). Of a finite horizon, P is P_{tick+1+s} and
-    the sum ends with it. Nothing is subtracted: the first difference is G(CΣC' + V)G' with the gain G of Σ, and the
-    others follow in closed form, of which all that does not depend on Σ is computed once. Where V is singular, or the
-    steady covariance does not attract Σ, they are followed tick by tick: D_{s+1} = F(X_s) D_s F(Y_s)' with
-    F(X) = A − AXC'(CXC' + V)^{-1}C and X_s and Y_s the two covariances.
+    h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
+    step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
+    with the gain G of Σ, and the others follow in closed form, whose parts that do not depend on Σ are computed once.
+    If V is singular, or Σ does not converge to the steady covariance, they are computed step by step:
+    D_{s+1} = F(X_s) D_s F(Y_s)' with F(X) = A − AXC'(CXC' + V)^{-1}C and the two covariances X_s and Y_s.
 
     Args:
         predictor: the filter.
-        weights: of the estimation error.
+        weights: weights of the estimation error.
 
     Source: khashooei2017
     """
 
     def __init__(self, predictor: Predictor, weights: Weights) -> None:
-        """Compute what is the same for all covariances."""
+        """Compute the parts that are common to all covariances."""
         self._predictor, self._weights, self._done = predictor, weights, 0.0
         self._flow = flow(predictor.plant, weights.discount, weights.horizon)
         if self._flow is not None and weights.horizon is None:
@@ -146,10 +148,10 @@ class QueryValue:
 
         Args:
             Sigma: covariance of the predicted estimate, (n, n).
-            tick: of a finite horizon.
+            tick: step k within a finite horizon.
 
         Raises:
-            UnstableError: the sum does not converge: a difference that no later query removes.
+            UnstableError: the sum does not converge, because later queries do not remove a difference.
         """
         plant, flow = self._predictor.plant, self._flow
         gain = self._predictor.gain(Sigma)
@@ -167,20 +169,21 @@ class QueryValue:
         return total
 
     def _count(self, work: float, products: int) -> None:
-        """Add up what is done, with products of matrices, and stop where a schedule takes too long."""
+        """Add up the work, with a number of matrix products, and raise an error if a schedule takes too long."""
         states = self._predictor.plant.states
         self._done += work + products * 2 * states**3
         if self._done > WORK:
             late, expected = "has not repeated", "a horizon"
             if self._weights.horizon is not None:
-                late, expected = f"of {self._weights.horizon} ticks has not ended", "a shorter horizon"
+                late, expected = f"of {self._weights.horizon} steps has not ended", "a shorter horizon"
             raise UnstableError(
-                f"the schedule of queries {late} within about a minute of work for {states} states: errors fade too "
-                f"slowly; expected {expected}, fewer states, or noise W and V that let the filter forget sooner"
+                f"the schedule of queries {late} within about a minute of computation for {states} states: errors "
+                f"decay too slowly; expected {expected}, fewer states, or noise W and V for which the filter error "
+                "decays faster"
             )
 
     def _follow(self, both: Array, D: Array, tick: int) -> float:
-        """Return h from X, Y and X − Y on, tick by tick."""
+        """Return h, computed step by step from X, Y and D = X − Y."""
         predictor, alpha, horizon = self._predictor, self._weights.discount, self._weights.horizon
         A, C = predictor.plant.A, predictor.plant.C
         prices = self._weights.P[None] if horizon is None else self._weights.P[tick + 1 :]
@@ -198,7 +201,7 @@ class QueryValue:
             if factor * np.abs(D).max() * largest <= NEGLIGIBLE * total:
                 return total
             before, both = both, predictor.queried(both, gains)
-            if horizon is not None or s % 8 < 7:  # the test costs as much as a term
+            if horizon is not None or s % 8 < 7:  # the convergence test takes as long as a term
                 continue
             if max(float(predictor.change(*pair)) for pair in zip(before, both, strict=True)) > CONVERGED:
                 continue
@@ -206,30 +209,30 @@ class QueryValue:
                 shrinking = np.sqrt(alpha) * F
                 if radius(shrinking) < 1:
                     return total + factor * float((P * summed(shrinking, D)).sum())
-            elif alpha * radius(F) * radius(G) >= 1 - APART:  # both stay where they are, and apart
+            elif alpha * radius(F) * radius(G) >= 1 - APART:  # both covariances have converged, to different limits
                 break
         if horizon is not None:
             return total
         raise UnstableError(
-            "the value of a query is not finite: an error that no later query removes; expected a detectable plant, "
-            "noise W on every mode on the unit circle or beyond it and noise V on every output, or a discount"
+            "the value of a query is not finite, because later queries do not remove some error; expected a detectable "
+            "plant, noise W on every mode on or outside the unit circle and noise V on every output, or a discount"
         )
 
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
-    """Return the schedule that queries where h(Σ_k) > ζ, from a covariance on, until it repeats or the horizon ends.
+    """Return the schedule that queries if h(Σ_k) > ζ, from Σ_0 until it repeats or the horizon ends.
 
     Args:
-        plant: A, C, W and V.
-        weights: of the estimation error.
-        price: ζ ≥ 0.
-        initial: Σ_0, (n, n).
+        plant: plant with A, C, W and V.
+        weights: weights of the estimation error.
+        price: ζ ≥ 0, the price of a query.
+        initial: Σ_0, covariance of the initial prediction, (n, n).
 
     Returns:
-        The schedule, with the tick from which it repeats.
+        The schedule, with the step from which it repeats.
 
     Raises:
-        UnstableError: it does not repeat within 100,000 ticks, or never queries an unstable plant.
+        UnstableError: the schedule does not repeat within 100,000 steps, or never queries an unstable plant.
 
     Source: khashooei2017
     """
@@ -243,26 +246,26 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
             return _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], price, cycle[0], weights.discount)
     if horizon is None:
         raise UnstableError(
-            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} ticks; "
+            f"with zeta = {price:g} the schedule of queries does not repeat within {LONGEST} steps; "
             "expected another zeta, or a horizon"
         )
     return _schedule(plant, covariance[:-1], value, price, None, 1.0)
 
 
 def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
-    """Return the part that repeats of the schedule that measures where an output is predicted too badly.
+    """Return the repeating part of the schedule that measures if the variance of a predicted output is too large.
 
-    The sensor is queried where max_i (CΣ_kC')_ii > threshold, Σ_k the covariance of the prediction.
+    The sensor is queried if max_i (CΣ_kC')_ii > threshold, where Σ_k is the covariance of the prediction.
 
     Args:
-        plant: A, C, W and V.
-        threshold: at least 0.
+        plant: plant with A, C, W and V.
+        threshold: largest variance without a query, at least 0.
 
     Returns:
-        The schedule; its value is the largest variance.
+        The schedule; its value at each step is the largest variance of an output.
 
     Raises:
-        UnstableError: it does not repeat within 100,000 ticks, or never queries an unstable plant.
+        UnstableError: the schedule does not repeat within 100,000 steps, or never queries an unstable plant.
 
     Source: trimpe2014
     """
@@ -276,24 +279,24 @@ def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
             found = _schedule(plant, covariance[: cycle[1]], value[: cycle[1]], threshold, cycle[0], 1.0)
             return found.repeating()
     raise UnstableError(
-        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} ticks; "
+        f"with threshold = {threshold:g} the schedule of measurements does not repeat within {LONGEST} steps; "
         "expected another threshold"
     )
 
 
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
-    """Return the covariances Ric^k(Σ_0) of a sensor queried at every tick, and the tick from which they repeat.
+    """Return the covariances Ric^k(Σ_0) with a query at every step, and the step from which they repeat.
 
     Args:
-        plant: A, C, W and V.
-        initial: Σ_0, (n, n).
-        horizon: ticks; None: until the covariance has converged.
+        plant: plant with A, C, W and V.
+        initial: Σ_0, covariance of the initial prediction, (n, n).
+        horizon: number of steps; None: until the covariance has converged.
 
     Returns:
-        (ticks, n, n), and the tick from which on they repeat, or None with a horizon.
+        The covariances, (steps, n, n), and the step from which they repeat, or None with a horizon.
 
     Raises:
-        UnstableError: the covariance does not converge within 100,000 ticks.
+        UnstableError: the covariance does not converge within 100,000 steps.
 
     Source: khashooei2017
     """
@@ -305,7 +308,7 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
             return frozen(np.array(covariance[: cycle[1]])), cycle[0]
     if horizon is None:
         raise UnstableError(
-            f"the error covariance has not converged within {LONGEST} ticks; "
+            f"the error covariance has not converged within {LONGEST} steps; "
             "expected noise W on slow modes, a measurement of every mode that does not decay, or a horizon"
         )
     return frozen(np.array(covariance)), None
@@ -319,16 +322,17 @@ def _schedule(
     moving = ~resting_states(plant)
     if start is not None and not found.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
         raise UnstableError(
-            f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable: nothing "
-            "would tell where its state drifts; expected a smaller one, or noise W on the unstable modes"
+            f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable, so that the "
+            "estimation error would grow; expected a smaller value, or noise W on the unstable modes"
         )
     return found
 
 
 def _cycle(predictor: Predictor, covariance: Sequence[Array]) -> tuple[int, int] | None:
-    """Return the first tick of the cycle and the one after its last, or None while the last tick is not the mark again.
+    """Return the first step of the cycle and the step after its last one, or None if no cycle is found yet.
 
-    The marks are the ticks 0, 1, 3, 7, …: as Brent finds cycles, with one comparison per tick.
+    The last covariance is compared with that of the latest of the steps 0, 1, 3, 7, … (Brent's algorithm), so that one
+    comparison per step suffices.
     """
     last = len(covariance) - 1
     mark = (1 << last.bit_length() - 1) - 1

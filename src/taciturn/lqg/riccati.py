@@ -1,4 +1,4 @@
-"""Optimal gains: infinite and finite horizon, discounted, and in continuous time. The input is u = L x."""
+"""Optimal gains for infinite and finite horizons, with a discount, and in continuous time. The input is u = L x."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from taciturn import _arrays
 from taciturn._arrays import Array, ArrayLike, Bits, is_definite, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import (
     SCATTER,
     TOLERANCE,
@@ -22,7 +23,7 @@ from taciturn._modes import (
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
-from taciturn.lqg._kept import kept
+from taciturn.lqg._cache import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
 
 __all__ = [
@@ -38,13 +39,13 @@ __all__ = [
 ]
 
 
-@dataclass(frozen=True, eq=False)
-class Regulator:
-    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the price H of another input.
+@dataclass(frozen=True, eq=False, repr=False)
+class Regulator(Displayed):
+    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the weight H of a deviation from this input.
 
-    The cost tr(KW) of a noise is right to tr(error·W), to first order. ``slowest`` is the modulus of the slowest mode
-    of A + BL, with a discount of √α(A + BL); in continuous time its real part. Modes on the unit circle that no input
-    moves and the cost does not see do not count.
+    The cost tr(KW) of noise has an error of at most tr(error·W), to first order. ``slowest`` is the modulus of the
+    slowest mode of A + BL, with a discount that of √α(A + BL), and in continuous time its real part. Modes on the unit
+    circle that no input affects and that do not affect the cost are excluded.
     """
 
     K: Array
@@ -54,8 +55,8 @@ class Regulator:
     slowest: float
 
 
-@dataclass(frozen=True, eq=False)
-class FiniteRegulator:
+@dataclass(frozen=True, eq=False, repr=False)
+class FiniteRegulator(Displayed):
     """The gains of a finite horizon: K of shape (N+1, n, n), L of shape (N, m, n), H of shape (N, m, m)."""
 
     K: Array
@@ -67,23 +68,23 @@ def regulate(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLik
     """Return the gain that minimises the sum of x'Qx + u'Ru + 2x'Nu along x⁺ = Ax + Bu.
 
     K = Q + A'KA − L'HL,  L = −H^{-1}(B'KA + N'),  H = R + B'KB, with A + BL stable. Any other input costs
-    (u − Lx)'H(u − Lx) more. States on the unit circle that no input moves and the cost does not see, themselves or by
-    what they move, stay as they are: K and L are 0 along them.
+    (u − Lx)'H(u − Lx) more. K and L are 0 along modes on the unit circle that no input affects and that do not affect
+    the cost, neither directly nor through other states.
 
     Args:
         A: (n, n) dynamics.
         B: (n, m) input matrix.
-        Q: (n, n) symmetric state weight; [[Q, N], [N', R]] semidefinite is the caller's duty.
+        Q: (n, n) symmetric state weight; the caller must ensure that [[Q, N], [N', R]] is semidefinite.
         R: (m, m) symmetric input weight; may be singular as long as H is definite.
         N: (n, m) cross weight.
 
     Returns:
-        The regulator (K, L, H); adding noise of covariance W costs tr(KW) per step.
+        The regulator (K, L, H); noise of covariance W costs tr(KW) per step.
 
     Raises:
-        ProblemError: data of the wrong shape, or H singular.
-        UnstableError: an unstable mode that B cannot move, or a mode on the unit circle that the cost sees and B
-            cannot move, or that B moves and the cost does not see.
+        ProblemError: data of the wrong shape, or H is singular.
+        UnstableError: an unstable mode is uncontrollable, or a mode on the unit circle affects the cost and is
+            uncontrollable, or is controllable and does not affect the cost.
 
     Source: anderson1990optimal
 
@@ -100,8 +101,8 @@ def regulate_discounted(
 ) -> Regulator:
     """Return the gain that minimises Σ α^k (x'Qx + u'Ru + 2x'Nu) along x⁺ = Ax + Bu.
 
-    L = −H^{-1}(αB'KA + N'),  H = R + αB'KB,  K = Q + αA'KA − L'HL. It is the undiscounted problem of √α·A and
-    √α·B; only √α(A + BL) is certain to be stable.
+    L = −H^{-1}(αB'KA + N'),  H = R + αB'KB,  K = Q + αA'KA − L'HL. This is the undiscounted problem of √α·A and
+    √α·B. Only √α(A + BL) is guaranteed to be stable.
 
     Args:
         A: (n, n) dynamics.
@@ -115,9 +116,8 @@ def regulate_discounted(
         The regulator (K, L, H).
 
     Raises:
-        ProblemError: data of the wrong shape or range, or H singular.
-        UnstableError: a mode with √α·|λ| ≥ 1 that B cannot move, or one with √α·|λ| = 1 that the cost does
-            not see.
+        ProblemError: data of the wrong shape or range, or H is singular.
+        UnstableError: a mode with √α·|λ| ≥ 1 is uncontrollable, or a mode with √α·|λ| = 1 does not affect the cost.
 
     Source: khashooei2017
 
@@ -154,8 +154,8 @@ def regulate_finite(
         K (N+1, n, n), L (N, m, n), H (N, m, m), indexed by time.
 
     Raises:
-        ProblemError: data of the wrong shape, or some H_k singular.
-        UnstableError: the cost overflows: an unstable mode that B cannot move, over too long a horizon.
+        ProblemError: data of the wrong shape, or an H_k is singular.
+        UnstableError: the cost overflows, because of an uncontrollable unstable mode and a long horizon.
 
     Source: anderson1990optimal
 
@@ -176,14 +176,14 @@ def regulate_finite(
         if not (np.isfinite(H[k]).all() and np.isfinite(cross).all()):
             raise UnstableError(
                 f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}; A "
-                f"has the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; shorten the horizon or let B "
-                "reach that mode"
+                f"has the eigenvalue {mode_text(complex(eigenvalues(A)[0]))}; shorten the horizon, or let an input "
+                "affect that mode"
             )
         if not is_definite(H[k]):
             raise _singular(H[k], f" at step {k}")
         L[k] = -np.linalg.solve(H[k], cross)
         closed = A + B @ L[k]
-        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is met, and named, in the next turn
+        with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
             K[k] = symmetrised(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
     if not np.isfinite(K[0]).all():
         raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
@@ -193,8 +193,8 @@ def regulate_finite(
 def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Regulator:
     """Return the gain that minimises ∫ x'Qx + u'Ru + 2x'Nu dt along ẋ = Ax + Bu.
 
-    0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R. States on the imaginary axis that no
-    input moves and the cost does not see stay as they are, as with :func:`regulate`.
+    0 = A'K + KA + Q − L'RL,  L = −R^{-1}(B'K + N'), with A + BL stable; H = R. K and L are 0 along modes on the
+    imaginary axis that no input affects and that do not affect the cost, as in :func:`regulate`.
 
     Args:
         A: (n, n) dynamics, per unit of time.
@@ -208,8 +208,8 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
 
     Raises:
         ProblemError: data of the wrong shape, or R not positive definite.
-        UnstableError: an unstable mode that B cannot move, or a mode on the imaginary axis that the cost sees and B
-            cannot move, or that B moves and the cost does not see.
+        UnstableError: an unstable mode is uncontrollable, or a mode on the imaginary axis affects the cost and is
+            uncontrollable, or is controllable and does not affect the cost.
 
     Source: anderson1990optimal
 
@@ -232,36 +232,36 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
-    """Return which states have a cost-to-go, (n,); the others and what they move cost nothing, and need no input."""
+    """Return which states have a cost-to-go, (n,); the other states affect no cost and need no input."""
     return _dare.worth(A, B, Q, R, N).states
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
-    """Refuse a cost of sending always that rounding makes uncertain.
+    """Reject a cost of sending every sample that is uncertain because of rounding.
 
     Args:
-        cost: J_all.
-        doubt: bound on its error.
+        cost: J_all, the cost of sending every sample.
+        doubt: bound on the error of this cost.
 
     Raises:
         UnstableError: the error may be larger than 1e-6 of the cost.
     """
     if not doubt <= TOLERANCE * abs(cost):
         raise UnstableError(
-            f"the cost of sending always is {cost:.6g} and uncertain by {doubt:.1e} (at most {TOLERANCE:.0e} of it): "
-            "modes that hardly any noise excites cost so much more than those it does that their rounding covers the "
-            "cost; expected noise W on them, or a plant without them"
+            f"the cost of sending every sample is {cost:.6g} and uncertain by {doubt:.1e}; expected at most "
+            f"{TOLERANCE:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its rounding "
+            "error dominates; give these modes noise W, or remove them from the plant"
         )
 
 
 @kept
 def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
-    """Return what :func:`regulate` returns, of matrices that were checked.
+    """Return the regulator of :func:`regulate` for matrices that were already checked.
 
-    A and B are already multiplied by ``unit`` = √α, which is taken out of the modes that a refusal names.
+    A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """
     found = _dare.solve(A, B, Q, R, N)
-    if found is None or not _dare.is_clear(found):  # what it is that has no solution
+    if found is None or not _dare.is_clear(found):  # find the reason why there is no reliable solution
         seen = Quadratic(A, B, Q, R, N).among(_dare.worth(A, B, Q, R, N).states)
         lost = lost_modes(seen.A, seen.B, False)
         _refuse_unmoved(lost / unit, _disc(unit), np.abs(np.abs(lost) - 1) <= SCATTER, _disc(unit))
@@ -276,19 +276,19 @@ def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: flo
 
 
 def _checked_solution(found: Solution | None, A: Array | None) -> Solution:
-    """Return a solution; of steps x⁺ = Ax, whose growth may be the reason why there is none."""
+    """Return a sound solution, or raise an error; A, if given, shows whether growth per step is the reason."""
     if found is None:
         raise UnstableError(
-            "the Riccati equation of the regulator has no solution that stabilises clear of rounding: from no gain "
-            "Newton's method settles; expected unstable modes that the inputs move more strongly, or a weight in Q and "
-            "R on every state and input"
+            "the Riccati equation of the regulator has no stabilising solution that rounding leaves reliable: Newton's "
+            "method does not converge from any start; expected unstable modes that the inputs affect more strongly, or "
+            "a weight in Q and R on every state and input"
         )
-    refuse_doubtful(found, "regulator", "that the inputs move more strongly, or a plant without them", A)
+    refuse_doubtful(found, "regulator", "that the inputs affect more strongly, or a plant without these modes", A)
     return found
 
 
 def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
-    """Return the modes that cost nothing once the input is −R^{-1}N'x plus a free part, for R definite."""
+    """Return the modes that do not affect the cost under the input −R^{-1}N'x plus a free part, for definite R."""
     share = np.linalg.solve(R, N.T)
     weight = Q - N @ share
     weight = np.where(np.abs(weight) > 1e-13 * (np.abs(Q) + np.abs(N) @ np.abs(share)), weight, 0.0)
@@ -296,27 +296,27 @@ def _unseen_modes(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Modes:
 
 
 def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None:
-    """Refuse modes that no input moves, and say of one on the edge of stability that only the cost makes it matter."""
+    """Reject uncontrollable modes; for a marginally stable one, the message adds that it affects the cost."""
     if not modes.size:
         return
     named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move"
     if on_edge[0]:
         raise UnstableError(
-            f"{named}; it lies on {edge} and the cost sees it, so the cost along it is infinite, or rests on numbers "
-            "that cancel exactly; expected (A, B) stabilisable, or no weight in Q and N on that state and on those "
-            "that it moves; let it decay, or take it out of the problem"
+            f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or rests on exact "
+            "cancellation; expected (A, B) stabilisable, or no weight in Q and N on that state and on the states that "
+            "it affects; make the mode stable, or remove it from the problem"
         )
     raise UnstableError(
-        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {region} must be reached; add an actuator or "
-        "take that state out of the problem"
+        f"{named}; expected (A, B) stabilisable: every eigenvalue outside {region} must be controllable; add an "
+        "actuator or remove that state from the problem"
     )
 
 
 def _refuse_unseen(modes: Modes, edge: str) -> None:
     if modes.size:
         raise UnstableError(
-            f"the cost does not see the mode {mode_text(complex(modes[0]))} on {edge}, so no optimal gain "
-            "moves it inside; give Q a small positive part there"
+            f"the mode {mode_text(complex(modes[0]))} on {edge} does not affect the cost, so no optimal gain "
+            "stabilises it; give Q a small positive weight there"
         )
 
 
@@ -328,6 +328,6 @@ def _singular(H: Array, where: str) -> ProblemError:
     smallest = float(np.linalg.eigvalsh(H)[0])
     return ProblemError(
         f"R + B'KB is not positive definite{where}: it has the eigenvalue {smallest:.3g}, so an input "
-        "direction is free; expected every input to cost something; give R a positive part or drop the "
+        "direction is free; expected every input to cost something; give R a positive part, or remove the "
         "redundant input"
     )

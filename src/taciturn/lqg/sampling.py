@@ -1,4 +1,4 @@
-"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and the cost of noise in between."""
+"""Exact sampling of a continuous-time problem: dynamics, weights, noise, and inter-sample noise cost."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from taciturn.lqg._interval import Interval, Sampled, integrate, repeat, split
 
 __all__ = ["Sampled", "sample", "sample_prediction"]
 
-LONG = 1e4  # periods of so many time constants of the fastest mode are looked at twice
+LONG = 1e4  # period, in time constants of the fastest mode, from which on the result is checked by a second computation
 
 
 def sample(
@@ -24,7 +24,7 @@ def sample(
     dx = (Ax + Bu)dt + noise of intensity W, cost ∫ x'Qx + u'Ru + 2x'Nu dt, u constant over a period h:
     A_d = e^{Ah}, B_d = ∫e^{As}ds B, W_d = ∫e^{As}We^{A's}ds, [[Q_d, N_d], [N_d', R_d]] = ∫e^{F't}Me^{Ft}dt
     with F = [[A, B], [0, 0]], M = [[Q, N], [N', R]], and noise_cost = ∫_0^h tr(Q ∫_0^s e^{Ar}We^{A'r}dr)ds.
-    N_d is not zero even where N is. The cost per unit of time is (discrete average + noise_cost)/h.
+    N_d is nonzero even if N = 0. The cost per unit of time is (discrete average + noise_cost)/h.
 
     Args:
         A: (n, n) dynamics, per unit of time.
@@ -39,7 +39,7 @@ def sample(
         The sampled problem, exact to rounding.
 
     Raises:
-        ProblemError: data of the wrong shape or range, or a period over which the state overflows.
+        ProblemError: data of the wrong shape or range, or the state overflows within a period.
 
     Source: astrom1997computer, vanloan1978
 
@@ -72,11 +72,11 @@ def sample_prediction(
     period: float,
     dynamics: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete problem of a continuous one whose actuator predicts the state between samples.
+    """Return the discrete problem of a continuous one in which the actuator predicts the state between samples.
 
     Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
-    x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost as in :func:`sample`, with
-    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. An actuator with another model has its dynamics in F.
+    x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of :func:`sample`, with
+    F = [[A, BL], [0, A+BL]] and M = [[Q, NL], [L'N', L'RL]]. If the actuator has another model, F contains that model.
 
     Args:
         A: (n, n) dynamics, per unit of time.
@@ -87,13 +87,13 @@ def sample_prediction(
         W: (n, n) semidefinite noise intensity, covariance per unit of time.
         L: (m, n) gain, u = L x̂.
         period: h > 0, in the same unit of time.
-        dynamics: (n, n), what the actuator takes for A + BL; omitted: that.
+        dynamics: (n, n), closed-loop model of the actuator; omitted: A + BL.
 
     Returns:
         The sampled problem with an input of n entries: B is (n, n), R is (n, n), N is (n, n).
 
     Raises:
-        ProblemError: data of the wrong shape or range, or a period over which the state overflows.
+        ProblemError: data of the wrong shape or range, or the state overflows within a period.
 
     Source: khashooei2017, vanloan1978
 
@@ -114,7 +114,7 @@ def sample_prediction(
 
 
 def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
-    """Return the stretch of a period, compared with three thirds of it where many doublings may have cost digits."""
+    """Return the integrals over a period; a long period is also computed in three parts, to check its accuracy."""
     whole = integrate(F, M, G, period, units)
     if pace(F) * period < LONG:
         return whole
@@ -128,8 +128,8 @@ def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> In
         off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
     if not max(off) <= TOLERANCE:
         raise ProblemError(
-            f"period is {period:g}, in which the fastest mode turns or decays {pace(F) * period:.1e} times, and the "
-            f"sampled plant is uncertain by {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
+            f"period is {period:g}, or {pace(F) * period:.1e} time constants of the fastest mode, and the sampled "
+            f"plant has a relative error of {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
             "plant without that mode"
         )
     return whole

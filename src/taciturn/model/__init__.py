@@ -1,1 +1,24 @@
-"""Plants, costs, networks, triggers and policies: frozen data, checked when they are made."""
+"""Plants, costs, networks, triggers and policies as immutable data, validated at construction.
+
+This package defines problems and policies. Other packages compute gains and simulate loops.
+
+A policy is a switched linear map with a quadratic trigger. In every step
+
+    z⁺ = F z + G w,   action = argmin_i (z'Ψ_i z + c_i),   stage cost z'M z,
+
+where F, G and M depend on the action, on the packets that arrive, and on a finite discrete state such as a schedule.
+A ``Policy`` writes this map as a list of policy steps, each at a node: ``Assign`` a signal, ``Evaluate`` a quadratic
+form, ``Draw`` a random number, ``Apply`` a function, ``Decide`` for the smallest form, ``Send`` a packet. Two rules
+define memory and delay. A signal that is read before it is assigned has its value of the previous step, so it is a
+memory. A packet that is read before it is sent is the packet of the previous step, so it has a delay of one step.
+
+Read the modules in this order:
+
+1. ``plant``, ``dynamics``, ``cost``, ``network``, ``reference``: the problem.
+2. ``trigger``: quadratic forms, and tables that a discrete state selects (``Scheduled``).
+3. ``steps`` and ``location``: the policy steps, and discrete states with their cycle.
+4. ``policy`` and ``theory``: a policy with its guarantee, its identity and its closed form.
+5. ``information`` and ``places``: the check that a node reads only available signals, and nodes that share a site.
+6. ``packets`` and ``wire``: the packets of a policy, its fingerprint, and the layout of a datagram.
+7. ``diagram``, ``schedule``, ``estimate``, ``table``: the results that users see.
+"""

@@ -2,31 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, definite, frozen, number, semidefinite
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
-LONGEST = 100_000  # steps of a mission
+LONGEST = 100_000  # largest number of steps of a finite horizon
 
 
-@dataclass(frozen=True, eq=False)
-class Cost:
+@dataclass(frozen=True, eq=False, repr=False)
+class Cost(Displayed):
     """The cost x'Qx + u'Ru + 2x'Nu, per step (discrete plant) or per second (continuous plant).
 
     Args:
-        Q: state weight, (n, n), semidefinite.
-        R: input weight, (m, m), definite.
-        N: cross weight, (n, m); omitted: 0. [[Q, N], [N', R]] must be semidefinite.
-        horizon: steps of a finite mission; omitted: the infinite-horizon average.
-        terminal: weight of the final state, (n, n), with horizon; omitted: Q.
-        discount: factor per step in (0, 1]; below 1 the cost is the discounted sum.
+        Q: state weight, (n, n), positive semidefinite.
+        R: input weight, (m, m), positive definite.
+        N: cross weight, (n, m); default 0. [[Q, N], [N', R]] must be positive semidefinite.
+        horizon: number of steps of a finite horizon; if omitted, the cost is an infinite-horizon average.
+        terminal: weight of the final state, (n, n), only with ``horizon``; default Q.
+        discount: discount factor per step in (0, 1]; below 1 the cost is the discounted sum.
 
     Raises:
-        ProblemError: wrong shape, indefinite weight, ``terminal`` without ``horizon``, ``discount`` with ``horizon``, a
-            horizon above 100,000.
+        ProblemError: if a weight has the wrong shape or is indefinite, ``terminal`` is given without ``horizon``,
+            ``discount`` is given with ``horizon``, or the horizon is above 100,000.
 
     Example:
         >>> Cost(Q=[[1.0]], R=[[2.0]]).N
@@ -49,7 +51,7 @@ class Cost:
         terminal: ArrayLike | None = None,
         discount: float = 1.0,
     ) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         n = array("Q", Q, (None, None), "(states, states)").shape[0]
         m = array("R", R, (None, None), "(inputs, inputs)").shape[0]
         Q = semidefinite("Q", Q, n, "(states, states)")
@@ -68,8 +70,8 @@ class Cost:
             horizon = count("horizon", horizon)
             if horizon > LONGEST:
                 raise ProblemError(
-                    f"horizon is {horizon} steps; expected at most {LONGEST}, as every step has gains of its own: an "
-                    "average or a discount looks further"
+                    f"horizon is {horizon} steps; expected at most {LONGEST}, since every step has its own gains: use "
+                    "an average or a discount for longer runs"
                 )
             terminal = Q if terminal is None else semidefinite("terminal", terminal, n, "(states, states)")
         for key, value in zip(
@@ -77,13 +79,25 @@ class Cost:
         ):
             object.__setattr__(self, key, value)
 
+    def summary(self) -> Mapping[str, object]:
+        """Return the type and the weights of the cost by name."""
+        from taciturn.model.display import cost_rows  # imported here, since that module imports this one
+
+        return cost_rows(self)
+
+    def short(self) -> str:
+        """Return the type of the cost as text."""
+        from taciturn.model.display import cost_text  # imported here, since that module imports this one
+
+        return cost_text(self)
+
     @property
     def mission(self) -> bool:
-        """Whether it is a total, of a finite horizon or a discounted sum; else it is an average."""
+        """Whether the cost is a total over a finite horizon or a discounted sum, and not an average."""
         return self.horizon is not None or self.discount < 1
 
     def same_as(self, other: Cost) -> bool:
-        """Tell whether the other cost has the same weights, horizon and discount."""
+        """Return whether the other cost has the same weights, horizon and discount."""
         same_time = (self.horizon, self.discount) == (other.horizon, other.discount)
         weights = ("Q", "R", "N", "terminal")
         return same_time and all(np.array_equal(getattr(self, k), getattr(other, k)) for k in weights)

@@ -1,4 +1,4 @@
-"""Who sends what to whom, and when: the nodes of a policy and their links, read from its steps, as data and as text."""
+"""The nodes of a policy and the links between them, derived from its policy steps, as data and as text."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from taciturn._figure import Arrow, draw_lanes
+from taciturn._display import Displayed
+from taciturn._figure import Arrow, Size, draw_lanes
 from taciturn.model.policy import Acknowledged, Assign, Decide, Evaluate, Location, Policy, Send
 from taciturn.model.steps import ENDS, NODES, LinkName, NodeName
 from taciturn.model.trigger import Form, Scheduled, Trigger
@@ -22,15 +23,15 @@ PLAIN = str.maketrans("┌┐└┘├┤┼┬│─▶◀┄≠", "+++++++++->
 PLAIN |= {ord("│"): "|", ord("≠"): "!="}
 
 
-@dataclass(frozen=True)
-class Place:
-    """Nodes that share a site, and what happens there.
+@dataclass(frozen=True, repr=False)
+class Place(Displayed):
+    """A site of one or more nodes, with the signals that it measures and applies and the decisions that it takes.
 
     Args:
-        nodes: of the site, in the order sensor, controller, actuator.
-        measures: entries of ``y``, 0 where there is no sensor.
-        decides: names of its decisions.
-        applies: entries of ``input``, 0 where there is no actuator.
+        nodes: nodes at the site, in the order sensor, controller, actuator.
+        measures: number of entries of ``y``, 0 without a sensor.
+        decides: names of the decisions taken at the site.
+        applies: number of entries of ``input``, 0 without an actuator.
     """
 
     nodes: tuple[NodeName, ...]
@@ -40,7 +41,7 @@ class Place:
 
     @property
     def lines(self) -> list[str]:
-        """What stands in its box."""
+        """The lines of text in the box of the site."""
         found = [" + ".join(self.nodes)]
         if self.measures:
             found.append(f"measures y ({self.measures})")
@@ -51,24 +52,24 @@ class Place:
         return found
 
 
-@dataclass(frozen=True)
-class Link:
-    """Packets that one node sends another.
+@dataclass(frozen=True, repr=False)
+class Link(Displayed):
+    """The packets that one node sends to another node.
 
     Args:
-        name: of the link.
-        sender: the node that sends.
-        receiver: the node that it sends to.
-        payload: signals in a packet, with their entries.
-        when: ``"always"``, by a ``"decision"`` that looks at signals, or by a ``"schedule"``: a decision that looks at
-            a clock alone.
-        decision: its name, and that of the schedule; None where packets are always sent.
-        labels: of the decision with which a packet is sent.
-        silent: its other labels.
-        reads: signals and places that the decision looks at.
-        pattern: of a schedule, whether tick k sends; after the last tick it goes on at ``repeats_from``.
-        repeats_from: first tick of what repeats.
-        acknowledged: whether the sender uses what arrived.
+        name: name of the link.
+        sender: the sending node.
+        receiver: the receiving node.
+        payload: number of entries of each signal in a packet, by name.
+        when: ``"always"``, ``"decision"`` (by a decision that depends on signals) or ``"schedule"`` (by a decision that
+            depends only on a step counter).
+        decision: name of the decision or schedule; None if a packet is sent at every step.
+        labels: labels of the decision for which a packet is sent.
+        silent: labels of the decision for which no packet is sent.
+        reads: signals and locations that the decision reads.
+        pattern: for a schedule, whether step k sends; after the last step the pattern continues at ``repeats_from``.
+        repeats_from: first step of the repeating part of the pattern.
+        acknowledged: whether the sender uses acknowledgements of the packets.
     """
 
     name: LinkName
@@ -86,23 +87,23 @@ class Link:
 
     @property
     def packet(self) -> str:
-        """What is in a packet: signals, and their entries."""
+        """The signals in a packet with their numbers of entries, as text."""
         return ", ".join(f"{name} ({size})" for name, size in self.payload.items())
 
     @property
     def briefly(self) -> str:
-        """What stands at its arrow."""
-        how = {"always": "always", "schedule": "by the clock", "decision": self._condition}
+        """The short description shown at the arrow of the link."""
+        how = {"always": "always", "schedule": "scheduled", "decision": self._condition}
         return f"{self.packet}, {how[self.when]}"
 
     @property
     def condition(self) -> str:
-        """When it is sent, as a clause."""
+        """The condition under which a packet is sent, as a clause."""
         if self.when == "always":
-            return "at every tick"
+            return "at every step"
         if self.when == "decision":
             return f"{self._condition}, by {', '.join(self.reads)}"
-        return f"{self._condition}, by the clock: {_pattern_text(self.pattern, self.repeats_from)}"
+        return f"{self._condition}, by the step counter: {_pattern_text(self.pattern, self.repeats_from)}"
 
     @property
     def _condition(self) -> str:
@@ -113,7 +114,7 @@ class Link:
         return f"if {self.decision} = {' or '.join(self.labels)}"
 
     def document(self) -> dict[str, Any]:
-        """Return what JSON holds of it."""
+        """Return the link as a dictionary for JSON."""
         return {
             "link": self.name,
             "from": self.sender,
@@ -131,24 +132,24 @@ class Link:
         }
 
 
-@dataclass(frozen=True)
-class Diagram:
-    """The places of a policy, and its links in the order in which packets are sent within a tick.
+@dataclass(frozen=True, repr=False)
+class Diagram(Displayed):
+    """The sites of a policy, and its links in the order in which packets are sent within a step.
 
     Args:
-        places: from the sensor's to the actuator's.
-        links: in the order of a tick.
+        places: the sites, from the site of the sensor to the site of the actuator.
+        links: the links, in the order of their packets within a step.
     """
 
     places: tuple[Place, ...]
     links: tuple[Link, ...]
 
     def place_of(self, node: NodeName) -> int:
-        """Return the index of the place of a node."""
+        """Return the index of the site of a node."""
         return next(i for i, place in enumerate(self.places) if node in place.nodes)
 
     def document(self) -> dict[str, Any]:
-        """Return what JSON holds of it."""
+        """Return the diagram as a dictionary for JSON."""
         places = [
             {
                 "nodes": list(place.nodes),
@@ -161,35 +162,35 @@ class Diagram:
         return {"places": places, "links": [link.document() for link in self.links]}
 
     def text(self, *, plain: bool = False) -> str:
-        """Return it as lines of text: a box per place, an arrow per packet, downwards in the order of a tick.
+        """Return the diagram as text: a box for each site, and an arrow for each packet, with time running downwards.
 
         Args:
-            plain: use letters of ASCII alone.
+            plain: use ASCII characters only.
         """
         rows = _Rows(self)
         lines = [*rows.boxes(), *(line for link in self.links for line in rows.arrows(link)), rows.lifelines()]
         drawn = "\n".join(line.rstrip() for line in lines)
         return drawn.translate(PLAIN) if plain else drawn
 
-    def plot(self) -> Figure:
-        """Return it as a figure: as the text."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return the diagram as a figure with the same contents as the text."""
         arrows: list[Arrow] = []
         for link in self.links:
             ends = self.place_of(link.sender), self.place_of(link.receiver)
             arrows.append(Arrow(*ends, link.briefly, dashed=link.when != "always"))
             if link.acknowledged:
                 arrows.append(Arrow(ends[1], ends[0], "acknowledged", dashed=True))
-        return draw_lanes([place.lines for place in self.places], arrows)
+        return draw_lanes([place.lines for place in self.places], arrows, ax, figsize)
 
 
 def draw_diagram(policy: Policy) -> Diagram:
-    """Return the nodes of a policy and the links between them, as its steps say.
+    """Return the nodes of a policy and the links between them, derived from its policy steps.
 
     Args:
-        policy: any; nothing but its steps, sites and locations is looked at.
+        policy: any policy; only its steps, sites and locations are used.
 
     Returns:
-        Data, with its printers.
+        The diagram, which can be printed or plotted.
 
     Example:
         >>> from taciturn import Cost, Plant, design
@@ -233,12 +234,12 @@ def _link(policy: Policy, step: Send) -> Link:
 
 
 def _tables(form: Form) -> list[str]:
-    """Return the locations by which a form's weights are read."""
+    """Return the names of the locations that select the weights of a form."""
     return [value.by for value in (form.Psi, form.constant) if isinstance(value, Scheduled)]
 
 
 def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]) -> tuple[tuple[bool, ...], int]:
-    """Return which ticks of the clocks send, and the tick from which that repeats."""
+    """Return whether a packet is sent at each step, and the step from which this pattern repeats."""
     here = {clock.name: clock.initial for clock in clocks}
     visited: dict[tuple[int, ...], int] = {}
     pattern: list[bool] = []
@@ -252,24 +253,24 @@ def _pattern(trigger: Trigger, clocks: Sequence[Location], labels: Sequence[str]
 
 
 def _pattern_text(pattern: Sequence[bool], start: int) -> str:
-    """Say which ticks of a schedule send."""
+    """Return a description of the steps at which a schedule sends."""
     if all(pattern) or not any(pattern):
-        return "every tick" if any(pattern) else "never"
+        return "every step" if any(pattern) else "never"
     turn = pattern[start:]
-    later = {0: "never", len(turn): "every tick"}.get(sum(turn), f"{sum(turn)} of {len(turn)} ticks")
+    later = {0: "never", len(turn): "every step"}.get(sum(turn), f"{sum(turn)} of {len(turn)} steps")
     if start == 0:
         return later
     ticks = [k for k, sends in enumerate(pattern[:start]) if sends]
     listed = ", ".join(map(str, ticks[:8])) + (", …" if len(ticks) > 8 else "")
-    first = f"{len(ticks)} of the first {start} ticks" + (f" ({listed})" if ticks else "")
+    first = f"{len(ticks)} of the first {start} steps" + (f" ({listed})" if ticks else "")
     return f"{first}, then {later}"
 
 
 class _Rows:
-    """Lines of text: boxes side by side, and under each a line on which arrows begin and end."""
+    """The text lines of a diagram: boxes side by side, and a lifeline under each box where arrows begin and end."""
 
     def __init__(self, shown: Diagram) -> None:
-        """Find where the boxes stand, far enough from each other for what is written between them."""
+        """Place the boxes far enough apart for the labels between them."""
         self.shown = shown
         ends = [self._ends(link) for link in shown.links]
         self.widths = [max(map(len, place.lines)) + 4 for place in shown.places]
@@ -295,7 +296,7 @@ class _Rows:
         return ["".join(row) for row in found]
 
     def arrows(self, link: Link) -> list[str]:
-        """Return the lines of a packet, and of what is told of it."""
+        """Return the lines for a packet and its acknowledgement."""
         start, end = self._ends(link)
         if start == end:
             return [self.lifelines(), self._beside(start, f"◀ {link.briefly}")]
@@ -303,7 +304,7 @@ class _Rows:
         return [self.lifelines(), self._arrow(start, end, link.briefly, "─"), *told]
 
     def lifelines(self) -> str:
-        """Return a line on which nothing happens."""
+        """Return a line that contains only the lifelines."""
         row = [" "] * (self.centres[-1] + 1)
         for centre in self.centres:
             row[centre] = "│"

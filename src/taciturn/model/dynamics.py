@@ -1,4 +1,4 @@
-"""Plants that are not linear: x⁺ = f(x, u, w), the linearisation that policies are designed on, and motion in time."""
+"""Nonlinear plants x⁺ = f(x, u, w), their linearisation for the design, and integration of differential equations."""
 
 from __future__ import annotations
 
@@ -14,28 +14,29 @@ from typing import Any, TypeAlias, cast
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, count, frozen, number, quoted
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 Map: TypeAlias = Callable[[Any, Any, Any], Any]
-"""x, u, w → x⁺: plain NumPy code, which is called with arrays of floats, and with arrays whose operations are noted."""
+"""A function x, u, w → x⁺ in plain NumPy; it is called with arrays of floats or with arrays that record operations."""
 
-LARGEST_STEP, STEPS = 0.05, 24  # of a difference; how many times it is halved
-SETTLED = 1e-12  # relative, between two extrapolations
-TOLERANCE = 1e-6  # relative to the largest entry, of a matrix that is given
-AT_REST = 1e-9  # of an equilibrium
+LARGEST_STEP, STEPS = 0.05, 24  # first step of a difference quotient; number of times that it is halved
+SETTLED = 1e-12  # relative difference between two extrapolations at which the iteration stops
+TOLERANCE = 1e-6  # of a given A or B, relative to its largest entry
+AT_REST = 1e-9  # largest entry of f(0, 0, 0) at an equilibrium
 
 
-@dataclass(frozen=True, eq=False)
-class Dynamics:
-    """A plant's function x⁺ = f(x, u, w), with white w ~ N(0, W) drawn at every tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Dynamics(Displayed):
+    """The step function x⁺ = f(x, u, w) of a nonlinear plant, with white noise w ~ N(0, W) drawn at every step.
 
-    It goes to other processes as the text of its file, or by its name, where a module that they can import has it.
+    The function is sent to other processes as the text of its file, or by name if it belongs to an importable module.
 
     Args:
-        function: f.
-        text: of the file that it was read from, if it was.
-        path: of that file, for messages.
-        name: of the function in that file.
+        function: the function f.
+        text: source of the file from which the function was read, or None.
+        path: path of that file, for messages.
+        name: name of the function in that file.
     """
 
     function: Map
@@ -44,7 +45,7 @@ class Dynamics:
     name: str = ""
 
     def __call__(self, x: ArrayLike, u: ArrayLike, w: ArrayLike) -> Array:
-        """Return the state after a tick, (n,).
+        """Return the state after one step, (n,).
 
         Args:
             x: state, (n,).
@@ -52,7 +53,7 @@ class Dynamics:
             w: noise, (n,).
 
         Raises:
-            ProblemError: the function fails, or gives something else than n numbers.
+            ProblemError: if the function fails, or does not return n numbers.
         """
         given = [np.array(value, dtype=np.float64) for value in (x, u, w)]
         found = _called("function", self.function, given)
@@ -60,7 +61,7 @@ class Dynamics:
             result = np.asarray("nothing" if found is None else found, dtype=np.float64)  # None would be NaN
         except (TypeError, ValueError) as error:
             raise ProblemError(
-                f"function gives {quoted(found)}, which are no numbers ({error}); expected the next state"
+                f"function gives {quoted(found)}, which is not an array of numbers ({error}); expected the next state"
             ) from None
         if result.shape != given[0].shape:
             raise ProblemError(
@@ -69,12 +70,13 @@ class Dynamics:
         return result
 
     def check(self, A: Array, B: Array, W: Array) -> None:
-        """Refuse a function whose linearisation at 0 is another than the one that is given.
+        """Reject a function whose linearisation at 0 differs from the given matrices A and B.
 
-        The noise must act as it does in A x + B u + w: where W is not zero, the derivative by w is the identity.
+        The noise must enter as in A x + B u + w: wherever W is not zero, the derivative with respect to w must be the
+        identity.
 
         Raises:
-            ProblemError: the function fails, 0 is no equilibrium, or a derivative is another.
+            ProblemError: if the function fails, 0 is not an equilibrium, or a derivative differs from its given value.
         """
         n, m = B.shape
         rest = self(np.zeros(n), np.zeros(m), np.zeros(n))
@@ -83,34 +85,37 @@ class Dynamics:
             i = int(np.abs(rest).argmax())
             raise ProblemError(
                 f"function gives {rest[i]:.6g} as state {i + 1} at x = 0, u = 0, w = 0; expected 0, the equilibrium "
-                "about which A and B are its linearisation: count states and inputs from there"
+                "about which A and B are its linearisation: define states and inputs relative to the equilibrium"
             )
         derivatives = self.derivatives(n, m)
-        remedy = f"; A, B = taciturn.linearise(function, {n}, {m}) gives them"
+        remedy = f": use A, B = taciturn.linearise(function, {n}, {m})"
         for name, by, found, stated in (("A", "x", derivatives[0], A), ("B", "u", derivatives[1], B)):
             wrong = _first_apart(found, stated)
             if wrong is not None:
                 i, j = wrong
                 raise ProblemError(
-                    f"{name} has {stated[i, j]:.10g} in row {i + 1}, column {j + 1}, and the derivative of function by "
-                    f"{by} at 0 has {found[i, j]:.10g} there; expected the linearisation of the function{remedy}"
+                    f"{name} has {stated[i, j]:.10g} in row {i + 1}, column {j + 1}, and the derivative of function "
+                    f"with respect to {by} at 0 has {found[i, j]:.10g} there; expected the linearisation of the "
+                    f"function{remedy}"
                 )
         wrong = _first_apart(derivatives[2] @ W, W)
         if wrong is not None:
             i = wrong[0]
             row = ", ".join(f"{value:.6g}" for value in derivatives[2][i])
             raise ProblemError(
-                f"the derivative of function by w at 0 has the row [{row}] for state {i + 1}; expected the identity "
-                "wherever W is not 0, as in A x + B u + w: let W be the covariance of what is added to the next state"
+                f"the derivative of function with respect to w at 0 has the row [{row}] for state {i + 1}; "
+                "expected the identity wherever W is not 0, as in A x + B u + w: define W as the covariance of the "
+                "noise that is added to the next state"
             )
         probe = np.full(n, 1e-3), np.full(m, 1e-3), np.zeros(n)
         if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
             raise ProblemError(
-                "function gives two results for the same x, u and w; expected one that draws nothing: noise comes as w"
+                "function gives two results for the same x, u and w; expected a deterministic function, with noise "
+                "from w only"
             )
 
     def derivatives(self, states: int, inputs: int) -> tuple[Array, Array, Array]:
-        """Return the derivatives by x, u and w at 0, found once: (n, n), (n, m), (n, n)."""
+        """Return the derivatives with respect to x, u and w at 0, computed once: (n, n), (n, m), (n, n)."""
         sizes = (states, inputs, states)
         if sizes not in self._derivatives:
             self._derivatives[sizes] = _derivatives(self, [np.zeros(size) for size in sizes])
@@ -122,10 +127,10 @@ class Dynamics:
         return {}
 
     def __reduce__(self) -> tuple[Callable[..., Dynamics], tuple[Any, ...]]:
-        """Return what makes it anew in another process.
+        """Return the constructor and arguments that recreate the function in another process.
 
         Raises:
-            ProblemError: a function that has no name there.
+            ProblemError: if other processes cannot import the function by name.
         """
         if self.text is not None:
             return dynamics_of, (self.text, self.path, self.name)
@@ -133,23 +138,23 @@ class Dynamics:
             pickle.dumps(self.function)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             raise ProblemError(
-                f"function is {quoted(self.function)}, which no other process can be told ({error}); expected a "
-                "function of a module, or of the file that a problem file names"
+                f"function is {quoted(self.function)}, which other processes cannot import ({error}); expected a "
+                "function that is defined in a module, or in the Python file that a problem file names"
             ) from None
         return Dynamics, (self.function,)
 
 
 @cache
 def dynamics_of(text: str, path: str, name: str) -> Dynamics:
-    """Return the function of a name in the text of a Python file, which is run, alone, once in a process.
+    """Return the named function from the text of a Python file, which is executed once per process.
 
     Args:
-        text: of the file.
-        path: of the file, for messages.
-        name: of the function.
+        text: contents of the file.
+        path: path of the file, for messages.
+        name: name of the function.
 
     Raises:
-        ProblemError: the text is no Python, fails when it is run, or has no such function.
+        ProblemError: if the text is not valid Python, raises an exception, or does not define the function.
     """
     module = ModuleType("plant_function")
     module.__file__ = path
@@ -157,13 +162,13 @@ def dynamics_of(text: str, path: str, name: str) -> Dynamics:
         exec(compile(text, path, "exec"), module.__dict__)
     except SyntaxError as error:
         raise ProblemError(
-            f"{path!r} has a mistake in line {error.lineno} ({error.msg}); expected a Python file with the function "
-            f"{name}"
+            f"{path!r} has a syntax error in line {error.lineno} ({error.msg}); expected a Python file with the "
+            f"function {name}"
         ) from None
     except (Exception, SystemExit) as error:
         raise ProblemError(
-            f"{path!r} fails when it is read ({_told(error)}); expected a Python file with the function {name}, which "
-            "needs no other of its folder"
+            f"{path!r} fails when it is executed ({_told(error)}); expected a Python file with the function {name} "
+            "that imports no other file of its folder"
         ) from None
     found = getattr(module, name, None)
     if not callable(found):
@@ -177,21 +182,21 @@ def dynamics_of(text: str, path: str, name: str) -> Dynamics:
 def linearise(
     function: Map, states: int, inputs: int, at: tuple[ArrayLike, ArrayLike] | None = None
 ) -> tuple[Array, Array]:
-    """Return the derivatives A and B of x⁺ = f(x, u, w) by x and u, where w = 0.
+    """Return the derivatives A and B of x⁺ = f(x, u, w) with respect to x and u at w = 0.
 
-    Differences over ever shorter steps are extrapolated to none, until they agree to about twelve digits.
+    Difference quotients with decreasing steps are extrapolated to step zero until they agree to about twelve digits.
 
     Args:
-        function: f(x, u, w), of arrays (n,), (m,), (n,), with n numbers as its value.
-        states: n.
-        inputs: m.
-        at: x and u, (n,) and (m,); omitted: 0.
+        function: f(x, u, w) of arrays (n,), (m,) and (n,), which returns n numbers.
+        states: number of states n.
+        inputs: number of inputs m.
+        at: the point (x, u) of the linearisation, (n,) and (m,); default 0.
 
     Returns:
         A, (n, n), and B, (n, m).
 
     Raises:
-        ProblemError: the function fails, gives other shapes, or numbers that are not finite.
+        ProblemError: if the function fails, or returns an array of the wrong shape or values that are not finite.
 
     Source: ridders1982
 
@@ -211,21 +216,21 @@ def linearise(
 
 
 def integrate(ode: Callable[[Any, Any], Any], dt: float, steps: int = 1) -> Map:
-    """Return x⁺ = f(x, u, w) of a differential equation dx/dt = g(x, u), its input held for dt seconds.
+    """Return the step function x⁺ = f(x, u, w) of dx/dt = g(x, u) with the input held for dt seconds.
 
-    The classical Runge–Kutta rule of fourth order, with steps of dt/steps seconds; w is added to the state that they
-    end in.
+    The equation is integrated by the classical fourth-order Runge–Kutta method with steps of dt/steps seconds. The
+    noise w is added to the final state.
 
     Args:
-        ode: g(x, u), of arrays (n,) and (m,), with n numbers as its value.
-        dt: seconds of a tick, positive.
-        steps: of the rule within a tick, at least 1.
+        ode: g(x, u) of arrays (n,) and (m,), which returns n numbers.
+        dt: seconds per step of the plant, positive.
+        steps: number of Runge–Kutta steps within dt, at least 1.
 
     Returns:
-        The function, for ``Plant(..., function=...)`` and :func:`linearise`.
+        The step function, for ``Plant(..., function=...)`` and :func:`linearise`.
 
     Raises:
-        ProblemError: dt or steps out of range.
+        ProblemError: if dt or steps is out of range.
 
     Source: hairer1993
 
@@ -237,12 +242,12 @@ def integrate(ode: Callable[[Any, Any], Any], dt: float, steps: int = 1) -> Map:
     if not callable(ode):
         raise ProblemError(f"ode is {quoted(ode)}; expected a function x, u → dx/dt")
     rule = partial(_follow, ode, number("dt", dt, 0.0), count("steps", steps))
-    rule.__dict__["__name__"] = getattr(ode, "__name__", type(ode).__name__)  # by which it is told
+    rule.__dict__["__name__"] = getattr(ode, "__name__", type(ode).__name__)  # the name shown in messages
     return rule
 
 
 def _follow(ode: Callable[[Any, Any], Any], dt: float, steps: int, x: Any, u: Any, w: Any) -> Any:
-    """Return the state after a tick of a differential equation, by the classical rule of Runge and Kutta."""
+    """Return the state after one step of a differential equation, by the classical Runge–Kutta method."""
     h, x = dt / steps, _as_array(x)
     for _ in range(steps):
         first = _slope(ode, x, u)
@@ -256,17 +261,17 @@ def _follow(ode: Callable[[Any, Any], Any], dt: float, steps: int, x: Any, u: An
 def _slope(ode: Callable[[Any, Any], Any], x: Any, u: Any) -> Any:
     found = _as_array(ode(x, u))
     if found.shape != x.shape:
-        raise ProblemError(f"ode gives an array of the shape {found.shape}; expected {x.shape}, as the state")
+        raise ProblemError(f"ode gives an array of the shape {found.shape}; expected {x.shape}, the shape of the state")
     return found
 
 
 def _as_array(values: Any) -> Any:
-    """Return a list as an array, and an array as it is, whose operations may be noted."""
+    """Return a list as an array; return an array unchanged, since its operations may be recorded."""
     return cast("Any", values) if isinstance(values, np.ndarray) else np.array(values)
 
 
 def _derivatives(f: Dynamics, point: Sequence[Array], many: int = 3) -> list[Array]:
-    """Return the derivatives by the first so many arguments."""
+    """Return the derivatives with respect to the first ``many`` arguments."""
     found: list[Array] = []
     for k, value in enumerate(point[:many]):
         columns: list[Array] = []
@@ -284,7 +289,7 @@ def _derivatives(f: Dynamics, point: Sequence[Array], many: int = 3) -> list[Arr
 
 
 def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
-    """Return f'(0): central differences, extrapolated to no step; the value on which two extrapolations agree best."""
+    """Return f'(0) by central differences extrapolated to step zero; the most consistent extrapolation is used."""
     best, least = None, np.inf
     before: list[Array] = []
     for _ in range(STEPS):
@@ -304,16 +309,16 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
         before = row
     if best is None:
         raise ProblemError(
-            f"function gives no finite numbers where {name} is near its value, within {step:.1g}; expected one that "
-            "has derivatives there"
+            f"function gives no finite numbers for {name} within {step:.1g} of its value; expected a function that is "
+            "differentiable there"
         )
     return best
 
 
 def _called(name: str, function: Callable[..., Any], given: Sequence[Array]) -> Any:
-    """Call a function of the user's, and tell in one sentence if it fails."""
+    """Call a user's function and convert its exceptions into a one-sentence ``ProblemError``."""
     try:
-        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):  # what is not finite is told where it matters
+        with np.errstate(all="ignore"), redirect_stdout(sys.stderr):  # values that are not finite are reported later
             return cast("Any", function)(*given)
     except ProblemError:
         raise
@@ -323,12 +328,12 @@ def _called(name: str, function: Callable[..., Any], given: Sequence[Array]) -> 
             for letter, value in zip("xuw", given, strict=False)
         )
         raise ProblemError(
-            f"{name} fails at {at} ({_told(error)}); expected a function of x, u and w that gives the next state"
+            f"{name} fails at {at} ({_told(error)}); expected a function of x, u and w that returns the next state"
         ) from None
 
 
 def _told(error: BaseException) -> str:
-    """Return what an exception says, in one line."""
+    """Return the type and message of an exception in one line."""
     return " ".join(filter(None, (f"{type(error).__name__}:", *str(error).split()))).removesuffix(":")
 
 
@@ -341,7 +346,7 @@ def _expect_finite(values: Array, name: str, where: str) -> None:
 
 
 def _first_apart(found: Array, stated: Array) -> tuple[int, int] | None:
-    """Return where two matrices differ most, if they do by more than their digits explain."""
+    """Return the indices at which two matrices differ most, or None if they agree within the tolerance."""
     apart = np.abs(found - stated)
     if apart.max() <= TOLERANCE * max(float(np.abs(stated).max()), float(np.abs(found).max())):
         return None

@@ -1,4 +1,4 @@
-"""Which networks a policy runs over: none whose nodes read what they do not hold, and no link that carries nothing."""
+"""Checks that a policy can run over a network and that every node reads only signals that are available to it."""
 
 from __future__ import annotations
 
@@ -33,46 +33,46 @@ Site: TypeAlias = frozenset[NodeName]
 
 
 def check_network(policy: Policy, network: Network) -> None:
-    """Refuse a network over which a policy cannot run, or of which it would ignore a part.
+    """Reject a network over which a policy cannot run, or with properties that the policy would ignore.
 
     Raises:
-        InformationError: a node uses what it cannot know.
-        ProblemError: the delay is not the one of the design, something is given for a link that carries nothing, or a
-            range is missing or has another number of entries than the packet.
+        InformationError: if a node uses a signal or an outcome that is not available to it.
+        ProblemError: if the delay differs from the design, a property is given for a link without packets, or a range
+            is missing or has a different number of entries than the packet.
     """
     instance("network", network, Network)
     check_information(policy, network)
     if network.delay != policy.network.delay:
         raise ProblemError(
-            f"network.delay is {network.delay}, and {policy.kind} was designed for {policy.network.delay}; "
+            f"network.delay is {network.delay}, but {policy.kind} was designed for {policy.network.delay}; "
             "expected the delay of the design"
         )
     packet_shapes(policy, network)
     carrying = links_of(policy)
     if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
-            f"network.payload is {network.payload!r}, and no packet of {policy.kind} tells its receiver what it does "
-            "not hold; expected payload = 'float64', the default: there is nothing to round"
+            f"network.payload is {network.payload!r}, but the receivers of all packets of {policy.kind} already have "
+            "the signals sent, so rounding has no effect; expected payload = 'float64', the default"
         )
     for link in ENDS:
         given = [name for name in network.given(link) if link not in carrying]
         if given:
             others = " and ".join(f"the {other} link" for other in carrying)
             raise ProblemError(
-                f"network.{given[0]} is given, and no node of {policy.kind} receives a packet on the {link} link; "
+                f"network.{given[0]} is given, but no node of {policy.kind} receives a packet on the {link} link; "
                 f"expected properties of {others or 'no link'} only: remove network.{given[0]}"
             )
 
 
 def links_of(policy: Policy) -> tuple[LinkName, ...]:
-    """Return the links whose packets change what a node does: a step sends them, and their arrival is a condition."""
+    """Return the links in use: packets are sent on the link, and their arrival is a condition of a policy step."""
     sent: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
     heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
     return tuple([link for link in sent if link in heard])
 
 
 def unheard_acknowledgements(policy: Policy, network: Network) -> bool:
-    """Tell whether packets are acknowledged, and nothing that a node does depends on it."""
+    """Return whether the network acknowledges packets but no node uses the acknowledgements."""
     return network.protocol == "tcp" and not any(isinstance(on, Acknowledged) for on in _conditions(policy))
 
 
@@ -82,17 +82,17 @@ def _conditions(policy: Policy) -> list[Condition | None]:
 
 
 def check_information(policy: Policy, network: Network) -> None:
-    """Refuse a policy whose nodes read what they do not hold.
+    """Reject a policy in which a node reads a signal that is not available to it.
 
-    A node holds what it or a node at its site assigned, the measurement if the sensor is at its site, and, in the
-    branch where a packet has arrived, what was in the packet.
+    A node can read the signals assigned at its site, the measurement if the sensor is at its site, and, in the branch
+    for a received packet, the signals in the packet.
 
     Args:
         policy: the policy.
-        network: the network; only ``"udp"`` keeps outcomes from the sender.
+        network: the network; with ``"udp"``, senders do not learn whether their packets arrive.
 
     Raises:
-        InformationError: naming node and signal.
+        InformationError: if a signal is not available; the message names the node and the signal.
     """
     knowledge = _Knowledge(policy, network)
     for step in policy.steps:
@@ -103,11 +103,11 @@ def check_information(policy: Policy, network: Network) -> None:
 
 
 class _Knowledge:
-    """Where every signal, decision and packet comes from."""
+    """The sites at which all signals, decisions and packets of a policy originate."""
 
     def __init__(self, policy: Policy, network: Network) -> None:
         self.policy, self.network = policy, network
-        self.home: dict[str, Site] = {"y": policy.site("sensor")}  # ONE is at home everywhere
+        self.home: dict[str, Site] = {"y": policy.site("sensor")}  # ONE is available everywhere
         self.decided: dict[str, Site] = {}
         self.packets: dict[str, tuple[Site, tuple[str, ...]]] = {}
         for step in policy.steps:
@@ -118,10 +118,10 @@ class _Knowledge:
                 self.packets[step.link] = (site, step.payload)
             for name in assigned(step):
                 if self.home.setdefault(name, site) != site:
-                    raise InformationError(f"{name} is assigned at {step.at} and elsewhere; expected one owner")
+                    raise InformationError(f"{name} is assigned at {step.at} and at another site; expected one owner")
 
     def check(self, step: Step) -> None:
-        """Check one step."""
+        """Check that everything a policy step reads is available at its node."""
         if isinstance(step, Draw):
             return
         on = None if isinstance(step, Apply | Decide) else step.on
@@ -134,7 +134,7 @@ class _Knowledge:
                 self._check_schedule(weight, step.at)
 
     def check_condition(self, condition: Condition | None, at: NodeName) -> None:
-        """Check that a node can see an outcome."""
+        """Check that the outcome of a condition is available at a node."""
         site = self.policy.site(at)
         if isinstance(condition, str) and self.decided[condition] != site:
             raise InformationError(
@@ -142,7 +142,9 @@ class _Knowledge:
                 "expected its own decisions, or a received packet"
             )
         if isinstance(condition, Received) and ENDS[condition.link] not in site:
-            raise InformationError(f"{at} uses what arrived on the {condition.link} link; expected its own links")
+            raise InformationError(
+                f"{at} uses packets of the {condition.link} link, which it does not receive; expected its own links"
+            )
         if isinstance(condition, Acknowledged):
             if condition.link not in self.packets or self.packets[condition.link][0] != site:
                 raise InformationError(
@@ -150,7 +152,7 @@ class _Knowledge:
                 )
             if self.network.protocol == "udp":
                 raise InformationError(
-                    f"{at} uses an acknowledgement of the {condition.link} link, and udp sends none; "
+                    f"{at} uses an acknowledgement of the {condition.link} link, but udp sends none; "
                     "expected protocol 'tcp'"
                 )
 
@@ -158,7 +160,8 @@ class _Knowledge:
         packet = self.packets[arrived][1] if arrived in self.packets else ()
         if name != ONE and self.home.get(name) != self.policy.site(at) and name not in packet:
             raise InformationError(
-                f"{at} reads {name!r}, which it does not hold; expected its own signals or a received packet's payload"
+                f"{at} reads {name!r}, which is not available there; expected a signal of its site or of a received "
+                "packet"
             )
 
     def _check_schedule(self, weight: object, at: NodeName) -> None:
@@ -169,12 +172,13 @@ class _Knowledge:
         )
         if owner is not None and self.policy.site(owner) != self.policy.site(at):
             raise InformationError(
-                f"{at} reads the location {weight.by!r} of {owner}; expected its own location or a shared clock"
+                f"{at} reads the location {weight.by!r} of {owner}; expected a location of its own or a shared step "
+                "counter"
             )
 
 
 def _reads(step: Assign | Evaluate | Apply | Decide | Send) -> list[tuple[Sequence[str], Sequence[object]]]:
-    """Return the signals and the weights that each branch of a step reads."""
+    """Return the signals and the weights that each branch of a policy step reads."""
     if isinstance(step, Assign):
         return [(tuple(terms), tuple(terms.values())) for terms in step.branches]
     if isinstance(step, Apply | Send):

@@ -1,4 +1,4 @@
-"""Finite locations, which tables move from tick to tick, and the cycle of those that no data move."""
+"""Finite discrete states ("locations") that evolve by tables, and the common period of those independent of data."""
 
 from __future__ import annotations
 
@@ -10,23 +10,24 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import array
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.steps import Condition, NodeName
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
-LONGEST = 1_000_000  # ticks in which several locations together are walked; a cycle beyond that is not known
+LONGEST = 1_000_000  # steps for which several locations are followed jointly; longer cycles are not detected
 
 
-@dataclass(frozen=True, eq=False)
-class Location:
-    """A finite location: next = table[location], or table[location, outcome of ``on``].
+@dataclass(frozen=True, eq=False, repr=False)
+class Location(Displayed):
+    """A finite discrete state (location) with next = table[location], or table[location, outcome of ``on``].
 
     Args:
-        name: by which tables refer to it.
-        table: indices of the next location, (locations,) or (locations, outcomes).
-        at: the node that owns it; omitted: a clock that every node shares.
-        on: the condition that picks the column.
-        initial: index at the first tick.
+        name: name by which tables refer to the location.
+        table: index of the next state, (locations,) or (locations, outcomes).
+        at: the node that owns the location; if omitted, the location is a step counter that all nodes share.
+        on: the condition whose outcome selects the column.
+        initial: index at the first step.
     """
 
     name: str
@@ -36,13 +37,13 @@ class Location:
     initial: int = 0
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         shape, meaning = ((None,), "(locations,)") if self.on is None else ((None, None), "(locations, outcomes)")
         table = array(f"the table of location {self.name}", self.table, shape, meaning)
         size = table.shape[0]
         if not table.size or table.min() < 0 or table.max() >= size or (table != np.floor(table)).any():
             extremes = f"entries from {table.min():g} to {table.max():g}" if table.size else "no entries"
-            raise ProblemError(f"location {self.name} has {extremes}; expected whole indices from 0, below {size}")
+            raise ProblemError(f"location {self.name} has {extremes}; expected integer indices from 0, below {size}")
         if not 0 <= self.initial < size:
             raise ProblemError(f"location {self.name} starts at {self.initial}; expected an index from 0, below {size}")
         if self.on is not None and self.at is None:
@@ -55,26 +56,26 @@ class Location:
 
     @property
     def period(self) -> int:
-        """Ticks after which it repeats whatever is decided and whatever arrives; 1 where these move it."""
+        """Steps after which the location repeats if it is independent of decisions and packets; otherwise 1."""
         return joint_cycle([self], {})
 
 
 def joint_cycle(locations: Iterable[Location], triggers: Mapping[str, Trigger]) -> int:
-    """Return the ticks after which all locations repeat that move regardless of what is measured, drawn and received.
+    """Return the number of steps after which all locations that are independent of data repeat.
 
-    Such a location has no condition, columns that agree wherever it comes, or a decision whose options are constants,
-    or tables by locations of this kind. Others count for nothing.
+    Such a location has no condition, has equal columns in every state that it reaches, or depends on a decision whose
+    options are constants or tables selected by such locations. Other locations are ignored.
 
     Args:
-        locations: of a policy.
-        triggers: that of each decision.
+        locations: the locations of a policy.
+        triggers: the trigger of each decision, by name.
     """
     named = {location.name: location for location in locations}
     return math.lcm(*(_period(location, named, triggers) for location in named.values()))
 
 
 def _period(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> int:
-    """Return the ticks after which a location repeats; 1 where data move it."""
+    """Return the number of steps after which a location repeats, or 1 if it depends on data."""
     deciding = _deciders(location, named, triggers)
     places = {one.name: one.initial for one in deciding}
     visited: dict[tuple[int, ...], int] = {}
@@ -88,7 +89,7 @@ def _period(location: Location, named: Mapping[str, Location], triggers: Mapping
 
 
 def _deciders(location: Location, named: Mapping[str, Location], triggers: Mapping[str, Trigger]) -> list[Location]:
-    """Return the location, and those by whose tables the decisions are made that move it."""
+    """Return the location and the other locations that select the tables of its decisions."""
     found = [location]
     for one in found:
         trigger = triggers.get(one.on) if isinstance(one.on, str) else None
@@ -99,7 +100,7 @@ def _deciders(location: Location, named: Mapping[str, Location], triggers: Mappi
 
 
 def _next(location: Location, places: Mapping[str, int], triggers: Mapping[str, Trigger]) -> int | None:
-    """Return where a location is in the next tick; None where data decide it."""
+    """Return the next index of a location, or None if it depends on data."""
     row = np.atleast_1d(location.table[places[location.name]])
     if (row == row[0]).all():
         return int(row[0])

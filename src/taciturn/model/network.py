@@ -9,24 +9,25 @@ from typing import Literal, cast
 import numpy as np
 
 from taciturn._arrays import choice, count, instance, number
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.wire import CODES, Encoding, EncodingName
 
 ProtocolName = Literal["udp", "tcp", "ideal"]
 
 
-@dataclass(frozen=True)
-class Burst:
-    """Gilbert–Elliott losses: a link that is now good, now bad; its first state is drawn from the stationary law.
+@dataclass(frozen=True, repr=False)
+class Burst(Displayed):
+    """Gilbert–Elliott losses of a link with a good and a bad state; the initial state has the stationary distribution.
 
     Args:
-        to_bad: probability per step of turning bad, in [0, 1].
-        to_good: probability per step of turning good, in [0, 1].
-        loss_good: loss probability while good, in [0, 1].
-        loss_bad: loss probability while bad, in [0, 1].
+        to_bad: probability per step of a transition from good to bad, in [0, 1].
+        to_good: probability per step of a transition from bad to good, in [0, 1].
+        loss_good: loss probability in the good state, in [0, 1].
+        loss_bad: loss probability in the bad state, in [0, 1].
 
     Raises:
-        ProblemError: a probability outside [0, 1].
+        ProblemError: if a probability is outside [0, 1].
 
     Source: gilbert1960, elliott1963
     """
@@ -37,13 +38,13 @@ class Burst:
     loss_bad: float
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Check the ranges of the arguments."""
         for name in ("to_bad", "to_good", "loss_good", "loss_bad"):
             object.__setattr__(self, name, number(name, getattr(self, name), 0.0, 1.0, closed=True))
 
     @property
     def share_bad(self) -> float:
-        """Stationary probability of the bad state; 0 for a link that never turns, which starts good."""
+        """Stationary probability of the bad state; 0 for a link that never changes its state, which starts as good."""
         turns = self.to_bad + self.to_good
         return 0.0 if turns == 0 else self.to_bad / turns
 
@@ -53,24 +54,24 @@ class Burst:
         return (1 - self.share_bad) * self.loss_good + self.share_bad * self.loss_bad
 
 
-@dataclass(frozen=True)
-class Network:
-    """Two links, sensor → controller and controller → actuator.
+@dataclass(frozen=True, repr=False)
+class Network(Displayed):
+    """A network of two links, from sensor to controller and from controller to actuator.
 
     Args:
-        protocol: ``"udp"`` (no acknowledgement), ``"tcp"`` (acknowledged) or ``"ideal"``.
+        protocol: ``"udp"`` (without acknowledgement), ``"tcp"`` (with acknowledgement) or ``"ideal"``.
         actuator_loss: loss probability of a packet to the actuator, in [0, 1].
         sensor_loss: loss probability of a packet from the sensor, in [0, 1].
-        delay: steps of computation delay, at least 0.
+        delay: computation delay in steps, at least 0.
         actuator_burst: bursty losses instead of ``actuator_loss``.
         sensor_burst: bursty losses instead of ``sensor_loss``.
-        payload: how the numbers in a packet are written: ``"float64"``, ``"float32"`` or ``"int16"``, which round them.
-        actuator_range: with ``"int16"``, the largest number that a packet to the actuator holds: one, or one per entry.
-        sensor_range: that of a packet from the sensor.
+        payload: encoding of the numbers in a packet: ``"float64"`` (exact), or ``"float32"`` or ``"int16"`` (rounded).
+        actuator_range: with ``"int16"``, full-scale value of packets to the actuator: one number, or one per entry.
+        sensor_range: with ``"int16"``, full-scale value of packets from the sensor: one number, or one per entry.
 
     Raises:
-        ProblemError: a probability outside [0, 1], losses on an ideal network, loss and burst on one link, or a range
-            that is not positive or that ``payload`` has no use for.
+        ProblemError: if a probability is outside [0, 1], an ideal network has losses, a link has both loss and burst,
+            or a range is not positive or is given without ``"int16"``.
     """
 
     protocol: ProtocolName = "ideal"
@@ -84,13 +85,13 @@ class Network:
     sensor_range: float | tuple[float, ...] | None = None
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Check the ranges of the arguments."""
         if self.protocol not in ("udp", "tcp", "ideal"):
             raise ProblemError(f"network.protocol is {self.protocol!r}; expected 'udp', 'tcp' or 'ideal'")
         count("network.delay", self.delay, 0)
         for link in ("actuator", "sensor"):
             loss = number(f"network.{link}_loss", getattr(self, f"{link}_loss"), 0.0, 1.0, closed=True)
-            object.__setattr__(self, f"{link}_loss", loss)  # a float also where 0 was given
+            object.__setattr__(self, f"{link}_loss", loss)  # a float even if the integer 0 was given
             burst = getattr(self, f"{link}_burst")
             if burst is not None:
                 instance(f"network.{link}_burst", burst, Burst)
@@ -99,7 +100,7 @@ class Network:
             if self.protocol == "ideal" and (loss > 0 or burst is not None):
                 raise ProblemError(
                     f"network.{link}_{'loss' if burst is None else 'burst'} is given for an ideal network; "
-                    "expected protocol = 'udp' or 'tcp' where packets are lost"
+                    "expected protocol = 'udp' or 'tcp' for a network with packet losses"
                 )
         self._check_payload()
 
@@ -111,43 +112,58 @@ class Network:
                 continue
             name = f"network.{link}_range"
             if self.payload != "int16":
-                raise ProblemError(f"{name} is given with payload = {self.payload!r}; expected it with 'int16' only")
+                raise ProblemError(
+                    f"{name} is given with payload = {self.payload!r}; expected a range with 'int16' only"
+                )
             entries = cast("Sequence[object]", given if isinstance(given, list | tuple) else (given,))
             checked = tuple(number(name, entry, 0.0) for entry in entries)
             object.__setattr__(self, f"{link}_range", checked)
 
+    def short(self) -> str:
+        """Return the protocol, losses, delay and encoding of the network as text."""
+        from taciturn.model.display import network_text  # imported here, since that module imports this one
+
+        return network_text(self)
+
     def encoding(self, link: str) -> Encoding:
-        """Return how the payloads of a link are written.
+        """Return the encoding of the payloads of a link.
 
         Raises:
-            ProblemError: whole numbers without the range that they stand for.
+            ProblemError: if the payload is ``"int16"`` and the link has no range.
         """
         if self.payload != "int16":
             return Encoding(self.payload)
         scale = {"actuator": self.actuator_range, "sensor": self.sensor_range}[link]
         if scale is None:
             raise ProblemError(
-                f"network.{link}_range is missing, and network.payload is 'int16'; expected the largest number that "
-                f"a packet of the {link} link is to hold"
+                f"network.{link}_range is missing, but network.payload is 'int16'; expected the largest magnitude of "
+                f"the numbers in a packet of the {link} link"
             )
         return Encoding("int16", cast("tuple[float, ...]", scale))
 
     def given(self, link: str) -> list[str]:
-        """Return the names of the properties of a link that are not those of an ideal one."""
+        """Return the names of the properties of a link that differ from those of an ideal link."""
         names = [f"{link}_{what}" for what in ("loss", "burst", "range")]
         return [name for name in names if getattr(self, name) != getattr(IDEAL, name)]
 
     def burst(self, link: str) -> Burst | None:
-        """Return the bursts of a link, or None where its loss probability is constant."""
-        return {"actuator": self.actuator_burst, "sensor": self.sensor_burst}[link]
+        """Return the burst model of a link, or None if its loss probability is constant.
+
+        The loss probability is also constant if the link never leaves its initial state.
+        """
+        burst = self._given_burst(link)
+        return None if burst is None or burst.share_bad in (0.0, 1.0) else burst
 
     def loss(self, link: str) -> float:
-        """Return the loss probability of a link: constant, or the stationary one of its bursts."""
-        burst = self.burst(link)
+        """Return the loss probability of a link; for bursty losses, the stationary loss probability."""
+        burst = self._given_burst(link)
         return {"actuator": self.actuator_loss, "sensor": self.sensor_loss}[link] if burst is None else burst.loss
 
+    def _given_burst(self, link: str) -> Burst | None:
+        return {"actuator": self.actuator_burst, "sensor": self.sensor_burst}[link]
+
     def outage(self, link: str) -> float:
-        """Return the probability, in the long run, with which a link that has lost every packet loses the next one."""
+        """Return the long-run probability that a link drops a packet, given that it has dropped all packets before."""
         burst = self.burst(link)
         if burst is None:
             return self.loss(link)
@@ -156,7 +172,7 @@ class Network:
         return float(np.abs(np.linalg.eigvals(lost)).max())
 
     def without_bursts(self) -> Network:
-        """Return the network that loses as much on each link, without memory."""
+        """Return the network with independent losses of the same mean probability on each link."""
         return replace(
             self,
             actuator_loss=self.loss("actuator"),
@@ -166,7 +182,7 @@ class Network:
         )
 
     def without_rounding(self) -> Network:
-        """Return the network whose packets hold numbers as they are."""
+        """Return the network whose packets transmit numbers without rounding."""
         return replace(self, payload="float64", actuator_range=None, sensor_range=None)
 
 

@@ -1,4 +1,4 @@
-"""Which packets the nodes of a policy exchange, and the number that tells policies apart."""
+"""The packets that the nodes of a policy exchange, and the fingerprint that identifies a policy."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from taciturn.model.policy import ENDS, ONE, Apply, Policy, Send
 from taciturn.model.steps import assigned
 from taciturn.model.wire import PERSON, Encoding, PacketKind
 
-POINTS = 3  # at which functions are told apart
-DIGITS = 1e6  # of the largest entry of a matrix: what two machines that design the same policy agree in
+POINTS = 3  # number of points at which a function is evaluated for the fingerprint
+DIGITS = 1e6  # resolution relative to the largest entry of a matrix, to which designs on different machines agree
 
 
 def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, str], tuple[Encoding, int]]:
-    """Return how the payload of each packet is written, and its entries, by kind and link.
+    """Return the encoding and the number of entries of the payload of each packet, by kind and link.
 
     Raises:
-        ProblemError: payloads are to be rounded, and a range is missing.
+        ProblemError: if payloads are rounded and a range is missing.
     """
     exact, shapes = Encoding(), dict[tuple[PacketKind, str], tuple[Encoding, int]]()
     for step in policy.steps:
@@ -43,17 +43,17 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
 
 
 def told_by(policy: Policy, link: str) -> tuple[str, ...]:
-    """Return the signals that a packet of a link tells its receiver, which does not hold them itself."""
+    """Return the signals in the packets of a link that are not otherwise available to the receiver."""
     homes = {name: step.at for step in policy.steps for name in assigned(step)} | {"y": "sensor", ONE: ENDS[link]}
     names = [name for step in policy.steps if isinstance(step, Send) and step.link == link for name in step.payload]
     return tuple(name for name in dict.fromkeys(names) if homes[name] not in policy.site(ENDS[link]))
 
 
 def fingerprint(policy: Policy, network: Network) -> int:
-    """Return 64 bits that tell policies apart: steps, locations and first values, to six digits of each matrix.
+    """Return a 64-bit fingerprint of the steps, locations and initial values of a policy, to six digits per matrix.
 
-    Two machines whose linear algebra rounds differently find the same. A function is known by what it returns at some
-    points, wherever it is written down.
+    Two machines whose linear algebra rounds differently compute the same fingerprint. A function is identified by its
+    values at a few points, not by its source code.
     """
     steps = [_sampled(policy, step) if isinstance(step, Apply) else step for step in policy.steps]
     data = (steps, policy.locations, dict(policy.initial), policy.sites, policy.tick, network.protocol)
@@ -63,7 +63,7 @@ def fingerprint(policy: Policy, network: Network) -> int:
 
 
 def _sampled(policy: Policy, step: Apply) -> object:
-    """Return a function as what it makes of three points."""
+    """Return an ``Apply`` step in which the function is replaced by its values at three points."""
     found: list[object] = []
     sizes = [policy.sizes[name] for name in step.reads]
     for point in range(1, 1 + POINTS):
@@ -73,8 +73,8 @@ def _sampled(policy: Policy, step: Apply) -> object:
                 returned = step.function(*np.split(values, np.cumsum(sizes)[:-1]))
         except Exception as error:
             raise ProblemError(
-                f"the function of {', '.join(step.signals)} fails: {type(error).__name__}: {error}; expected one of "
-                f"the vectors {', '.join(step.reads)}"
+                f"the function of {', '.join(step.signals)} fails: {type(error).__name__}: {error}; expected a "
+                f"function of the vectors {', '.join(step.reads)}"
             ) from error
         listed = cast("Iterable[Any]", (returned,) if len(step.signals) == 1 else returned)
         found += [np.nan_to_num(np.asarray(one, dtype=np.float64)) for one in listed]
@@ -82,7 +82,7 @@ def _sampled(policy: Policy, step: Apply) -> object:
 
 
 def _plain(value: object) -> object:
-    """Return data as nested tuples of words and whole numbers."""
+    """Return data as nested tuples of strings and integers."""
     if is_dataclass(value) and not isinstance(value, type):
         held = tuple(_plain(getattr(value, field.name)) for field in fields(value))
         return (type(value).__name__, *held)
@@ -98,7 +98,7 @@ def _plain(value: object) -> object:
 
 
 def _whole(values: np.ndarray[Any, Any]) -> object:
-    """Return numbers as whole ones: size of the largest, and each as a share of it."""
+    """Return numbers as integers: the largest magnitude, and each number relative to the largest magnitude."""
     largest = float(np.abs(values).max(initial=0.0))
     if largest == 0.0:
         return (values.shape, 0)

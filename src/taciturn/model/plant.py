@@ -1,14 +1,16 @@
-"""Plants: discrete or continuous in time, driven by noise, and checked when they are made."""
+"""Discrete-time and continuous-time plants driven by noise, validated at construction."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Literal, Protocol, cast, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, instance, number, quoted, semidefinite
+from taciturn._display import Displayed
 from taciturn._modes import SCATTER, Slow, lost_modes, mode_text, pace
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, Map
@@ -16,27 +18,44 @@ from taciturn.model.dynamics import Dynamics, Map
 JumpDistribution = Literal["normal", "uniform", "two-point"]
 
 
-@dataclass(frozen=True, eq=False)
-class Plant:
+class _Shown(Displayed):
+    """Base class of plants that print a summary before their matrices."""
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the size, time base, poles, measurement, noise and matrices of the plant by name."""
+        from taciturn.model.display import plant_rows  # imported here, since that module imports this one
+
+        return plant_rows(cast("Plant | ContinuousPlant", self))
+
+    def short(self) -> str:
+        """Return the numbers of states, inputs and outputs as text."""
+        from taciturn.model.display import plant_size  # imported here, since that module imports this one
+
+        return plant_size(cast("Plant | ContinuousPlant", self))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Plant(_Shown):
     """A discrete-time plant x⁺ = A x + B u + w, y = C x + v, with white w ~ N(0, W) and v ~ N(0, V).
 
     Args:
-        A: dynamics, (n, n).
-        B: inputs, (n, m).
-        W: process-noise covariance per step, (n, n), semidefinite; zero is legal.
-        C: measurement, (p, n); omitted: the full state is measured.
-        V: measurement-noise covariance, (p, p), semidefinite; omitted: exact measurement.
-        dt: seconds per step; omitted: time is counted in steps.
-        mean: initial mean, (n,); omitted: 0.
-        covariance: initial covariance, (n, n); omitted: 0.
-        input_limit: symmetric clip of each input at the plant, (m,), positive; omitted: none.
-        function: x⁺ = f(x, u, w) of arrays (n,), (m,), (n,), w ~ N(0, W) drawn at every tick: a plant that is not
-            linear. Policies are designed on A and B, which must be its derivatives by x and u at 0, an equilibrium;
-            that by w is the identity wherever W is not 0. Omitted: A x + B u + w.
+        A: state matrix, (n, n).
+        B: input matrix, (n, m).
+        W: process-noise covariance per step, (n, n), positive semidefinite; may be zero.
+        C: output matrix, (p, n); if omitted, the full state is measured.
+        V: measurement-noise covariance, (p, p), positive semidefinite; if omitted, the measurement is exact.
+        dt: seconds per step; if omitted, time is counted in steps.
+        mean: mean of the initial state, (n,); default 0.
+        covariance: covariance of the initial state, (n, n); default 0.
+        input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
+        function: step x⁺ = f(x, u, w) of a nonlinear plant, with arrays (n,), (m,), (n,) and w ~ N(0, W) drawn at
+            every step. Policies are designed for A and B, which must be the derivatives of f with respect to x and u
+            at the equilibrium 0. The derivative with respect to w must be the identity wherever W is not 0. If
+            ``function`` is omitted, the step is A x + B u + w.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows;
-            or a function that fails, does not rest at 0, or has another linearisation.
+        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
+            controllable or not observable; or if ``function`` fails, is not at rest at 0, or is not linearised by A, B.
 
     Example:
         >>> Plant(A=[[2.0]], B=[[1.0]], W=[[0.01]]).inputs
@@ -53,7 +72,7 @@ class Plant:
     covariance: Array
     input_limit: Array | None
     function: Dynamics | None
-    full_state: bool = field(repr=False)
+    full_state: bool
 
     def __init__(
         self,
@@ -68,7 +87,7 @@ class Plant:
         input_limit: ArrayLike | None = None,
         function: Map | Dynamics | None = None,
     ) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit)
         object.__setattr__(self, "W", semidefinite("W", W, self.states, "(states, states)"))
         object.__setattr__(self, "dt", None if dt is None else number("dt", dt, 0.0))
@@ -91,26 +110,26 @@ class Plant:
         return self.C.shape[0]
 
     def same_as(self, other: Plant) -> bool:
-        """Tell whether the other plant has the same linear dynamics, noise and input limit."""
+        """Return whether the other plant has the same linear dynamics, noise and input limit."""
         keys = ("A", "B", "C", "W", "V", "input_limit")
         return all(self.agrees(key, other) for key in keys)
 
     def agrees(self, key: str, other: Plant) -> bool:
-        """Tell whether the other plant has the same array of this name, or neither has one."""
+        """Return whether both plants have equal arrays of this name, or neither plant has such an array."""
         return np.array_equal(getattr(self, key), getattr(other, key))
 
 
-@dataclass(frozen=True, eq=False)
-class Jumps:
-    """Poisson jumps of the state: at each event of rate λ the state moves by a zero-mean draw.
+@dataclass(frozen=True, eq=False, repr=False)
+class Jumps(Displayed):
+    """Poisson jumps: at each event of a Poisson process with rate λ, a zero-mean random vector is added to the state.
 
     Args:
-        rate: events per second λ, positive.
-        covariance: of one jump, (n, n), semidefinite.
-        distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``, each scaled to the covariance.
+        rate: mean number of jumps per second λ, positive.
+        covariance: covariance of a single jump, (n, n), positive semidefinite.
+        distribution: ``"normal"``, ``"uniform"`` or ``"two-point"``; each is scaled to the covariance.
 
     Raises:
-        ProblemError: rate not positive, or covariance not semidefinite.
+        ProblemError: if the rate is not positive, or the covariance is not positive semidefinite.
     """
 
     rate: float
@@ -118,7 +137,7 @@ class Jumps:
     distribution: JumpDistribution = "normal"
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         number("jumps.rate", self.rate, 0.0)
         size = array("jumps.covariance", self.covariance, (None, None), "(states, states)").shape[0]
         object.__setattr__(self, "covariance", semidefinite("jumps.covariance", self.covariance, size))
@@ -128,13 +147,13 @@ class Jumps:
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Prediction:
-    """An actuator that runs a model between ticks: u = L x̂, dx̂/dt = (A + BL) x̂ of the plant it was designed for.
+@dataclass(frozen=True, eq=False, repr=False)
+class Prediction(Displayed):
+    """The model that an actuator integrates between steps: u = L x̂, dx̂/dt = (A + BL) x̂ with A and B of the design.
 
     Args:
-        L: (inputs, states).
-        dynamics: A + BL, (states, states).
+        L: feedback gain, (inputs, states).
+        dynamics: closed-loop state matrix A + BL, (states, states).
     """
 
     L: Array
@@ -142,18 +161,18 @@ class Prediction:
 
     @classmethod
     def of(cls, plant: ContinuousPlant, L: Array) -> Prediction:
-        """Return that of a plant's own model."""
+        """Return the prediction by a plant's own model with the gain L."""
         return cls(L, plant.A + plant.B @ L)
 
 
-@dataclass(frozen=True, eq=False)
-class JumpNoise:
-    """What Poisson jumps add to a state within a tick: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
+@dataclass(frozen=True, eq=False, repr=False)
+class JumpNoise(Displayed):
+    """The effect of Poisson jumps on the state within a step: Σ_i e^{A(τ−t_i)} w_i over the jumps at times t_i.
 
     Args:
-        A: dynamics between jumps, per second, (n, n).
-        jumps: rate, covariance and law of a jump.
-        period: τ, seconds per tick.
+        A: state matrix between jumps, per second, (n, n).
+        jumps: rate, covariance and distribution of the jumps.
+        period: τ, seconds per step.
     """
 
     A: Array
@@ -161,24 +180,24 @@ class JumpNoise:
     period: float
 
 
-@dataclass(frozen=True, eq=False)
-class ContinuousPlant:
-    """A continuous-time plant dx = (A x + B u) dt + noise, sampled measurement y = C x + v.
+@dataclass(frozen=True, eq=False, repr=False)
+class ContinuousPlant(_Shown):
+    """A continuous-time plant dx = (A x + B u) dt + noise with the sampled measurement y = C x + v.
 
     Args:
-        A: dynamics, (n, n), per second.
-        B: inputs, (n, m).
-        W: intensity per second of the Wiener noise, (n, n), semidefinite; give W or jumps.
+        A: state matrix, (n, n), per second.
+        B: input matrix, (n, m).
+        W: intensity per second of the Wiener noise, (n, n), positive semidefinite; give either W or jumps.
         jumps: Poisson jumps instead of Wiener noise.
-        C: measurement, (p, n); omitted: the full state is measured.
-        V: measurement-noise covariance of each sample, (p, p); omitted: exact measurement.
-        mean: initial mean, (n,); omitted: 0.
-        covariance: initial covariance, (n, n); omitted: 0.
-        input_limit: symmetric clip of each input at the plant, (m,); omitted: none.
+        C: output matrix, (p, n); if omitted, the full state is measured.
+        V: measurement-noise covariance of each sample, (p, p); if omitted, the measurement is exact.
+        mean: mean of the initial state, (n,); default 0.
+        covariance: covariance of the initial state, (n, n); default 0.
+        input_limit: positive saturation limit of each input at the plant, (m,), symmetric; default no limit.
 
     Raises:
-        ProblemError: wrong shape, not finite, indefinite; a growing mode that no input moves or no measurement shows; W
-            and jumps both given.
+        ProblemError: if a matrix has the wrong shape, is not finite or is indefinite; if a growing mode is not
+            controllable or not observable; or unless exactly one of W and jumps is given.
 
     Example:
         >>> ContinuousPlant(A=[[0, 1], [0, 0]], B=[[0], [1]], W=[[0, 0], [0, 2.5]]).states
@@ -194,7 +213,7 @@ class ContinuousPlant:
     mean: Array
     covariance: Array
     input_limit: Array | None
-    full_state: bool = field(repr=False)
+    full_state: bool
 
     def __init__(
         self,
@@ -208,7 +227,7 @@ class ContinuousPlant:
         covariance: ArrayLike | None = None,
         input_limit: ArrayLike | None = None,
     ) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         _set_linear(self, A, B, C, V, mean, covariance, input_limit)
         if W is None and jumps is None:
             raise ProblemError("W is missing; expected the noise intensity per second (zeros for none), or jumps")
@@ -235,7 +254,7 @@ class ContinuousPlant:
 
 @runtime_checkable
 class StateSpaceLike(Protocol):
-    """What `control.StateSpace` and `scipy.signal.StateSpace`/`dlti` have in common."""
+    """The common attributes of `control.StateSpace` and `scipy.signal.StateSpace`/`dlti`."""
 
     A: npt.NDArray[np.float64]
     B: npt.NDArray[np.float64]
@@ -251,24 +270,24 @@ def plant_from(
     covariance: ArrayLike | None = None,
     input_limit: ArrayLike | None = None,
 ) -> Plant | ContinuousPlant:
-    """Make a plant of a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti`.
+    """Convert a `control.StateSpace` or a `scipy.signal.StateSpace`/`dlti` into a plant.
 
-    A continuous system gives a ContinuousPlant (W is then an intensity), a discrete one a Plant.
-    scipy's ``dt=None`` means continuous; python-control's ``dt=None`` (unspecified) is refused.
+    A continuous-time system becomes a ContinuousPlant, and W is its noise intensity; a discrete-time system becomes a
+    Plant. In scipy, ``dt=None`` means continuous time; python-control's ``dt=None`` (unspecified) is rejected.
 
     Args:
-        system: an object with A, B, C, D and dt, or one that ``to_ss`` converts.
-        W: process noise, (n, n).
-        V: measurement-noise covariance, (p, p); omitted: exact measurement.
-        mean: initial mean, (n,).
-        covariance: initial covariance, (n, n).
-        input_limit: clip of each input, (m,).
+        system: an object with attributes A, B, C, D and dt, or with a method ``to_ss`` that returns such an object.
+        W: covariance or intensity of the process noise, (n, n).
+        V: measurement-noise covariance, (p, p); if omitted, the measurement is exact.
+        mean: mean of the initial state, (n,).
+        covariance: covariance of the initial state, (n, n).
+        input_limit: saturation limit of each input, (m,).
 
     Returns:
         The plant.
 
     Raises:
-        ProblemError: no such attributes, D ≠ 0, or an unspecified time base.
+        ProblemError: if the system lacks these attributes, D is not 0, or the time base is unspecified.
 
     Example:
         >>> import scipy.signal
@@ -280,11 +299,11 @@ def plant_from(
         if to_state_space is None:
             raise ProblemError(
                 f"system is a {type(system).__name__}; expected a state-space object with A, B, C, D: "
-                "convert it first, as with control.ss"
+                "convert it first, for example with control.ss"
             )
         try:
             system = cast("StateSpaceLike", to_state_space())
-        except (TypeError, ValueError) as error:  # improper, or a table of frequencies
+        except (TypeError, ValueError) as error:  # an improper system, or frequency-response data
             raise ProblemError(
                 f"system is a {type(system).__name__} without a state space ({error}); "
                 "expected an object with A, B, C, D, or a proper transfer function"
@@ -295,7 +314,7 @@ def plant_from(
     if dt is None and not any(kind.__module__.startswith("scipy.") for kind in type(system).__mro__):
         raise ProblemError(
             "dt of the system is None, which is unspecified; expected 0 (continuous) or the seconds per step: "
-            "make it anew with dt=0 or dt=…"
+            "create the system again with dt=0 or dt=…"
         )
     C = np.asarray(system.C, dtype=np.float64)
     if dt is None or (dt is not True and dt == 0):
@@ -316,7 +335,7 @@ def _set_linear(
     covariance: ArrayLike | None,
     input_limit: ArrayLike | None,
 ) -> None:
-    """Check and set what both kinds of plant share."""
+    """Check and set the attributes that both plant classes share."""
     A = array("A", A, (None, None), "(states, states)")
     n = A.shape[0]
     if n == 0 or A.shape[1] != n:
@@ -348,7 +367,7 @@ def _set_linear(
 
 
 def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
-    """Return a function whose linearisation is the plant's."""
+    """Return the function as ``Dynamics``, after checking that A and B of the plant are its linearisation."""
     if not callable(function):
         raise ProblemError(f"function is {quoted(function)}; expected a function x, u, w → x⁺")
     found = function if isinstance(function, Dynamics) else Dynamics(function)
@@ -357,9 +376,9 @@ def _checked(function: Map | Dynamics, plant: Plant) -> Dynamics:
 
 
 def _refuse_lost_modes(plant: Plant | ContinuousPlant, continuous: bool) -> None:
-    """Refuse a plant with a growing mode that no input moves or no measurement shows.
+    """Reject a plant with a growing mode that is not controllable or not observable.
 
-    Those on the edge of stability are for cost and noise to decide: they may leave one alone.
+    Marginally stable modes are accepted here; whether they must be controlled depends on cost and noise.
     """
     slow = Slow(plant.A, continuous)
     for A, B, verb, what, remedy in (

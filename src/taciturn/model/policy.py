@@ -1,19 +1,21 @@
 """Policies as data: nodes that compute, decide and exchange packets, and the guarantee that holds for them.
 
-A policy is the list of what happens within one tick, in order. A signal read before it is assigned in a tick has its
-value of the tick before: that is the whole notion of memory, and a delay is an order of events. ``ONE``, the number 1,
-is known everywhere: its weights are constants.
+A policy lists the policy steps of all nodes within one sampling step, in order. A signal that is read before it is
+assigned has its value of the previous sampling step. Memories and delays are expressed by this order. The signal
+``ONE``, the number 1, is available at every node; its weights are constants.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taciturn._arrays import Array, array, number
+from taciturn._display import Displayed
+from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.location import Location as Location
@@ -50,35 +52,35 @@ if TYPE_CHECKING:
     from taciturn.model.diagram import Diagram
 
 
-@dataclass(frozen=True, eq=False)
-class Policy:
-    """Nodes that exchange packets, as data: what each computes within a tick, in order.
+@dataclass(frozen=True, eq=False, repr=False)
+class Policy(Displayed):
+    """A control policy as data: the policy steps that its nodes execute, in order, within each sampling step.
 
     Args:
-        kind: name in the catalogue.
-        steps: what happens within a tick, in order.
-        model: the discrete-time plant the policy was designed for.
-        cost_all_time: cost of sending at every tick, in the units of the cost.
+        kind: name of the policy kind in the catalogue.
+        steps: policy steps within a sampling step, in order.
+        model: the discrete-time plant for which the policy was designed.
+        cost_all_time: cost of sending at every step, in the units of the cost.
         scheduled: links whose rate the policy decides.
-        sites: nodes that share a place and know what each other knows.
-        locations: finite locations.
-        initial: first value of a memory, by signal; omitted: 0.
-        tick: seconds per tick; 1 where time is counted in steps.
-        noise_cost: inter-sample noise cost per tick that no policy can change.
-        network: the network it was designed for.
-        settling: ticks in which the loop forgets its start when everything is sent, 1/(1 − |slowest eigenvalue|).
-        cost: the cost it was designed for; with an identity, a guarantee or a closed form.
-        prediction: of an actuator that runs the model continuously between ticks.
-        guarantee, identity, innovations, closed_form: where the theory gives them.
-        reset: the error that every send sets to zero, where there is one.
-        tracking: where the policy follows a reference.
-        fixed_rates: sends per tick that the design fixes, whatever the plant does, by link.
-        schedule: where a link is scheduled offline.
-        notes: what a reader of its numbers must know.
+        sites: groups of nodes at the same site, which have access to the same signals.
+        locations: finite discrete states.
+        initial: initial values of memories by signal; default 0.
+        tick: seconds per step; 1 if time is counted in steps.
+        noise_cost: inter-sample noise cost per step that no policy can change.
+        network: the network for which the policy was designed.
+        settling: time constant in steps of the loop that sends every sample, 1/(1 − |slowest eigenvalue|).
+        cost: the cost for which the policy was designed; required with an identity, a guarantee or a closed form.
+        prediction: the model of an actuator that predicts in continuous time between steps, or None.
+        guarantee, identity, innovations, closed_form: theoretical results, or None if they are unknown.
+        reset: the error that every send sets to zero, or None.
+        tracking: the signals of a reference that the policy tracks, or None.
+        fixed_rates: rates by link that the design fixes, in sends per step.
+        schedule: the offline schedule of a link, or None.
+        notes: remarks that a reader of the results should know.
 
     Raises:
-        ProblemError: a signal, decision or location without origin, a matrix that does not fit, two packets on one
-            link, a cost that is not finite, or theory of linear steps where one is a function.
+        ProblemError: if a signal, decision or location is not defined, a matrix has the wrong size, a link has two
+            packets, a cost is not finite, or theory for linear steps is given with a step that is a function.
     """
 
     kind: str
@@ -107,20 +109,22 @@ class Policy:
     sizes: Mapping[str, int] = field(init=False)
 
     def __post_init__(self) -> None:
-        """Check that everything fits together."""
+        """Check that all parts of the policy are consistent."""
         number("tick", self.tick, 0.0)
         self._check_costs()
         if self.cost is None and (self.identity or self.guarantee or self.closed_form):
-            raise ProblemError(f"{self.kind} claims a cost but has none; expected cost, the one it was designed for")
+            raise ProblemError(
+                f"{self.kind} has an identity, a guarantee or a closed form but no cost; expected its cost"
+            )
         self._check_theory()
         sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
         for step in self.steps:
             for name, size in assigned(step).items():
                 if name == ONE:
-                    raise ProblemError(f"{ONE!r} is assigned; it is the number 1: expected another name")
+                    raise ProblemError(f"{ONE!r} is assigned, but denotes the number 1; expected another name")
                 if sizes.setdefault(name, size) != size:
                     raise ProblemError(
-                        f"{name} has {sizes[name]} entries in one step and {size} in another; expected one size"
+                        f"{name} has {sizes[name]} entries in one step and {size} in another; expected equal sizes"
                     )
         object.__setattr__(self, "sizes", sizes)
         initial = {name: array(f"initial {name}", value, (self._size(name),)) for name, value in self.initial.items()}
@@ -130,16 +134,14 @@ class Policy:
             if isinstance(step, Decide):
                 decided.append(step.decision)
             elif not isinstance(step, Apply | Draw) and isinstance(step.on, str) and step.on not in decided:
-                raise ProblemError(
-                    f"the condition {step.on!r} is not decided before its use; expected one of {decided}"
-                )
+                raise ProblemError(f"the condition {step.on!r} is used before it is decided; expected one of {decided}")
             self._check(step)
         links = [step.link for step in self.steps if isinstance(step, Send)]
         for link in set(links):
             if links.count(link) > 1:
                 raise ProblemError(
-                    f"{links.count(link)} packets go over the {link} link in a tick; "
-                    "expected one Send, with the signals and the labels of both"
+                    f"{links.count(link)} packets go over the {link} link in a step; "
+                    "expected a single Send with the signals and labels of all of them"
                 )
         for location in self.locations:
             if location.on is not None and location.table.shape[1] != self.outcomes(location.on):
@@ -151,14 +153,34 @@ class Policy:
             got = f"has {sizes['input']} entries" if "input" in sizes else "is never assigned"
             raise ProblemError(f"input {got}; expected {self.model.inputs} entries, assigned at the actuator")
 
+    def summary(self) -> Mapping[str, object]:
+        """Return the kind, cost, guarantee, plant, decisions, links and network of the policy by name."""
+        proved = self.guarantee
+        per = None if self.tick == 1 else f"{self.tick:g} s"
+        return {
+            "kind": self.kind,
+            "cost_all_time": self.cost_all_time,
+            "guarantee": None if proved is None else f"{proved.statement}: at most {proved.cost:.6g}",
+            "period": per,
+            "plant": self.model.short(),
+            "decisions": [f"{name}: {' or '.join(one.labels)}" for name, one in self.decisions.items()],
+            "links": [f"{link.name}: {link.packet}, {link.condition}" for link in self.diagram().links],
+            "network": self.network.short(),
+            "notes": self.notes,
+        }
+
+    def short(self) -> str:
+        """Return the policy kind."""
+        return self.kind
+
     @property
     def decisions(self) -> Mapping[str, Trigger]:
-        """The trigger of each decision."""
+        """The trigger of each decision by name."""
         return {step.decision: step.trigger for step in self.steps if isinstance(step, Decide)}
 
     @property
     def cycle(self) -> int:
-        """Ticks after which all clocks repeat, shared or a node's own: what moves regardless of data."""
+        """Number of steps after which all locations that are independent of data, such as step counters, repeat."""
         return joint_cycle(self.locations, self.decisions)
 
     def outcomes(self, condition: Condition) -> int:
@@ -166,28 +188,28 @@ class Policy:
         if not isinstance(condition, str):
             return 2
         if condition not in self.decisions:
-            raise ProblemError(f"the condition {condition!r} is no decision; expected one of {list(self.decisions)}")
+            raise ProblemError(f"the condition {condition!r} is not a decision; expected one of {list(self.decisions)}")
         return len(self.decisions[condition].labels)
 
     def site(self, node: NodeName) -> frozenset[NodeName]:
-        """Return the nodes that share a place with this one."""
+        """Return the nodes at the same site as this node."""
         return next((site for site in self.sites if node in site), frozenset({node}))
 
     def diagram(self) -> Diagram:
-        """Return its nodes and who sends what to whom, as data that prints itself as text and as a figure.
+        """Return the nodes and links of the policy as a diagram that can be printed or plotted.
 
         Example:
             >>> from taciturn import load
             >>> [link.packet for link in load("rover").design().diagram().links]
             ['command (1)', 'y (1)']
         """
-        from taciturn.model.diagram import draw_diagram  # which reads policies
+        from taciturn.model.diagram import draw_diagram  # imported here, since that module imports this one
 
         return draw_diagram(self)
 
-    def plot(self) -> Figure:
-        """Return a figure of its nodes, and of the packets of a tick."""
-        return self.diagram().plot()
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the nodes and of the packets that they exchange within a step."""
+        return self.diagram().plot(ax, figsize)
 
     def _size(self, name: str) -> int:
         if name not in self.sizes:
@@ -233,7 +255,7 @@ class Policy:
                 )
 
     def __str__(self) -> str:
-        """Return its kind, what sending always costs, what is proved, and who sends what to whom."""
+        """Return the kind, the cost of sending every sample, the guarantee and the diagram as text."""
         proved = "" if self.guarantee is None else f"; {self.guarantee.statement}: at most {self.guarantee.cost:.6g}"
         return f"{self.kind}: J_all = {self.cost_all_time:.6g}{proved}\n{self.diagram().text()}"
 
@@ -254,26 +276,26 @@ class Policy:
             return
         sizes = {location.name: len(location.table) for location in self.locations}
         if sizes.get(value.by) != len(value.values):
-            got = f"{sizes[value.by]} locations" if value.by in sizes else f"no such location among {list(sizes)}"
+            got = f"it has {sizes[value.by]} states" if value.by in sizes else f"the policy has only {list(sizes)}"
             raise ProblemError(
-                f"a table by {value.by!r} has {len(value.values)} entries, and there are {got}; "
-                "expected one per location"
+                f"a table has {len(value.values)} entries selected by the location {value.by!r}, but {got}; "
+                "expected one entry per state of the location"
             )
 
     def _check_theory(self) -> None:
-        """Refuse the theory of linear steps where one is not linear."""
+        """Reject theory for linear steps if a step of the policy is a function."""
         names = ("innovations", "identity", "reset", "closed_form", "guarantee")
         claims = [name for name in names if getattr(self, name) is not None]
         functions = [step for step in self.steps if isinstance(step, Apply)]
         if claims and functions:
             raise ProblemError(
-                f"{self.kind} computes {next(iter(functions[0].signals))} by a function and claims {claims[0]}, which "
-                "is theory of linear steps; expected no such claim"
+                f"{self.kind} computes {next(iter(functions[0].signals))} by a function and has {claims[0]}, which "
+                f"holds for linear steps only; expected no {claims[0]}"
             )
 
     def _check_costs(self) -> None:
         costs = {
-            "all-time cost": self.cost_all_time,
+            "cost of sending every sample": self.cost_all_time,
             "inter-sample noise cost": self.noise_cost,
             "guaranteed cost": 0.0 if self.guarantee is None else self.guarantee.cost,
             "cost": 0.0 if self.closed_form is None else self.closed_form.cost,

@@ -1,4 +1,4 @@
-"""A reference to be tracked, and what a policy that tracks one tells the loop."""
+"""Reference trajectories, and the signals of a policy that tracks a reference."""
 
 from __future__ import annotations
 
@@ -7,38 +7,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Plant
 
-FOLLOWS = 1e-9  # of the largest state: how far a written state may miss the one its step leads to
+FOLLOWS = 1e-9  # tolerance of r⁺ = A r + B f, relative to the largest state
 
 
-@dataclass(frozen=True, eq=False)
-class Reference:
-    """The states r_0 … r_N and inputs f_0 … f_{N−1} of a desired motion, stored at both ends of the network.
+@dataclass(frozen=True, eq=False, repr=False)
+class Reference(Displayed):
+    """A reference trajectory of states r_0 … r_N and inputs f_0 … f_{N−1}, stored at both ends of the network.
 
     Args:
-        states: r_k, (steps + 1, n).
-        inputs: the feedforward f_k, (steps, m), with r_{k+1} = A r_k + B f_k.
+        states: reference states r_k, (steps + 1, n).
+        inputs: feedforward inputs f_k, (steps, m), with r_{k+1} = A r_k + B f_k.
 
     Raises:
-        ProblemError: lengths that do not fit.
+        ProblemError: if the lengths of states and inputs do not match.
     """
 
     states: Array
     inputs: Array
 
     def __init__(self, states: ArrayLike, inputs: ArrayLike) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         object.__setattr__(self, "inputs", array("reference.inputs", inputs, (None, None), "(steps, inputs)"))
         shape, meaning = (len(self.inputs) + 1, None), "(steps + 1, states)"
         object.__setattr__(self, "states", array("reference.states", states, shape, meaning))
 
     def check(self, plant: Plant, horizon: int) -> None:
-        """Check that this is a motion of the plant over so many ticks: each step is the one that its input causes.
+        """Check that the reference satisfies r_{k+1} = A r_k + B f_k of the plant over ``horizon`` steps.
 
         Raises:
-            ProblemError: sizes or length differ, or a state is not the one that the step before it leads to.
+            ProblemError: if a size or the length differs, or a state does not follow from the step before.
         """
         for name, found, wanted in (
             ("inputs", self.inputs.shape, (horizon, plant.inputs)),
@@ -46,7 +47,7 @@ class Reference:
         ):
             if found != wanted:
                 raise ProblemError(
-                    f"reference.{name} has shape {found}; expected {wanted}: the horizon and the sizes of the plant"
+                    f"reference.{name} has shape {found}; expected {wanted}, from horizon and sizes of the plant"
                 )
         caused, pushes = self.states[:-1] @ plant.A.T, self.inputs @ plant.B.T
         miss = np.abs(caused + pushes - self.states[1:]).max(axis=1)
@@ -54,19 +55,19 @@ class Reference:
         if (miss > allowed).any():
             step = int(np.argmax(miss > allowed))
             raise ProblemError(
-                f"reference.states misses by {miss[step]:.3g} at step {step + 1} what step {step} and its input cause; "
+                f"reference.states differs by {miss[step]:.3g} at step {step + 1} from A r + B f of step {step}; "
                 f"expected r⁺ = A r + B f within {allowed:.3g}: compute the states from the inputs with all digits"
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Tracking:
-    """The signals of a policy from which state and input deviate; the cost is then that of the deviations.
+@dataclass(frozen=True, eq=False, repr=False)
+class Tracking(Displayed):
+    """The signals of a policy that contain its reference; the cost weighs the deviations of state and input from them.
 
     Args:
-        state: signal that holds r_k.
-        input: signal that holds f_k.
-        final: r_N, from which the final state deviates, (n,).
+        state: name of the signal with the reference state r_k.
+        input: name of the signal with the feedforward input f_k.
+        final: final reference state r_N, (n,).
     """
 
     state: str

@@ -1,40 +1,42 @@
-"""A schedule of sensor queries: computed offline, seen, plotted and exported as what it is, a table."""
+"""Schedules of sensor queries that are computed offline and can be printed, plotted and exported as tables."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn._figure import Panel, Series, draw
-from taciturn._table import data_frame
+from taciturn._figure import Panel, Series, Size, draw
+from taciturn.model.table import Column, Columns, Tabular
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
 
-SHOWN = 30  # ticks of a picture, at least
+SHOWN = 30  # smallest number of steps shown in a figure
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """When a sensor is queried: at the ticks whose query is worth more than its price.
+@dataclass(frozen=True, eq=False, repr=False)
+class Schedule(Tabular):
+    """A schedule that queries a sensor at the steps at which a query saves more than its price.
 
-    Tick k of the list is followed by tick k + 1, and the last by tick ``start``: from there on the schedule repeats.
-    A finite horizon has no repetition: ``start`` is None.
+    Step k is followed by step k + 1, and the last step by step ``start``, from which the schedule repeats. For a
+    finite horizon the schedule does not repeat, and ``start`` is None.
 
     Args:
-        queries: whether the sensor is queried, (ticks,).
-        value: h(Σ), what a query now saves of the optimal cost-to-go, (ticks,).
-        covariance: Σ of the predicted estimate before the query, (ticks, n, n).
-        price: ζ; the sensor is queried where value > price.
-        start: first tick of the part that repeats, or None.
-        discount: α of a discounted sum, whose ticks count less the later they are.
+        queries: whether the sensor is queried at each step, (steps,).
+        value: value h(Σ) of a query, its reduction of the optimal cost-to-go, (steps,).
+        covariance: error covariance Σ of the predicted estimate before the query, (steps, n, n).
+        price: price ζ of a query; the sensor is queried if value > price.
+        start: first step of the repeating part, or None.
+        discount: discount factor α per step; 1 for an average or a finite horizon.
     """
+
+    index: ClassVar[str] = "tick"
+    heading: ClassVar[tuple[str, ...]] = ("price", "discount")
 
     queries: npt.NDArray[np.bool_]
     value: Array
@@ -45,12 +47,12 @@ class Schedule:
 
     @property
     def period(self) -> int | None:
-        """Ticks after which the schedule repeats, or None for a finite horizon."""
+        """Steps after which the schedule repeats, or None for a finite horizon."""
         return None if self.start is None else len(self.queries) - self.start
 
     @property
     def rate(self) -> float:
-        """Queries per tick: of the part that repeats, of the whole horizon, or (1−α)Σα^k of a discounted sum."""
+        """Queries per step: mean over the repeating part or the horizon; for a discounted sum (1−α)Σα^k."""
         if self.discount == 1 or self.start is None:
             return float(self.queries[self.start or 0 :].mean())
         weights = self.discount ** np.arange(len(self.queries)) * self.queries
@@ -59,17 +61,17 @@ class Schedule:
 
     @property
     def ticks(self) -> list[int]:
-        """The ticks at which the sensor is queried."""
+        """The steps at which the sensor is queried."""
         return [int(tick) for tick in np.flatnonzero(self.queries)]
 
     def repeating(self) -> Schedule:
-        """Return the part that repeats, alone."""
+        """Return the schedule without the steps before its repeating part."""
         kept = slice(self.start or 0, None)
         start = None if self.start is None else 0
         return Schedule(self.queries[kept], self.value[kept], self.covariance[kept], self.price, start, self.discount)
 
     def document(self) -> dict[str, Any]:
-        """Return what JSON holds of it: queried ticks, length, where it repeats, and the value of each query."""
+        """Return the schedule as a dictionary for JSON: queried steps, length, repetition and value of each query."""
         return {
             "queries": self.ticks,
             "length": len(self.queries),
@@ -80,8 +82,8 @@ class Schedule:
             "price": self.price,
         }
 
-    def plot(self) -> Figure:
-        """Return a figure: the value of a query, its price, and the queries; a short cycle several times."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the values, the price and the queries; a short cycle is shown several times."""
         shown = list(range(len(self.queries)))
         while self.start is not None and len(shown) < SHOWN:
             shown += range(self.start, len(self.queries))
@@ -92,15 +94,17 @@ class Schedule:
             Series([ticks[0], ticks[-1]], [self.price] * 2, "price, ζ", "dashed", color=3),
         ]
         marks = [Series(asked, [1.0] * len(asked), f"queries: {len(asked)} of {len(shown)}", "stems")]
-        where = "" if self.start is None else f"from tick {self.start} on it repeats every {self.period}"
-        return draw([Panel(values, ylabel="cost", title=where), Panel(marks, xlabel="tick", ylabel="query")])
+        where = "" if self.start is None else f"repeats every {self.period} steps from step {self.start}"
+        return draw(
+            [Panel(values, ylabel="cost", title=where), Panel(marks, xlabel="step", ylabel="query")], ax, figsize
+        )
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a table with one row per tick: value, query, and the diagonal of the covariance.
-
-        Raises:
-            ProblemError: pandas is not installed.
-        """
-        columns: dict[str, object] = {"value": self.value, "query": self.queries}
+    def columns(self) -> Columns:
+        """Return the columns step, value, query and diagonal of the covariance, with one row per step."""
+        columns: dict[str, Column] = {
+            "tick": range(len(self.queries)),
+            "value": self.value,
+            "query": self.queries,
+        }
         columns |= {f"variance{i + 1}": self.covariance[:, i, i] for i in range(self.covariance.shape[1])}
-        return data_frame(columns, "tick", range(len(self.queries)))
+        return columns

@@ -1,4 +1,4 @@
-"""The steps of a policy: what its nodes compute, decide and send within a tick, as data."""
+"""Policy steps as data: the computations, decisions and packets of the nodes within a sampling step."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from taciturn._arrays import ArrayLike, count, quoted
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger, matrix, shape_of
 
@@ -14,36 +15,36 @@ NodeName = Literal["sensor", "controller", "actuator"]
 LinkName = Literal["sensor", "actuator"]
 NODES: tuple[NodeName, ...] = ("sensor", "controller", "actuator")
 ONE = "one"
-ENDS: dict[str, NodeName] = {"sensor": "controller", "actuator": "actuator"}  # a link is named after where it matters
+ENDS: dict[str, NodeName] = {"sensor": "controller", "actuator": "actuator"}  # the receiver of each link
 
 
-@dataclass(frozen=True)
-class Received:
-    """The condition "a packet of this link arrived", known at its receiving node."""
-
-    link: LinkName
-
-
-@dataclass(frozen=True)
-class Acknowledged:
-    """The condition "my packet on this link arrived", known at its sender where the network acknowledges."""
+@dataclass(frozen=True, repr=False)
+class Received(Displayed):
+    """The condition "a packet of this link arrived", available at the receiving node."""
 
     link: LinkName
 
 
-Condition: TypeAlias = str | Received | Acknowledged  # a name is that of a decision
+@dataclass(frozen=True, repr=False)
+class Acknowledged(Displayed):
+    """The condition "my packet on this link arrived", available at the sender if the network acknowledges packets."""
+
+    link: LinkName
+
+
+Condition: TypeAlias = str | Received | Acknowledged  # a string is the name of a decision
 Terms: TypeAlias = Mapping[str, Matrix]
 
 
-@dataclass(frozen=True, eq=False)
-class Assign:
-    """signal := Σ matrix·signal at a node; with ``on``, one sum for each outcome of the condition.
+@dataclass(frozen=True, eq=False, repr=False)
+class Assign(Displayed):
+    """An assignment signal := Σ matrix·signal at a node; with ``on``, one sum for each outcome of the condition.
 
     Args:
-        at: the node that computes.
-        signal: name of the result.
-        branches: {signal: matrix}, or one such mapping per outcome: (not arrived, arrived), or one per label.
-        on: the condition that picks the branch.
+        at: the node that computes the sum.
+        signal: name of the assigned signal.
+        branches: a mapping {signal: matrix}, or one per outcome: (not arrived, arrived), or one for each label.
+        on: the condition that selects the branch.
     """
 
     at: NodeName
@@ -58,7 +59,7 @@ class Assign:
         branches: Mapping[str, ArrayLike | Scheduled] | tuple[Mapping[str, ArrayLike | Scheduled], ...],
         on: Condition | None = None,
     ) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         listed = (branches,) if isinstance(branches, Mapping) else branches
         checked = tuple(
             {name: matrix(f"the weight of {name} in {signal}", value) for name, value in terms.items()}
@@ -66,11 +67,12 @@ class Assign:
         )
         if (on is None) != (len(checked) == 1):
             raise ProblemError(
-                f"{signal} has {len(checked)} branches on {on}; expected one without a condition, several with one"
+                f"{signal} has {len(checked)} branches on {on}; expected one branch without a condition, or several "
+                "branches that depend on one"
             )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:
-            raise ProblemError(f"the terms of {signal} have {sorted(rows)} rows; expected one number of rows")
+            raise ProblemError(f"the terms of {signal} have {sorted(rows)} rows; expected equal numbers of rows")
         object.__setattr__(self, "at", at)
         object.__setattr__(self, "signal", signal)
         object.__setattr__(self, "branches", checked)
@@ -82,9 +84,9 @@ class Assign:
         return next(shape_of(value)[0] for terms in self.branches for value in terms.values())
 
 
-@dataclass(frozen=True, eq=False)
-class Evaluate:
-    """signal := a quadratic form at a node (a scalar memory, for one); with ``on``, one form per outcome."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Evaluate(Displayed):
+    """An assignment of a quadratic form to a scalar signal at a node; with ``on``, one form for each outcome."""
 
     at: NodeName
     signal: str
@@ -96,27 +98,28 @@ class Evaluate:
         if (self.on is None) != (len(self.forms) == 1):
             raise ProblemError(
                 f"{self.signal} has {len(self.forms)} forms on {self.on}; "
-                "expected one without a condition, several with one"
+                "expected one form without a condition, or several forms that depend on one"
             )
 
 
-@dataclass(frozen=True, eq=False)
-class Apply:
-    """signals := function(signals) at a node: what is not linear, such as an extended Kalman filter.
+@dataclass(frozen=True, eq=False, repr=False)
+class Apply(Displayed):
+    """A nonlinear assignment signals := function(signals) at a node, such as an extended Kalman filter.
 
-    The function is NumPy code, traced once into the operations that run in simulation, in nodes and on devices: a
-    choice is ``np.where`` and no ``if``.
+    The function is NumPy code. It is traced once into the operations that run in simulation, in nodes and on devices,
+    so it must use ``np.where`` instead of ``if``.
 
     Args:
-        at: the node that computes.
-        signals: entries of each result, by name.
-        function: of the vectors that are read, one parameter each; it returns a vector, or a tuple where there are
-            several results.
-        reads: signals that it is given; one that is assigned later in the tick, or by itself, is that of the tick
-            before.
+        at: the node that computes the function.
+        signals: number of entries of each result, by name.
+        function: function with one vector parameter for each signal in ``reads``; it returns a vector, or a tuple of
+            vectors for several results.
+        reads: names of the signals passed to the function. A signal that is assigned later in the step, or by this
+            function, has its value of the previous step.
 
     Raises:
-        ProblemError: no results, a result without entries, no function, or nothing to read.
+        ProblemError: if there are no results, a result has no entries, ``function`` is not callable, or ``reads`` is
+            empty.
 
     Example:
         >>> import numpy as np
@@ -130,44 +133,44 @@ class Apply:
     reads: tuple[str, ...]
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         if not self.signals:
-            raise ProblemError(f"a function at {self.at} has no results; expected signals, each with its entries")
+            raise ProblemError(f"a function at {self.at} has no results; expected signals and their sizes")
         names = ", ".join(self.signals)
         if not callable(self.function):
             raise ProblemError(f"the function of {names} is {quoted(self.function)}; expected a function")
         if isinstance(self.reads, str) or not self.reads:
             raise ProblemError(
-                f"the function of {names} reads {self.reads!r}; expected a tuple of signals, at least one"
+                f"the function of {names} reads {self.reads!r}; expected a tuple with at least one signal"
             )
         sizes = {name: count(f"the number of entries of {name}", size) for name, size in self.signals.items()}
         object.__setattr__(self, "signals", sizes)
         object.__setattr__(self, "reads", tuple(self.reads))
 
 
-@dataclass(frozen=True, eq=False)
-class Draw:
-    """signal := a draw ξ of the exponential law of mean 1 at a node; the peers do not see it.
+@dataclass(frozen=True, eq=False, repr=False)
+class Draw(Displayed):
+    """A random signal ξ drawn from the exponential distribution with mean 1 at a node, unknown to other nodes.
 
-    A trigger that compares a form q with ξ keeps silent with the probability e^{−q}.
+    A trigger that compares a form q with ξ stays silent with probability e^{−q}.
     """
 
     at: NodeName
     signal: str
 
 
-@dataclass(frozen=True, eq=False)
-class Decide:
-    """decision := the label that the trigger picks at a node."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Decide(Displayed):
+    """A decision at a node: the label that the trigger selects."""
 
     at: NodeName
     decision: str
     trigger: Trigger
 
 
-@dataclass(frozen=True, eq=False)
-class Send:
-    """A packet on a link; with ``on``, only if the decision is one of ``labels`` (omitted: any but the first)."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Send(Displayed):
+    """A packet on a link; with ``on``, sent only if the decision is one of ``labels`` (default: all but the first)."""
 
     at: NodeName
     link: LinkName
@@ -180,7 +183,7 @@ Step: TypeAlias = Assign | Evaluate | Apply | Draw | Decide | Send
 
 
 def assigned(step: Step) -> Mapping[str, int]:
-    """Return the entries of each signal that a step assigns, by name."""
+    """Return the number of entries of each signal that a policy step assigns, by name."""
     if isinstance(step, Assign):
         return {step.signal: step.size}
     if isinstance(step, Evaluate | Draw):
@@ -189,7 +192,7 @@ def assigned(step: Step) -> Mapping[str, int]:
 
 
 def read(step: Step) -> list[str]:
-    """Return the signals that a step reads, in order."""
+    """Return the names of the signals that a policy step reads, in order."""
     if isinstance(step, Assign):
         return [name for terms in step.branches for name in terms]
     if isinstance(step, Evaluate):

@@ -1,4 +1,4 @@
-"""What is known of a policy, which it carries: bounds, identities and closed forms."""
+"""Theoretical results about a policy: bounds, identities and closed forms."""
 
 from __future__ import annotations
 
@@ -6,19 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.model.trigger import Form
 
 
-@dataclass(frozen=True)
-class Guarantee:
-    """A proved bound on the cost.
+@dataclass(frozen=True, repr=False)
+class Guarantee(Displayed):
+    """A proven upper bound on the cost.
 
     Args:
-        cost: number that the cost cannot exceed, in the units of the cost.
+        cost: the bound, in the units of the cost.
         statement: the theorem in one line.
-        source: key in ``docs/sources.bib``.
-        base: cost at which a bound that depends on the rate starts; omitted: no such bound.
-        per_silence: what never sending adds to ``base`` at most; ticks in silence add their share of it.
+        source: key of the reference in ``docs/sources.bib``.
+        base: value at rate 1 of a bound that depends on the rate; if omitted, there is no such bound.
+        per_silence: coefficient of (1 − rate) in the bound that depends on the rate.
     """
 
     cost: float
@@ -28,18 +29,18 @@ class Guarantee:
     per_silence: float = 0.0
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound at a rate in sends per tick, base + per_silence·(1 − rate), or None where none is proved."""
+        """Return the bound base + per_silence·(1 − rate) for a rate in sends per step, or None if there is none."""
         return None if self.base is None else self.base + self.per_silence * (1 - rate)
 
 
-@dataclass(frozen=True, eq=False)
-class Identity:
-    """The exact identity cost = constant + E[form]: completion of squares, used as the estimator.
+@dataclass(frozen=True, eq=False, repr=False)
+class Identity(Displayed):
+    """The exact identity cost = constant + E[form] from completion of squares, used to estimate the cost.
 
     Args:
-        constant: what no decision changes, in the units of the cost.
-        forms: one form, or one for each outcome of ``on``, evaluated at the end of a tick.
-        on: the decision that picks the form.
+        constant: part of the cost that no decision changes, in the units of the cost.
+        forms: one form, or one for each outcome of ``on``, evaluated at the end of a step.
+        on: the decision that selects the form.
     """
 
     constant: float
@@ -47,15 +48,15 @@ class Identity:
     on: str | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Innovations:
-    """Where the policy's filter whitens the measurement: then the loop can be run without the plant.
+@dataclass(frozen=True, eq=False, repr=False)
+class Innovations(Displayed):
+    """The white innovations of a policy's filter, which allow the loop to be simulated without the plant.
 
     Args:
-        signal: the signal that is white with this covariance.
-        covariance: S, (p, p).
-        estimate: the signal whose error is independent of everything the policy knows.
-        error_covariance: Σ, (n, n).
+        signal: name of the innovations signal, which is white.
+        covariance: covariance S of the innovations, (p, p).
+        estimate: name of the state estimate, whose error is independent of all signals of the policy.
+        error_covariance: covariance Σ of the estimation error, (n, n).
     """
 
     signal: str
@@ -64,33 +65,50 @@ class Innovations:
     error_covariance: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Reset:
-    """The error e⁺ = A e (1−σ) + w that a send sets to zero, A that of the model, w independent from tick to tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Reset(Displayed):
+    """An error e⁺ = A e (1−σ) + w that a send resets to zero, with A of the model and w independent between steps.
 
     Args:
-        covariance: of w, (n, n); where the plant is moved by jumps, w is theirs.
-        signals: the signals that are M e when the decision is taken: M by name, (entries, n);
-            e itself comes first.
-        square: what silence costs beyond sending always is e'(square)e per tick, (n, n).
+        covariance: covariance of w, (n, n); for a plant with jumps, w is the effect of the jumps.
+        signals: matrices M of the signals that equal M e at the decision, by name, (entries, n); the first is e itself.
+        weight: weight in e'(weight)e, the cost per step of silence beyond sending every sample, (n, n).
     """
 
     covariance: Array
     signals: Mapping[str, Array]
-    square: Array
+    weight: Array
 
     @property
     def error(self) -> str:
-        """Name of the signal that is e itself."""
+        """Name of the signal that equals e."""
         return next(iter(self.signals))
 
+    @property
+    def square(self) -> Array:
+        """Former name of ``weight``."""
+        return self.weight
 
-@dataclass(frozen=True)
-class ClosedForm:
-    """Cost and rates that are known exactly, in the units of the cost and per tick.
 
-    Those of a policy whose actions ignore the state, for one.
+@dataclass(frozen=True, repr=False)
+class ClosedForm(Displayed):
+    """Exact cost in the units of the cost, and exact rates per step.
+
+    They are known, for example, for a policy whose actions do not depend on the state.
     """
 
     cost: float
     rates: Mapping[str, float]
+
+
+@dataclass(frozen=True, repr=False)
+class Linearisation(Displayed):
+    """Theoretical costs of the linearisation of a plant, which do not bound the cost of the nonlinear plant.
+
+    Args:
+        cost_all_time: cost of the linear plant if every sample is sent.
+        cost_bound: proven bound on the cost of the linear plant, or None.
+    """
+
+    cost_all_time: float
+    cost_bound: float | None

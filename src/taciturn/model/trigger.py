@@ -1,4 +1,4 @@
-"""Triggers: the action is the cheapest of a few quadratic forms."""
+"""Triggers that select the action with the smallest of several quadratic forms."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, frozen, number, semidefinite
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 
-@dataclass(frozen=True, eq=False)
-class Scheduled:
-    """Matrices (or numbers) read from a table by a finite location: the entry of location i is ``values[i]``.
+@dataclass(frozen=True, eq=False, repr=False)
+class Scheduled(Displayed):
+    """A table of matrices or numbers from which a location selects an entry: ``values[i]`` in state i.
 
     Args:
-        by: name of the location.
-        values: (locations, …).
+        by: name of the location, a finite discrete state.
+        values: entries of the table, (locations, …).
 
     Example:
         >>> Scheduled("clock", [[[1.0]], [[2.0]]]).entry_shape
@@ -28,12 +29,12 @@ class Scheduled:
     values: Array
 
     def __init__(self, by: str, values: ArrayLike) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         try:
             table = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ProblemError(
-                f"the table by {by!r} is not an array of numbers ({error}); expected entries of one shape"
+                f"the table by {by!r} is not an array of numbers ({error}); expected entries of equal shape"
             ) from None
         if table.ndim not in (1, 3) or not len(table):
             raise ProblemError(
@@ -44,16 +45,16 @@ class Scheduled:
 
     @property
     def entry_shape(self) -> tuple[int, ...]:
-        """Shape of the entry of one location."""
+        """Shape of a single entry of the table."""
         return self.values.shape[1:]
 
 
 Matrix = Array | Scheduled
-"""A constant matrix, or one for each location."""
+"""A constant matrix, or a table with one matrix for each state of a location."""
 
 
 def matrix(name: str, value: ArrayLike | Scheduled) -> Matrix:
-    """Return a read-only two-dimensional matrix, or the table of them unchanged."""
+    """Return a read-only two-dimensional matrix; a table of matrices is returned unchanged."""
     if isinstance(value, Scheduled):
         if value.values.ndim != 3:
             raise ProblemError(f"{name} is a table of numbers; expected a table of matrices")
@@ -66,19 +67,19 @@ def shape_of(value: Matrix) -> tuple[int, ...]:
     return value.entry_shape if isinstance(value, Scheduled) else value.shape
 
 
-@dataclass(frozen=True, eq=False)
-class Bell:
-    """The term height · exp(−½ η'Πη) of a form: it falls from its height at η = 0.
+@dataclass(frozen=True, eq=False, repr=False)
+class GaussianTerm(Displayed):
+    """The Gaussian term height · exp(−½ η'Πη) of a form.
 
     Args:
-        height: a number.
-        Pi: Π, (d, d), semidefinite.
+        height: value of the term at η = 0.
+        Pi: weight Π in the exponent, (d, d), positive semidefinite.
 
     Raises:
-        ProblemError: Π is not symmetric or not semidefinite.
+        ProblemError: if Π is not symmetric or not positive semidefinite.
 
     Example:
-        >>> Bell(-2.0, [[1.0]]).height
+        >>> GaussianTerm(-2.0, [[1.0]]).height
         -2.0
     """
 
@@ -86,32 +87,32 @@ class Bell:
     Pi: Array
 
     def __init__(self, height: float, Pi: ArrayLike) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         object.__setattr__(self, "height", number("the height of a bell", height))
         size = len(array("Pi", Pi, (None, None), "(entries, entries)"))
         object.__setattr__(self, "Pi", semidefinite("Pi", Pi, size, "(entries, entries)"))
 
 
-@dataclass(frozen=True, eq=False)
-class Form:
-    """A scalar: η'Ψη + height·exp(−½η'Πη) + Σ weight·s + constant, η the stack of ``signals``, s scalar signals.
+@dataclass(frozen=True, eq=False, repr=False)
+class Form(Displayed):
+    """A scalar η'Ψη + height·exp(−½η'Πη) + Σ weight·s + constant, with stacked signals η and scalar signals s.
 
     Args:
         signals: names of the signals stacked in η.
-        Psi: weight of the quadratic part, (d, d), symmetric; omitted: none.
-        constant: a number, or a table of numbers by location.
-        plus: weight of each scalar signal that is added (a memory, a drawn threshold).
-        bell: the exponential of a quadratic; omitted: none.
+        Psi: symmetric weight Ψ of the quadratic term, (d, d); if omitted, the term is absent.
+        constant: constant term: a number, or a table of numbers that a location selects.
+        plus: weight of each scalar signal s by name, such as a memory or a drawn threshold.
+        bell: Gaussian term; if omitted, the term is absent.
 
     Raises:
-        ProblemError: Psi without signals, or not symmetric.
+        ProblemError: if Psi is given without signals or is not symmetric.
     """
 
     signals: tuple[str, ...]
     Psi: Matrix | None
     constant: float | Scheduled
     plus: Mapping[str, float]
-    bell: Bell | None
+    bell: GaussianTerm | None
 
     def __init__(
         self,
@@ -119,9 +120,9 @@ class Form:
         Psi: ArrayLike | Scheduled | None = None,
         constant: float | Scheduled = 0.0,
         plus: Mapping[str, float] | None = None,
-        bell: Bell | None = None,
+        bell: GaussianTerm | None = None,
     ) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         if (Psi is None) != (not signals) and not (bell is not None and signals):
             got = f"signals {signals} without Psi" if Psi is None else "Psi without signals"
             raise ProblemError(f"a form has {got}; expected both, or neither")
@@ -143,24 +144,26 @@ class Form:
         weights = {name: number(f"the weight of {name}", value) for name, value in (plus or {}).items()}
         object.__setattr__(self, "plus", weights)
         if bell is not None and not signals:
-            raise ProblemError("a form has a bell without signals; expected both, or neither")
+            raise ProblemError("a form has a Gaussian term (bell) without signals; expected both, or neither")
         object.__setattr__(self, "bell", bell)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of all signals read."""
+        """Names of all signals that are read."""
         return (*self.signals, *self.plus)
 
 
-@dataclass(frozen=True, eq=False)
-class Trigger:
-    """The action argmin_j (η'Ψ_j η + c_j); ties go to the first listed, so list silence first.
+@dataclass(frozen=True, eq=False, repr=False)
+class Trigger(Displayed):
+    """A decision for the action argmin_j (η'Ψ_j η + c_j); among equal values, the first listed action is selected.
+
+    Silence is therefore listed first.
 
     Args:
         options: the form of each action, by label.
 
     Raises:
-        ProblemError: fewer than two options.
+        ProblemError: if there are fewer than two options.
 
     Example: send when e'e exceeds 2.
 
@@ -171,19 +174,19 @@ class Trigger:
     options: Mapping[str, Form]
 
     def __post_init__(self) -> None:
-        """Check and freeze."""
+        """Validate and store the arguments."""
         if len(self.options) < 2:
             raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two")
         object.__setattr__(self, "options", dict(self.options))
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Names of the actions in the order of ties."""
+        """Names of the actions; among equal values, the first is selected."""
         return tuple(self.options)
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Names of all signals read."""
+        """Names of all signals that are read."""
         return tuple(dict.fromkeys(name for form in self.options.values() for name in form.reads))
 
 

@@ -1,4 +1,4 @@
-"""The wire layout: what stands where in a datagram, as one table, and how numbers are rounded to be sent."""
+"""The wire format: the layout of a datagram as one table, and the rounding of numbers for transmission."""
 
 from __future__ import annotations
 
@@ -11,30 +11,31 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, array, choice
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
 PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input"]
 KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input")
 LINKS = ("sensor", "actuator", "plant")
-CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # struct's letters
-BYTES = len(CODES)  # the encoding of a payload that is no numbers
+CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
+BYTES = len(CODES)  # encoding of a payload of raw bytes
 VERSION = 1
-AUTHENTICATED = 0x80  # bit of the encoding
-LARGEST = 32767  # integer that stands for the full scale
-# adding and subtracting it leaves the nearest integer, ties to even
+AUTHENTICATED = 0x80  # flag in the encoding field for a datagram with a tag
+LARGEST = 32767  # integer that represents the full scale
+# adding and subtracting these constants rounds to the nearest integer, ties to even
 ROUNDERS = {"float64": 1.5 * 2.0**52, "float32": 1.5 * 2.0**23}
 CRC_SIZE, TAG_SIZE = 4, 16
-PERSON = b"taciturn"  # of its tags, and of fingerprints: BLAKE2s's personal string
+PERSON = b"taciturn"  # BLAKE2s personalisation string of tags and fingerprints
 
 
 class FieldOfHeader(NamedTuple):
-    """One field of the header.
+    """A field of the datagram header.
 
     Args:
-        name: of the field.
-        code: letter of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes.
-        meaning: for whoever writes a peer.
+        name: name of the field.
+        code: format character of ``struct``: B, H, I, Q are unsigned integers of 1, 2, 4, 8 bytes.
+        meaning: description for developers of other implementations.
     """
 
     name: str
@@ -62,22 +63,22 @@ HEADER = (
 )
 HEADER_FORMAT = "!" + "".join(entry.code for entry in HEADER)
 HEADER_SIZE = struct.calcsize(HEADER_FORMAT)
-_SEEN = ("sequence", "kind", "loop", "tick")  # by a link that looks at what it carries
+_SEEN = ("sequence", "kind", "loop", "tick")  # fields that a link reads when it inspects packets
 _PLACE = struct.Struct(
     "!" + "".join(e.code if e.name in _SEEN else f"{struct.calcsize('!' + e.code)}x" for e in HEADER)
 )
 
 
-@dataclass(frozen=True)
-class Encoding:
-    """How the entries of a payload are rounded and written.
+@dataclass(frozen=True, repr=False)
+class Encoding(Displayed):
+    """The encoding of the entries of a payload.
 
     Args:
         name: ``"float64"`` (exact), ``"float32"`` (24 bits) or ``"int16"`` (round(32767·value/range), clipped).
-        full_scale: range of each entry, with ``"int16"`` only.
+        full_scale: range of each entry; only with ``"int16"``.
 
     Raises:
-        ProblemError: another name, a range missing, out of place or not positive.
+        ProblemError: if the name is unknown, or a range is missing, is not positive or is given without ``"int16"``.
 
     Example:
         >>> Encoding("int16", (2.0,)).rounded([1.0])
@@ -88,35 +89,35 @@ class Encoding:
     full_scale: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        """Check."""
+        """Validate and store the arguments."""
         choice("the encoding", self.name, CODES)
         if (self.name == "int16") != bool(self.full_scale):
             got = "without" if self.name == "int16" else "with"
-            raise ProblemError(f"the encoding {self.name} comes {got} a range; expected one with int16, and only there")
+            raise ProblemError(f"the encoding {self.name} is given {got} a range; expected a range with int16 only")
         scale = array("the range of an encoding", self.full_scale, (None,))
         if not (scale > 0).all():
             raise ProblemError(f"the range of an encoding is {scale.min():g}; expected positive numbers")
         object.__setattr__(self, "full_scale", tuple(float(value) for value in scale))
 
     def parts(self, sizes: Sequence[int]) -> list[Encoding]:
-        """Return the encodings of signals that stand one after the other; one range is that of all entries.
+        """Return the encodings of consecutive signals of a payload; a single range applies to all entries.
 
         Raises:
-            ProblemError: another number of ranges than of entries.
+            ProblemError: if the number of ranges is neither 1 nor the number of entries.
         """
         entries = sum(sizes)
         if self.name != "int16":
             return [self] * len(sizes)
         if len(self.full_scale) not in (1, entries):
             raise ProblemError(
-                f"the range of a packet has {len(self.full_scale)} entries; expected one, or {entries}: as the packet"
+                f"the range of a packet has {len(self.full_scale)} entries; expected 1 or {entries}, one per entry"
             )
         each = self.full_scale * (entries // len(self.full_scale))
         ends = list(accumulate(sizes, initial=0))
         return [Encoding("int16", each[begin:end]) for begin, end in pairwise(ends)]
 
     def rounded(self, values: ArrayLike) -> Array:
-        """Return what the receiver of these values reads."""
+        """Return the values as the receiver decodes them."""
         exact = np.asarray(values, dtype=np.float64)
         if self.name == "float32":
             return exact.astype(np.float32).astype(np.float64)
@@ -127,5 +128,5 @@ class Encoding:
 
 
 def read_place(datagram: bytes) -> tuple[int, int, int, int]:
-    """Return sequence, kind, loop and tick of a datagram that is at least as long as a header; nothing is checked."""
+    """Return sequence, kind, loop and step from a datagram without checks; it must be at least as long as a header."""
     return _PLACE.unpack_from(datagram)

@@ -1,4 +1,19 @@
-"""Problem files: TOML read and checked with located errors, and the problem they state."""
+"""Problem files in TOML: reading, validation with located errors, and the problem that a file defines.
+
+A file comes in, and a ``Problem`` goes out: plant, cost, network, and the kind and parameters of a policy. Three checks
+follow each other, and an error names the file, the key, the given value and the remedy:
+
+1. ``tables`` checks names and types of all keys. An unknown key is an error, so that a misspelt key is never ignored.
+2. The classes of ``taciturn.model`` check shapes and values. A ``Problem`` that is built in Python gets the same check.
+3. The design function of the kind declares its parameters by its signature (``parameters``). A network or a reference
+   that the signature lacks is an error, because the policy would ignore it.
+
+A problem keeps the tables of its file. ``Problem.changed`` changes single keys of them, reads the changed tables again,
+and keeps everything else; ``--set`` and ``--over`` use it. A plant may name a Python function (``functions``).
+
+For the opposite direction, ``draft`` builds a problem part by part from text (``matrices``) or from a file of matrices
+(``given``), ``suggested`` proposes parameters, and ``written`` writes the file with a comment for each key.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +28,8 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from taciturn._arrays import Array, instance, quoted
+from taciturn._display import Displayed
+from taciturn._files import read_text
 from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -23,7 +40,7 @@ from taciturn.model.network import Burst, Network
 from taciturn.model.plant import ContinuousPlant, Jumps, Plant
 from taciturn.model.policy import Policy
 from taciturn.model.reference import Reference
-from taciturn.problem.functions import functions_of, locate_functions, read_function
+from taciturn.problem.functions import functions_of, locate_functions, read_function, refuse_functions
 from taciturn.problem.parameters import check_parameters, expect_kind, read_policy
 from taciturn.problem.tables import (
     IDEAL,
@@ -40,27 +57,28 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 BUILT_IN = Path(__file__).parent.parent / "problems"
 
-# what a problem reads from each table of its file; what no key has touched stays, as a part that Python replaced
+# attributes that a problem reads from each table of its file; attributes of unchanged tables are not read again
 PARTS = {"plant": ("plant", "actual"), "cost": ("cost",), "network": ("network",), "reference": ("reference",)}
-CHANGED = "the changed problem"  # its name in messages
+LARGEST = 2**24  # bytes of a problem file
+CHANGED = "the changed problem"  # name of a changed problem in messages
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """A plant, a cost, a network and the policy asked for.
+@dataclass(frozen=True, eq=False, repr=False)
+class Problem(Displayed):
+    """A control problem: a plant, a cost, a network, and the kind and parameters of a policy.
 
     Args:
-        plant: the plant of the design.
+        plant: the plant for which the policy is designed.
         cost: the cost.
         network: the network, ``Network()`` for ideal links.
-        kind: key of the policy in the catalogue.
-        parameters: its parameters; omitted: none.
-        actual: the plant that is simulated, where it differs.
-        reference: what is tracked.
-        source: the tables of the file, for changing single keys.
+        kind: policy kind, a key of the catalogue.
+        parameters: parameters of the policy; default none.
+        actual: the simulated plant, if it differs from ``plant``.
+        reference: the reference to track, or None.
+        source: tables of the problem file, needed to change single keys.
 
     Raises:
-        ProblemError: the network is none, or there is no such kind of policy.
+        ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
     """
 
     plant: Plant | ContinuousPlant
@@ -73,35 +91,52 @@ class Problem:
     source: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        """Check the network and the kind; what the kind uses is checked where it is designed."""
+        """Check the network and the policy kind; the parameters are checked by the design."""
         instance("network", self.network, Network)
         expect_kind(self.kind)
 
+    def summary(self) -> Mapping[str, object]:
+        """Return the policy kind, parameters, plants, cost, network and reference by name."""
+        return {
+            "kind": self.kind,
+            "parameters": self.parameters,
+            "plant": self.plant.short(),
+            "actual": None if self.actual is None else self.actual.short(),
+            "cost": self.cost.short(),
+            "network": self.network.short(),
+            "reference": self.reference,
+        }
+
+    def short(self) -> str:
+        """Return the policy kind."""
+        return self.kind
+
     def design(self) -> Policy:
-        """Design the policy, as nodes that exchange packets.
+        """Design the policy as nodes that exchange packets.
 
         Raises:
-            ProblemError: a parameter is unknown, missing or out of range, the policy knows no such network, or it is
-                triggered in continuous time.
+            ProblemError: if a parameter is unknown, missing or out of range, the policy does not support the network,
+                or it is triggered in continuous time.
         """
         policy = self.designed()
         if isinstance(policy, OptimalPolicy):
             raise ProblemError(
-                f"{policy.kind} decides by a boundary that no node evaluates: it is for analysis; expected near-optimal"
+                f"{policy.kind} decides by a boundary that nodes cannot evaluate, so it can only be analysed; expected "
+                "near-optimal"
             )
         if isinstance(policy, EventPolicy):
             raise ProblemError(
-                f"{policy.kind} without a period is triggered in continuous time and has no loop of nodes; "
-                "expected policy.period, the seconds between looks at the error"
+                f"{policy.kind} without a period is triggered in continuous time and cannot run as a loop of nodes; "
+                "expected policy.period, the seconds between checks of the error"
             )
         return policy
 
     def designed(self) -> AnyPolicy:
-        """Design the policy, which may be one that no nodes run.
+        """Design the policy, including kinds that nodes cannot run.
 
         Raises:
-            ProblemError: a parameter is unknown, missing or out of range, or the problem has what the policy would
-                ignore: a network, a link, a reference, an initial state, another plant.
+            ProblemError: if a parameter is unknown, missing or out of range, or the policy would ignore a part of the
+                problem: a network, a link, a reference, an initial state or another plant.
         """
         parameters = check_parameters(self.kind, self.parameters)
         design, used = CATALOGUE[self.kind], _used(self.kind, self.network, self.reference)
@@ -114,20 +149,20 @@ class Problem:
         return policy
 
     def close(self, policy: Policy) -> Loop:
-        """Close the loop with the plant that is simulated."""
+        """Close the loop of a policy with the simulated plant."""
         return close(self.actual or self.plant, policy, self.network, self.cost)
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the plant that is simulated is a function that A and B are only the linearisation of."""
+        """Whether the simulated plant is a nonlinear function, of which A and B are only the linearisation."""
         plant = self.actual or self.plant
         return isinstance(plant, Plant) and plant.function is not None
 
     def changed(self, values: Mapping[str, object]) -> Problem:
-        """Return the problem with other values: keys of ``[policy]``, or dotted (``plant.dt``); None removes a key.
+        """Return the problem with new values of ``[policy]`` keys or dotted keys (``plant.dt``); None removes a key.
 
         Raises:
-            ProblemError: no such key, or a value that does not fit.
+            ProblemError: if a key does not exist or a value is invalid.
         """
         parameters, tables = dict(self.parameters), _copied(self.source or {})
         touched: set[str] = set()
@@ -138,7 +173,7 @@ class Problem:
                 if value is None:
                     del parameters[key]
             elif path[0] == "policy":
-                raise ProblemError(f"{name} is no key; expected a key of [policy], as policy.{path[1]}")
+                raise ProblemError(f"{name} is not a key; expected a key of [policy], such as policy.{path[1]}")
             elif self.source is None:
                 raise ProblemError(
                     f"{name} cannot be changed in a problem that was not read from a file; expected a key of [policy]"
@@ -149,7 +184,9 @@ class Problem:
                 for part in path:
                     found: object = table.setdefault(part, {})
                     if not isinstance(found, dict):
-                        raise ProblemError(f"{name} is no key: {part} is {quoted(found)}; expected a key, as plant.dt")
+                        raise ProblemError(
+                            f"{name} is not a key: {part} is {quoted(found)}; expected a key such as plant.dt"
+                        )
                     table = cast("dict[str, Any]", found)
                 table[key] = value
                 if value is None:
@@ -159,30 +196,34 @@ class Problem:
             parsed = parse(tables, CHANGED, functions_of(self.plant, self.actual))
             kept = [name for table, names in PARTS.items() if table not in touched for name in names]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
-        kind, parameters = read_policy(tables["policy"], CHANGED)  # plant, cost and network stay as they are
+        kind, parameters = read_policy(tables["policy"], CHANGED)  # plant, cost and network are unchanged
         return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
 
 
 def expect_problem(name: str, value: object) -> None:
-    """Refuse what is no problem, with a ``ProblemError``."""
+    """Raise a ``ProblemError`` if a value is not a Problem."""
     if not isinstance(value, Problem):
         raise ProblemError(f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file")
 
 
-def load(path: str | Path) -> Problem:
+def load(path: str | Path, *, functions: bool = True) -> Problem:
     """Read a problem file, or a built-in problem by its name.
+
+    Reading a problem with ``plant.function`` executes the Python file that it names.
 
     Args:
         path: a TOML file, or a name such as ``"two-mass"``.
+        functions: whether the problem may name functions; False for files from strangers.
 
     Returns:
         The problem.
 
     Raises:
-        ProblemError: no such file, not TOML, a key that is unknown or missing, data that do not fit.
+        ProblemError: if the file does not exist or is not TOML, a key is unknown or missing, the data are inconsistent,
+            or the file names a function and ``functions`` is False.
 
     Example:
-        >>> load("two-mass").kind
+        >>> load("two-mass-lqg").kind
         'lqg'
     """
     instance("path", path, str, Path)
@@ -191,34 +232,35 @@ def load(path: str | Path) -> Problem:
     try:
         if not file.is_file():
             file = built_in.get(str(path), file)
-        text = file.read_text(encoding="utf-8-sig")  # a byte-order mark is no mistake
-        tables = tomllib.loads(text)
+        tables = tomllib.loads(read_text(file, LARGEST))
     except FileNotFoundError:
         raise ProblemError(
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
             f"{', '.join(built_in)}{suggest(str(path), list(built_in))}"
         ) from None
     except UnicodeDecodeError as error:
-        raise ProblemError(f"{str(path)!r} is not a text in UTF-8 ({error.reason}); expected a TOML file") from None
+        raise ProblemError(f"{str(path)!r} is not UTF-8 text ({error.reason}); expected a TOML file") from None
     except OSError as error:
         raise ProblemError(f"{str(path)!r} cannot be read ({error.strerror}); expected a TOML file") from None
     except RecursionError:
         raise ProblemError(f"{path} is not valid TOML: it is nested too deeply; expected tables of matrices") from None
-    except ValueError as error:  # tomllib's own, and whole numbers beyond what Python reads
+    except ValueError as error:  # errors of tomllib, and integers that are too long for Python
         raise ProblemError(f"{path} is not valid TOML: {error}; expected the format of docs/problem-file") from None
+    if not functions:
+        refuse_functions(tables, str(path))
     return parse(locate_functions(tables, file.parent), str(path))
 
 
 def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | None = None) -> Problem:
-    """Return the problem that the tables of a file state.
+    """Return the problem that the tables of a file define.
 
     Args:
-        tables: as read from TOML.
-        name: of the file, for messages.
-        known: functions of plants that need not be read again, as the tables name them.
+        tables: the tables as read from TOML.
+        name: name of the file, for messages.
+        known: functions of plants that were already read, by their names in the tables.
 
     Raises:
-        ProblemError: a key is unknown or missing, or data do not fit.
+        ProblemError: if a key is unknown or missing, or the data are inconsistent.
     """
     try:
         file = File.model_validate(tables)
@@ -244,12 +286,12 @@ def _named(kind: str) -> frozenset[str]:
 
 
 def _used(kind: str, network: Network, reference: Reference | None) -> dict[str, Any]:
-    """Return what a policy kind is given beside its parameters.
+    """Return the network and reference arguments of a policy kind's design function.
 
     Raises:
-        ProblemError: a network or a reference that it does not use.
+        ProblemError: if the kind does not use the given network or reference.
     """
-    exact, usual = network.without_rounding(), Network()  # how packets are written concerns every policy
+    exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
     unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
     if unusual:
         _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
@@ -260,7 +302,7 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
 
 
 def _expect(kind: str, name: str, given: str, expected: str) -> None:
-    """Refuse what was given where the policy kind has no parameter of this name."""
+    """Raise a ``ProblemError`` if the policy kind has no parameter of this name."""
     if name not in _named(kind):
         raise ProblemError(f"{given} is given, which {kind} does not use; expected {expected}")
 
@@ -270,8 +312,8 @@ def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Continuo
     if table.dt is None:
         if table.function is not None:
             raise ProblemError(
-                "plant.function is given without plant.dt; expected dt, the seconds of the step that it makes: "
-                "taciturn.integrate makes a step of a differential equation"
+                "plant.function is given without plant.dt; expected dt, the seconds per step of the function: "
+                "taciturn.integrate converts a differential equation into such a function"
             )
         jumps = None if table.jumps is None else _jumps(table.jumps)
         return ContinuousPlant(
@@ -293,19 +335,19 @@ def _plant(table: PlantTable, known: Mapping[str, Dynamics]) -> Plant | Continuo
 def _actual(
     table: PlantTable, dt: float | None, design: Plant | ContinuousPlant, known: Mapping[str, Dynamics]
 ) -> Plant | ContinuousPlant:
-    """Return the plant that is simulated; it must have the time base and the sizes of the plant of the design."""
+    """Return the simulated plant, which must have the time base and the sizes of the design plant."""
     try:
         plant = _plant(table, known)
     except ProblemError as error:
         raise ProblemError(f"[plant.actual]: {error}") from None
     if table.dt != dt:
         got, expected = ("missing" if step is None else f"{step:g} s" for step in (table.dt, dt))
-        raise ProblemError(f"plant.actual.dt is {got}, and plant.dt is {expected}; expected the same time base in both")
+        raise ProblemError(f"plant.actual.dt is {got}, but plant.dt is {expected}; expected the same time base in both")
     for name, axis in (("A", 0), ("B", 1), ("C", 0)):
         got, expected = getattr(plant, name).shape[axis], getattr(design, name).shape[axis]
         if got != expected:
             size = {"A": "states", "B": "inputs", "C": "outputs"}[name]
-            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as [plant]")
+            raise ProblemError(f"[plant.actual] has {got} {size}; expected {expected}, as in [plant]")
     return plant
 
 

@@ -1,4 +1,4 @@
-"""A problem that is not whole yet: each part checked against those before it, and at last written down."""
+"""A problem under construction: each part is checked against the earlier parts, and the result is written as TOML."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike
+from taciturn._display import Displayed
 from taciturn.design.lossy_lqg import refuse_what_is_not_covered
 from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
@@ -23,15 +24,15 @@ COST = ("Q", "R", "N")
 PREDICTED, LOSSY = ("consistent", "integral"), "lossy-lqg"
 
 
-@dataclass
-class Draft:
-    """Matrices of a plant and a cost, and a network, as far as they are known.
+@dataclass(repr=False)
+class Draft(Displayed):
+    """A partly specified problem: the known matrices of a plant and a cost, and a network.
 
     Args:
-        dt: seconds per step; 0 of a plant that is continuous in time.
-        plant: A, B, C, V, W, in the order in which they are kept.
-        cost: Q, R, N.
-        network: keys of ``[network]``.
+        dt: seconds per step; 0 for a continuous-time plant.
+        plant: matrices A, B, C, V, W by name, in the order in which they were stored.
+        cost: matrices Q, R, N by name.
+        network: values of the keys of ``[network]``.
 
     Example:
         >>> draft = Draft(dt=0.1)
@@ -52,14 +53,14 @@ class Draft:
         return self.dt == 0
 
     def keep(self, key: str, value: ArrayLike) -> None:
-        """Keep a matrix, if what is known can have it; a weight or covariance may be one number or a diagonal.
+        """Store a matrix if it fits the known parts; a weight or covariance may be one number or a diagonal.
 
         Args:
-            key: A, B, C, V, W, Q, R or N; A and B come first.
+            key: name of the matrix: A, B, C, V, W, Q, R or N; A and B must be stored first.
             value: the matrix.
 
         Raises:
-            ProblemError: it does not fit.
+            ProblemError: if the matrix does not fit the known parts.
         """
         sizes = {} if "B" not in self.plant else self._sizes()
         fitting = square_matrix(key, value, sizes[key]) if key in sizes else np.asarray(value)
@@ -71,23 +72,23 @@ class Draft:
             self.plant[key] = fitting
 
     def measure_all(self) -> None:
-        """Say that every state is measured, with noise that is still to be kept."""
+        """Set C to the identity, so that every state is measured; the measurement noise is stored separately."""
         self.plant["C"] = np.eye(len(self.plant["A"]))
 
     def drop(self, key: str) -> None:
-        """Take a matrix of the plant out."""
+        """Remove a matrix of the plant."""
         self.plant.pop(key, None)
 
     def made_plant(self) -> Plant | ContinuousPlant:
-        """Return the plant as far as it is known; without noise where that is not known."""
+        """Return the plant as far as it is known; unknown noise is zero."""
         return self._plant(self.plant)
 
     def made_cost(self) -> Cost:
-        """Return the cost as far as it is known; inputs cost u'u where that is not known."""
+        """Return the cost as far as it is known; an unknown weight R is the identity."""
         return self._cost(self.cost)
 
     def fits(self, kind: str) -> bool:
-        """Tell whether a policy kind is for a plant and a cost as these, as far as that can be told at once."""
+        """Return whether a policy kind accepts this plant and cost, according to a quick check."""
         try:
             self.expect_fit(kind)
         except ProblemError:
@@ -95,10 +96,11 @@ class Draft:
         return True
 
     def expect_fit(self, kind: str) -> None:
-        """Refuse a policy kind that is not for a plant and a cost as these, as far as that can be told at once.
+        """Reject a policy kind that does not accept this plant and cost, according to a quick check.
 
         Raises:
-            ProblemError: the kind predicts in continuous time, or reckons with lost packets, where that cannot be.
+            ProblemError: if the kind predicts in continuous time or is designed for lossy links, and the plant or the
+                cost does not allow it.
         """
         if kind in PREDICTED:
             refuse_what_is_not_predicted(kind, self.made_plant(), self.made_cost())
@@ -106,15 +108,15 @@ class Draft:
             refuse_what_is_not_covered(self.made_plant(), self.made_cost())
 
     def write(self, policy: Mapping[str, Any], name: str) -> str:
-        """Return the text of a problem file, once it is read back and its policy is designed.
+        """Return the text of a problem file, after reading it back and designing its policy as a check.
 
         Args:
-            policy: keys of ``[policy]``.
-            name: of the file.
+            policy: values of the keys of ``[policy]``.
+            name: name of the file.
 
         Raises:
-            ProblemError: the policy is not for this problem, or a parameter is out of range.
-            UnstableError: no stabilising gain.
+            ProblemError: if the policy does not support this problem, or a parameter is out of range.
+            UnstableError: if no stabilising gain exists.
         """
         step = {} if self.continuous else {"dt": self.dt}
         tables: dict[str, Any] = {"plant": {**step, **self.plant}, "cost": self.cost, "policy": policy}
@@ -125,7 +127,7 @@ class Draft:
         return text
 
     def _sizes(self) -> dict[str, int]:
-        """Return rows and columns of the matrices that are square."""
+        """Return the number of rows of each square matrix by name."""
         states, inputs = self.plant["B"].shape
         return {"W": states, "Q": states, "R": inputs, "V": len(self.plant["C"]) if "C" in self.plant else states}
 

@@ -1,28 +1,31 @@
-"""Functions of plants that are not linear, as problem files name them: ``file.py:name``."""
+"""Functions of nonlinear plants, which problem files specify as ``file.py:name``."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
 from taciturn._arrays import quoted
+from taciturn._files import check_regular, read_text
 from taciturn.errors import ProblemError
 from taciturn.model.dynamics import Dynamics, dynamics_of
 from taciturn.model.plant import ContinuousPlant, Plant
 
 KEY = "function"
+LARGEST = 2**20  # bytes of a Python file
 
 
 def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
-    """Return the function that a problem file names.
+    """Return the function that a problem file specifies.
 
     Args:
-        named: ``file.py:name``.
-        known: functions that need not be read again, by such names.
+        named: specification ``file.py:name`` of file and function.
+        known: functions that were already read, by specification.
 
     Raises:
-        ProblemError: another form, a file that cannot be read, that is no Python, or that has no such function.
+        ProblemError: if the specification has another form, or the file cannot be read, is not valid Python or does
+            not define the function.
     """
     if named in known:
         return known[named]
@@ -32,16 +35,17 @@ def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
             f"plant.function is {quoted(named)}; expected 'file.py:name', a Python file and a function in it"
         )
     try:
-        text = Path(path).read_text(encoding="utf-8-sig")
+        check_regular(Path(path))
+        text = read_text(Path(path), LARGEST)
     except UnicodeDecodeError as error:
         raise ProblemError(
-            f"plant.function names {path!r}, which is not a text in UTF-8 ({error.reason}); expected a Python file"
+            f"plant.function names {path!r}, which is not UTF-8 text ({error.reason}); expected a Python file"
         ) from None
-    except (OSError, ValueError) as error:  # a null character in a path
+    except (OSError, ValueError) as error:  # ValueError: a null character in the path
         why = error.strerror if isinstance(error, OSError) else error
         raise ProblemError(
-            f"plant.function names {path!r}, which cannot be read ({why}); expected a Python file, its path counted "
-            "from the folder of the problem file"
+            f"plant.function names {path!r}, which cannot be read ({why}); expected a Python file, with a path "
+            "relative to the folder of the problem file"
         ) from None
     try:
         return dynamics_of(text, path, name)
@@ -49,8 +53,34 @@ def read_function(named: str, known: Mapping[str, Dynamics]) -> Dynamics:
         raise ProblemError(f"plant.function: {error}") from None
 
 
+def refuse_functions(tables: Mapping[str, Any], name: str) -> None:
+    """Refuse the tables of a file that name a function, since reading such a file executes the function's file.
+
+    Args:
+        tables: the tables as read from TOML.
+        name: name of the file, for messages.
+
+    Raises:
+        ProblemError: if a table has the key ``function``, whatever its value.
+    """
+    for path, table in _tables((), tables):
+        if KEY in table:
+            raise ProblemError(
+                f"{name}: {'.'.join((*path, KEY))} is {quoted(table[KEY])}, which names Python code to execute, but "
+                "functions are refused (--no-functions, functions=False); expected a problem without functions"
+            )
+
+
+def _tables(path: tuple[str, ...], table: Mapping[str, Any]) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
+    """Yield a table and all tables in it, with their paths."""
+    yield path, table
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _tables((*path, key), cast("Mapping[str, Any]", value))
+
+
 def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """Return the tables of a file with the paths of functions counted from its folder, and written in full."""
+    """Return the tables of a file with absolute paths of functions; relative paths start from the given folder."""
     found = dict(tables)
     for key in ("plant", "actual"):  # [plant.actual] is within [plant]
         if isinstance(found.get(key), Mapping):
@@ -63,6 +93,6 @@ def locate_functions(tables: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 
 def functions_of(*plants: Plant | ContinuousPlant | None) -> dict[str, Dynamics]:
-    """Return the functions of plants that were read from files, as problem files name them."""
+    """Return the functions of plants that were read from files, by their specification ``file.py:name``."""
     found = [plant.function for plant in plants if isinstance(plant, Plant) and plant.function is not None]
     return {f"{one.path}:{one.name}": one for one in found if one.text is not None}

@@ -1,4 +1,4 @@
-"""Matrices of a problem that come from a file of MATLAB's or NumPy's."""
+"""Matrices of a problem that are read from a MATLAB or NumPy file."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import array
+from taciturn._display import Displayed
 from taciturn._matlab import Foreign, Variable, read_variables
 from taciturn.errors import ProblemError
 
@@ -25,19 +26,19 @@ NAMES = {
     "N": ("N",),
     "dt": ("dt", "Ts"),
 }
-"""What a variable may be called, by key of the problem file; upper and lower case as here."""
+"""The accepted variable names for each key of the problem file; names are case-sensitive."""
 
-SYSTEMS = ("ss", "tf", "zpk", "idss", "frd")  # classes of MATLAB's
+SYSTEMS = ("ss", "tf", "zpk", "idss", "frd")  # MATLAB classes of systems
 
 
-@dataclass(frozen=True, eq=False)
-class Given:
-    """What a file says of a problem.
+@dataclass(frozen=True, eq=False, repr=False)
+class Given(Displayed):
+    """The part of a problem that a file contains.
 
     Args:
-        arrays: by key of the problem file: A, B, C, W, V, Q, R, N.
-        dt: seconds per step, 0 for a plant that is continuous in time, None where the file does not say.
-        ignored: names of its other variables.
+        arrays: matrices by key of the problem file: A, B, C, W, V, Q, R, N.
+        dt: seconds per step, 0 for a continuous-time plant, None if the file does not specify the time base.
+        ignored: names of the other variables in the file.
     """
 
     arrays: dict[str, npt.NDArray[Any]]
@@ -46,21 +47,21 @@ class Given:
 
 
 def read_given(path: Path) -> Given:
-    """Return what a ``.mat`` or ``.npz`` file says of a problem.
+    """Return the part of a problem that a ``.mat`` or ``.npz`` file contains.
 
     Args:
-        path: with variables A, B, C, D (which must be 0), W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
+        path: file with variables A, B, C, D (must be 0), W or Phi_w, V or Phi_v, Q, R, N, dt or Ts (0: continuous).
 
     Raises:
-        ProblemError: it cannot be read; a variable is no array, or given under two names; D is not 0; a time base that
-            is not specified; or a system that only MATLAB can open.
+        ProblemError: if the file cannot be read, a variable is not an array or has two names, D is not 0, the time base
+            is unspecified, or the file contains a system object that only MATLAB can open.
     """
     held = read_variables(path)
     found: dict[str, npt.NDArray[Any]] = {}
     for key, names in NAMES.items():
         there = [name for name in names if name in held]
         if len(there) > 1:
-            raise ProblemError(f"{path} has {' and '.join(there)}; expected one of them, as both are {key}")
+            raise ProblemError(f"{path} has {' and '.join(there)}; expected only one of them, since both specify {key}")
         if there:
             found[key] = _expect_array(path, there[0], held[there[0]])
     foreign = {name: value.kind for name, value in held.items() if isinstance(value, Foreign)}
@@ -68,8 +69,8 @@ def read_given(path: Path) -> Given:
     if systems and "A" not in found:
         name, kind = systems[0]
         raise ProblemError(
-            f"{name} in {path} is an object of MATLAB's class {kind}, which only MATLAB opens; expected its matrices: "
-            f"[A, B, C, D] = ssdata({name}); Ts = {name}.Ts; save('{path.name}', 'A', 'B', 'C', 'D', 'Ts')"
+            f"{name} in {path} is an object of the MATLAB class {kind}, which only MATLAB can open; expected its "
+            f"matrices: [A, B, C, D] = ssdata({name}); Ts = {name}.Ts; save('{path.name}', 'A', 'B', 'C', 'D', 'Ts')"
         )
     if "D" in found and found.pop("D").any():
         raise ProblemError(f"D in {path} is not zero; expected no direct feedthrough from input to measurement")

@@ -1,4 +1,4 @@
-"""Matrices as people write them: in MATLAB's way, as Python's lists, as one number, or as a diagonal."""
+"""Parsing and printing of matrices: MATLAB notation, Python lists, single numbers and diagonals."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from taciturn._arrays import Array, ArrayLike, array, quoted
 from taciturn.errors import ProblemError
 
 FORMS = "[1 2; 3 4] or [[1, 2], [3, 4]]"
-LONGEST = 100  # letters of a matrix on one line
+LONGEST = 100  # characters of a matrix that is printed on one line
 
 
 def parse_matrix(name: str, text: str) -> Array:
-    """Return the matrix that a text states.
+    """Return the matrix that is written in a text.
 
     Args:
-        name: of the matrix, for messages.
-        text: ``[1 2; 3 4]`` with blanks or commas, ``[[1, 2], [3, 4]]``, or one number.
+        name: name of the matrix, for messages.
+        text: ``[1 2; 3 4]`` with blanks or commas, ``[[1, 2], [3, 4]]``, or a single number.
 
     Returns:
-        The matrix, (rows, columns); of one number (1, 1).
+        The matrix, (rows, columns); (1, 1) for a single number.
 
     Raises:
-        ProblemError: another form, rows of different lengths, or numbers that are not finite.
+        ProblemError: if the text has another form, rows have different lengths, or a number is not finite.
 
     Example:
         >>> parse_matrix("A", "[1 2; 3 4]").tolist() == parse_matrix("A", "[[1, 2], [3, 4]]").tolist()
@@ -43,7 +43,7 @@ def parse_matrix(name: str, text: str) -> Array:
 
 
 def _matlab_rows(text: str) -> list[list[float]]:
-    """Return the rows of a matrix as MATLAB reads them; a new line ends a row but after three dots."""
+    """Return the rows of a matrix in MATLAB notation; a line break ends a row unless it follows three dots."""
     inside = text.rstrip(";").strip()
     if inside.startswith("[") != inside.endswith("]") or "_" in inside or set(inside[1:-1]) & {"[", "]"}:
         raise ValueError
@@ -59,15 +59,15 @@ def _matlab_rows(text: str) -> list[list[float]]:
 
 
 def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
-    """Return a weight or covariance: one number times the identity, a vector as a diagonal, or a matrix as it is.
+    """Return a weight or covariance: a number times the identity, a vector as a diagonal, or a matrix unchanged.
 
     Args:
-        name: of the matrix, for messages.
+        name: name of the matrix, for messages.
         value: a number, a vector of ``size`` entries, or a matrix (size, size).
-        size: rows and columns.
+        size: number of rows and columns.
 
     Raises:
-        ProblemError: none of these.
+        ProblemError: if the value has none of these forms.
 
     Example:
         >>> square_matrix("Q", [[1.0, 2.0]], 2).tolist()
@@ -87,7 +87,7 @@ def square_matrix(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def matrix_text(value: ArrayLike) -> str:
-    """Return a matrix as TOML holds it: on one line, or row by row where that is too long.
+    """Return a matrix in TOML notation, on one line or, if this line is too long, row by row.
 
     Example:
         >>> matrix_text([[0.0, 1.5], [1e-9, -2.0]])
@@ -99,6 +99,6 @@ def matrix_text(value: ArrayLike) -> str:
 
 
 def number_text(value: float) -> str:
-    """Return a number as TOML holds it, to its last digit; a whole one without a point."""
+    """Return a number in TOML notation with full precision; an integer is written without a decimal point."""
     exact = float(value)
     return str(int(exact)) if math.isfinite(exact) and exact == int(exact) and abs(exact) < 1e15 else repr(exact)

@@ -1,4 +1,4 @@
-"""Parameters of a policy kind, checked against its design function."""
+"""Validation of the parameters of a policy kind against its design function."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from taciturn.problem.tables import Rows, ours, suggest
 
 
 def read_policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any]]:
-    """Return kind and parameters of a ``[policy]`` table.
+    """Return the kind and the parameters in a ``[policy]`` table.
 
     Raises:
-        ProblemError: no such kind, or no such parameters.
+        ProblemError: if the kind or a parameter does not exist.
     """
     kind = table.get("kind")
     if not isinstance(kind, str) or kind not in CATALOGUE:
@@ -36,7 +36,7 @@ def read_policy(table: Mapping[str, Any], name: str) -> tuple[str, dict[str, Any
 
 
 def expect_kind(kind: str) -> None:
-    """Refuse a kind that the catalogue does not have, with a ``ProblemError``."""
+    """Raise a ``ProblemError`` if the catalogue does not contain a policy kind."""
     if kind not in CATALOGUE:
         near = suggest(str(kind), list(CATALOGUE))
         raise ProblemError(f"policy.kind is {quoted(kind)}; expected one of {', '.join(CATALOGUE)}{near}")
@@ -46,7 +46,7 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
     """Return the parameters of a policy kind, checked against its design function.
 
     Raises:
-        ProblemError: a parameter is unknown, missing, or of the wrong type.
+        ProblemError: if a parameter is unknown, missing, or of the wrong type.
     """
     expect_kind(kind)
     known = _accepted(kind)
@@ -58,15 +58,15 @@ def check_parameters(kind: str, parameters: Mapping[str, Any]) -> dict[str, Any]
             )
     for key, (_, needed) in known.items():
         if needed and key not in parameters:
-            raise ProblemError(f"policy.{key} is missing; {kind} expects it")
+            raise ProblemError(f"policy.{key} is missing; {kind} requires it")
     return {key: check_parameter(kind, key, value) for key, value in parameters.items()}
 
 
 def check_parameter(kind: str, key: str, value: object) -> Any:
-    """Return a parameter that a policy kind has, checked against its design function.
+    """Return a parameter of a policy kind, checked against its design function.
 
     Raises:
-        ProblemError: it is of the wrong type.
+        ProblemError: if the parameter is of the wrong type.
     """
     if isinstance(value, np.ndarray):
         return cast("Array", value)
@@ -78,11 +78,12 @@ def check_parameter(kind: str, key: str, value: object) -> Any:
 
 @cache
 def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
-    """Return what checks each parameter of a policy kind, and whether it is needed."""
+    """Return the validator of each parameter of a policy kind, and whether the parameter is required."""
     design = CATALOGUE[kind]
     hints = get_type_hints(design)
     return {
         key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
         for key, value in inspect.signature(design).parameters.items()
-        if value.kind is value.KEYWORD_ONLY and key not in ("network", "reference")  # a matrix is written as rows
+        if value.kind is value.KEYWORD_ONLY
+        and key not in ("network", "reference")  # matrices are written as lists of rows
     }

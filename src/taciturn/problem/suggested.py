@@ -1,4 +1,4 @@
-"""What a policy kind must be told, and values to begin with."""
+"""The required parameters of a policy kind, and suggested initial values."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 
-LOOKS = 5  # per time constant of the fastest mode of the controlled plant
-SHARE = 0.2  # of the all-time cost of a tick: what a send may cost
+LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
+SHARE = 0.2  # suggested price of a send, relative to the all-time cost of a step
 USUAL: Mapping[str, float | int] = {
     "theta": 0.1,
     "sigma": 0.1,
@@ -30,11 +30,11 @@ USUAL: Mapping[str, float | int] = {
     "slow": 2,
 }
 ALTERNATIVES = {"remote-lqg": ("theta", "zeta"), "excess": ("theta",), "periodic": ("every",)}
-"""Parameters that design functions may do without in one way or another: the usual way."""
+"""Parameters that are optional in a design function with alternatives; these are the usual choice."""
 
 
 def needed_parameters(kind: str, continuous: bool) -> tuple[str, ...]:
-    """Return the parameters that a policy kind is to be told for a plant of either time base.
+    """Return the required parameters of a policy kind for a discrete or continuous plant.
 
     Example:
         >>> needed_parameters("lqg", continuous=True)
@@ -53,13 +53,13 @@ def needed_parameters(kind: str, continuous: bool) -> tuple[str, ...]:
 
 
 def suggest_value(name: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> float | int | None:
-    """Return a value to begin with: a usual one, or one that fits plant and cost to a digit; None where there is none.
+    """Return a suggested value: a usual value, or one digit computed from plant and cost; None if there is none.
 
     Args:
-        name: of the parameter.
+        name: name of the parameter.
         plant: the plant.
         cost: the cost.
-        period: seconds between ticks, of a continuous plant, where that is already known.
+        period: seconds between steps of a continuous plant, if already known.
     """
     if name in USUAL:
         return USUAL[name]
@@ -71,11 +71,11 @@ def suggest_value(name: str, plant: Plant | ContinuousPlant, cost: Cost, period:
         if name in ("price", "zeta"):
             always = all_time(plant, cost, period=period)
             return _digit(SHARE * always.cost_all_time * always.tick) if always.cost_all_time > 0 else None
-    except TaciturnError:  # whatever is wrong is told when the policy is designed
+    except TaciturnError:  # the design reports the error
         return None
     return None
 
 
 def _digit(value: float) -> float:
-    """Return a number with one digit."""
+    """Return a number rounded to one significant digit."""
     return float(f"{value:.1g}")

@@ -1,4 +1,4 @@
-"""The tables of a problem file, and mistakes in them as a user can mend them."""
+"""The tables of a problem file, and error messages with remedies for mistakes in them."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from taciturn._arrays import quoted
 
 Rows = list[list[float]]
 IDEAL = (
-    "ideal links: remove it, or take the kind lossy-lqg, a design for lossy links; "
-    "`taciturn network FILE --loss P` loses packets of any kind"
+    "ideal links: remove it, or use the kind lossy-lqg, which is designed for lossy links; "
+    "`taciturn network FILE --loss P` drops packets of policies of any kind"
 )
 
 
 class Table(BaseModel):
-    """What every table shares: unknown keys are mistakes, and text is no number."""
+    """The base class of all tables, which rejects unknown keys and numbers that are given as text."""
 
-    # strict: 1 is a number, "1" is none; a table that no file is read with is not built
+    # strict: the text "1" is not accepted as a number; defer_build: validators are built on first use
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=True, defer_build=True)
 
 
 class InitialTable(Table):
-    """``[plant.initial]``."""
+    """The keys of the table ``[plant.initial]``."""
 
     mean: list[float] | None = None
     covariance: Rows | None = None
 
 
 class JumpsTable(Table):
-    """``[plant.jumps]``."""
+    """The keys of the table ``[plant.jumps]``."""
 
     rate: float
     covariance: Rows
@@ -40,7 +40,7 @@ class JumpsTable(Table):
 
 
 class PlantTable(Table):
-    """``[plant.actual]``, and what ``[plant]`` shares with it."""
+    """The keys of the table ``[plant.actual]``, all of which ``[plant]`` also has."""
 
     A: Rows
     B: Rows
@@ -55,13 +55,13 @@ class PlantTable(Table):
 
 
 class NominalPlantTable(PlantTable):
-    """``[plant]``."""
+    """The keys of the table ``[plant]``."""
 
     actual: PlantTable | None = None
 
 
 class CostTable(Table):
-    """``[cost]``."""
+    """The keys of the table ``[cost]``."""
 
     Q: Rows
     R: Rows
@@ -72,7 +72,7 @@ class CostTable(Table):
 
 
 class BurstTable(Table):
-    """``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
+    """The keys of the tables ``[network.actuator_burst]`` and ``[network.sensor_burst]``."""
 
     to_bad: float
     to_good: float
@@ -81,7 +81,7 @@ class BurstTable(Table):
 
 
 class NetworkTable(Table):
-    """``[network]``."""
+    """The keys of the table ``[network]``."""
 
     protocol: str = "ideal"
     actuator_loss: float = 0.0
@@ -95,14 +95,14 @@ class NetworkTable(Table):
 
 
 class ReferenceTable(Table):
-    """``[reference]``."""
+    """The keys of the table ``[reference]``."""
 
     states: Rows
     inputs: Rows
 
 
 class File(Table):
-    """A whole file."""
+    """The tables of a complete problem file."""
 
     plant: NominalPlantTable
     cost: CostTable
@@ -112,7 +112,7 @@ class File(Table):
 
 
 def first_mistake(error: ValidationError, root: type[BaseModel]) -> str:
-    """Say the first mistake in one clause: where, what, and what was perhaps meant."""
+    """Return the first mistake as one clause: its location, the mistake, and a suggested correction."""
     mistakes = sorted(error.errors(), key=lambda mistake: mistake["type"] != "extra_forbidden")
     first = mistakes[0]
     where = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"]).removeprefix(".")
@@ -139,14 +139,14 @@ def _required(root: type[BaseModel], path: Sequence[str]) -> str:
 
 
 def suggest(word: str, names: Sequence[str]) -> str:
-    """Return the question after a name that was perhaps meant, or nothing."""
+    """Return a question that suggests the most similar name, or an empty text if no name is similar."""
     lowered = {name.lower(): name for name in names}
     near = difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=0.5)
     return f". Did you mean {lowered[near[0]]!r}?" if near else ""
 
 
 def ours(message: str) -> str:
-    """Turn a sentence of pydantic into the end of ours: Input should be … → expected …."""
+    """Return the end of an error message from a message of pydantic: Input should be … → expected …."""
     message = message.split(" or instance of ")[0]
     for theirs, ours in _WORDS:
         message = message.replace(theirs, ours)

@@ -1,4 +1,4 @@
-"""Problem files as they are written: every key below what it means, and the keys that could be added."""
+"""The text of problem files: every key below a comment that describes it, and optional keys as comments."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.problem.matrices import matrix_text, number_text
 
-WIDTH = 98  # letters of a comment
-MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that know one
+WIDTH = 98  # characters of a comment line
+MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that support a finite horizon
 PER = {True: "per second", False: "per step"}
 
 
 def parameter_notes(kind: str) -> Mapping[str, str]:
-    """Return what each parameter of a policy kind means, in the words of its design function.
+    """Return the description of each parameter of a policy kind, from the docstring of its design function.
 
     Raises:
-        ProblemError: no such kind.
+        ProblemError: if there is no such kind.
 
     Example:
         >>> parameter_notes("lqg")["theta"]
-        'the share θ ≥ 0; 0 sends at every tick'
+        'the share θ ≥ 0; 0 sends at every step'
     """
     return _arguments(_expect_kind(kind))
 
 
 def kind_note(kind: str) -> str:
-    """Return what a policy kind is, in the first sentence of its design function.
+    """Return the description of a policy kind, from the first sentence of its design function's docstring.
 
     Raises:
-        ProblemError: no such kind.
+        ProblemError: if there is no such kind.
     """
     text = inspect.getdoc(CATALOGUE[_expect_kind(kind)]) or ""
     return text.partition("\n")[0].removeprefix("Design ").rstrip(".:")
@@ -47,11 +47,11 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     """Return a problem file with its comments.
 
     Args:
-        tables: plant, cost, policy and, where wanted, network, as the file is to hold them.
-        name: of the file, for the commands in its first lines.
+        tables: the tables plant, cost, policy and, optionally, network of the file.
+        name: name of the file, for the commands in its first lines.
 
     Returns:
-        TOML, whose tables are those that are given.
+        The text of the file in TOML, with exactly the given tables.
     """
     plant, policy = tables["plant"], tables["policy"]
     continuous = "dt" not in plant
@@ -74,22 +74,22 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
     about = {
         "dt": "seconds per step; without this key the plant is continuous in time",
         "A": f"dynamics, {per}",
-        "B": f"what the inputs do, {per}",
-        "C": "what is measured",
+        "B": f"effect of the inputs, {per}",
+        "C": "output matrix",
         "W": f"noise w: {noise}, in the units of the states squared",
-        "V": "measurement noise v: covariance of a sample, in the units of the outputs squared",
+        "V": "measurement noise v: covariance per sample, in the units of the outputs squared",
     }
     lines += _table(plant, about)
-    lines += _offered({"input_limit": ("[…]", "symmetric clip of each input; then no guarantee is shown")})
+    lines += _offered({"input_limit": ("[…]", "symmetric limit of each input; with a limit, no guarantee is shown")})
     lines += ["", f"# x'Qx + u'Ru{' + 2 x' + chr(39) + 'Nu' if 'N' in tables['cost'] else ''} {per}", "[cost]"]
     about = {"Q": "weight of the state", "R": "weight of the input", "N": "cross weight"}
     lines += _table(tables["cost"], about)
     if policy["kind"] in MISSIONS:
-        lines += _offered({"horizon": ("60", "steps of a mission; without this key the cost is an average")})
+        lines += _offered({"horizon": ("60", "steps of a finite-horizon run; without this key the cost is an average")})
     if "network" in tables:
         lines += ["", "# the links between sensor, controller and actuator", "[network]"]
         about = {
-            "protocol": '"udp": nobody is told what is lost; "tcp": the sender is; "ideal": nothing is lost',
+            "protocol": '"udp": dropouts without acknowledgement; "tcp": with acknowledgement; "ideal": no dropouts',
             "actuator_loss": "probability that a packet to the actuator is lost",
             "sensor_loss": "probability that a measurement is lost",
             "delay": "steps from a measurement to the input that uses it: 0 or 1",
@@ -102,7 +102,7 @@ def problem_text(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:
-    """Return the keys of a table, each below what it means."""
+    """Return the lines of a table, with each key below a comment that describes it."""
     lines: list[str] = []
     for key, value in table.items():
         lines += [*_comment(about.get(key, "")), f"{key} = {_value(value)}"]
@@ -110,12 +110,12 @@ def _table(table: Mapping[str, Any], about: Mapping[str, str]) -> list[str]:
 
 
 def _offered(keys: Mapping[str, tuple[str, str]]) -> list[str]:
-    """Return keys that are not there, as comments."""
+    """Return optional keys that are not set, as comments."""
     return [line for key, (value, note) in keys.items() for line in [*_comment(note), f"# {key} = {value}"]]
 
 
 def _optional(kind: str, given: Mapping[str, Any], continuous: bool) -> dict[str, tuple[str, str]]:
-    """Return the parameters that a policy kind would take as well, with what stands for them."""
+    """Return the optional parameters of a policy kind, with placeholders."""
     notes, found = parameter_notes(kind), dict[str, tuple[str, str]]()
     for name, parameter in inspect.signature(CATALOGUE[kind]).parameters.items():
         known = name in given or name in ("network", "reference") or (name == "period" and not continuous)
@@ -146,7 +146,7 @@ def _expect_kind(kind: str) -> str:
 
 @cache
 def _arguments(kind: str) -> dict[str, str]:
-    """Return the section of arguments of a design function's docstring, by name."""
+    """Return the Args section of a design function's docstring as descriptions by parameter name."""
     text = inspect.getdoc(CATALOGUE[kind]) or ""
     section = re.search(r"\nArgs:\n(.*?)\n\n", text, re.DOTALL)
     found: dict[str, str] = {}

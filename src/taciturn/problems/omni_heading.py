@@ -1,4 +1,4 @@
-"""A robot on omni-directional wheels, whose velocities are along and across its heading: for ``omni-heading``."""
+"""Step function of ``omni-heading``: a robot on omnidirectional wheels with velocities relative to its heading."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 
 from taciturn.model.dynamics import integrate
 
-SECONDS = 0.1  # of a tick
+SECONDS = 0.1  # seconds per step
 
 
 def roll(x: Any, u: Any) -> Any:
-    """Return dx/dt of position and heading ψ, given the velocities ahead, to the left, and of turning.
+    """Return dx/dt of position and heading ψ for given velocities ahead and to the left and a given angular velocity.
 
     ẋ = cos ψ · ahead − sin ψ · left,   ẏ = sin ψ · ahead + cos ψ · left,   ψ̇ = turning
     """

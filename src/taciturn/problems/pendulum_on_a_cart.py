@@ -1,4 +1,4 @@
-"""An inverted pendulum on a cart, as it moves at any angle: the function of ``pendulum-on-a-cart``."""
+"""Step function of ``pendulum-on-a-cart``: an inverted pendulum on a cart with nonlinear dynamics at any angle."""
 
 from __future__ import annotations
 
@@ -11,13 +11,14 @@ from taciturn.model.dynamics import integrate
 CART, FRICTION = 0.5, 0.1  # kg, N s/m
 PENDULUM, LENGTH, INERTIA = 0.2, 0.3, 0.006  # kg, m to its centre of mass, kg m² about it
 GRAVITY = 9.81  # m/s²
-SECONDS = 0.02  # of a tick
+SECONDS = 0.02  # seconds per step
 
 
 def swing(x: Any, u: Any) -> Any:
-    """Return dx/dt of position and velocity of the cart, angle from upright and angular velocity.
+    """Return dx/dt for the state of cart position, cart velocity, angle from upright and angular velocity.
 
-    With M, m, b, l, I and g from above, r = F − b ẋ − m l φ̇² sin φ and D = (M+m)(I+ml²) − (m l cos φ)²,
+    With the masses M and m of cart and pendulum, friction b, length l, inertia I, gravity g, force F,
+    r = F − b ẋ − m l φ̇² sin φ and D = (M+m)(I+ml²) − (m l cos φ)²,
 
         D ẍ = (I+ml²) r + m l cos φ · m g l sin φ,   D φ̈ = (M+m) m g l sin φ + m l cos φ · r
     """

@@ -1,4 +1,9 @@
-"""Prints the operations of a program as LLVM IR, on vectors of numbers."""
+"""Translation of the operations of one time step to LLVM IR, on vectors with one lane per path.
+
+``Body`` maps every operation of a program to one or a few instructions. ``Body`` also selects fused operations,
+records which values are words and halves, and writes large matrix products as loops. ``llvm`` adds the loops over paths
+and steps.
+"""
 
 from __future__ import annotations
 
@@ -6,56 +11,37 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
+from taciturn.program._llvm_lines import Lines, columns_of
 from taciturn.program.ir import Program, needed
-from taciturn.program.ops import EIGHT, Op, Precision, Rows, Tile, tiles
+from taciturn.program.ops import EIGHT, Op, Tile, tiles
 from taciturn.program.target import Target
 
 Build = Literal["parity", "fast"]
 _FLAGS: Mapping[Build, str] = {
     "parity": "",  # every operation rounds once, as in NumPy
-    "fast": "nsz ",  # the sign of zero is free; no reassociation: it breaks the bit tricks of the draws
+    "fast": "nsz ",  # zeros may change sign; no reassociation, which would break the bit operations of random numbers
 }
-# Operations of a program whose constants are spread over vectors ahead of all ticks. In a larger one they would be
-# spilled, and where the stack comes to lie would decide the speed, by a fifth: they are spread where they are used.
+# In programs with at most this many operations, constants are copied to all lanes once, before the first step. In a
+# larger program these vectors would be spilled to the stack, whose alignment changes the speed by a fifth; so its
+# constants are copied where they are used.
 SMALL = 256
-PERMUTES = {  # by doubles that are permuted: the function, and a type of as many bits, of numbers and of places
-    8: ("llvm.x86.avx512.permvar.df.512", "<8 x double>", "<8 x i64>"),
-    4: ("llvm.x86.avx2.permps", "<8 x float>", "<8 x i32>"),  # the halves of doubles
-}
-_NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "float32": ("float", 32)}
 _ARITHMETIC = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 _INTEGER = {"word_add": "add", "word_and": "and", "word_or": "or", "word_xor": "xor"}
 _SHIFT = {"shift_left": "shl", "shift_right": "lshr"}
 
 
-def constants_of(program: Program) -> list[float]:
-    """Return what the argument ``constants`` must hold: constants, tables, and the columns of the matrices' tiles."""
-    tables = (value for table in program.tables for value in table)
-    matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in _columns(matrix, tile))
-    return [*program.constants, *tables, *matrices]
-
-
-def _columns(matrix: Rows, tile: Tile) -> list[float]:
-    """Return the coefficients of a tile, column by column."""
-    return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
-
-
-def _filled(kind: str, literal: object, lanes: int) -> str:
-    """Return a vector with the same literal in every lane."""
-    return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
-
-
 def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
-    """Return the sums and differences with the product that each is fused with, and the products added up over ticks.
+    """Return the fused products of the fast build: by sum or difference, and the set of those summed over steps.
 
-    Nothing else reads these products. What is fused is decided here and not by the compiler, so that it does not depend
-    on the processor.
+    A product is fused only if no other operation reads it; otherwise it would be computed twice. This module, not the
+    compiler, selects the fused operations, so that the result does not depend on the processor.
     """
     uses = Counter([*(i for index in live for i in program.ops[index].reads), *_roots(program)])
     found: dict[int, int] = {}
     for index in sorted(live):
         op = program.ops[index]
         if op.name in ("add", "sub"):
+            # of two products the later operand is fused, so that a chain a + b·c + d·e fuses each with the sum so far
             alone = [i for i in reversed(op.arguments) if program.ops[i].name == "mul" and uses[i] == 1]
             found |= {index: alone[0]} if alone else {}
     totals = {total.op for total in program.totals.values()}
@@ -63,51 +49,40 @@ def _fused(program: Program, live: set[int]) -> tuple[dict[int, int], set[int]]:
 
 
 def _roots(program: Program) -> list[int]:
-    """Return the operations whose values leave the tick."""
+    """Return the operations whose values a step stores: next states, outputs and sums."""
     totals = (total.op for total in program.totals.values())
     return [*program.following, *program.outputs.values(), *totals]
 
 
-class Body:
-    """Lines of LLVM IR, and the names of what they compute.
+class Body(Lines):
+    """Writes the lines of one time step, and records the names of the values of its operations.
 
     Args:
-        program: whose operations are printed.
-        target: for which processor.
-        lanes: width of the vectors.
-        build: whether operations may fuse.
-        own: whether each lane has constants of its own.
+        program: the program to translate.
+        target: the processor.
+        lanes: number of paths per vector.
+        build: ``"parity"`` or ``"fast"``, which fuses operations.
+        own: whether each lane has its own constants.
     """
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
-        """Start with no lines."""
-        self.program, self.lanes, self.flags, self.own = program, lanes, _FLAGS[build], own
-        self.number, self.bits = _NUMBER[program.precision]
-        self.numbers, self.doubles, self.truths = (f"<{lanes} x {kind}>" for kind in (self.number, "double", "i1"))
-        self.words, self.halves = f"<{lanes} x i64>", f"<{lanes} x i32>"
-        wide = target.permutes
-        self.permutes = wide if wide and program.precision == "float64" and not own and lanes % wide == 0 else 0
-        self.number_at = "double" if own else self.number  # what stands at the base of the constants
-        self.entries = f"<{lanes} x {self.number_at}>"
-        self.gather = f"llvm.masked.gather.v{lanes}f{64 if self.number_at == 'double' else 32}.v{lanes}p0"
-        self.fuses = build == "fast"
+        """Start without lines."""
+        super().__init__(program, target, lanes, own)
+        self.flags, self.fuses = _FLAGS[build], build == "fast"
         self.live = needed(program, _roots(program))
         self.fused, self.summed = _fused(program, self.live) if self.fuses else ({}, set[int]())
-        self.lines: list[str] = []
         self.printed = sorted(self.live - {*self.fused.values(), *self.summed})
-        self.names = [""] * len(program.ops)  # of the operations' values
-        self.memory = "%state"  # how the names of states begin
-        self.vectors: dict[int, list[str]] = {}  # of the entries of products
-        self.halves_known: set[str] = set()  # names of half words
-        self.alone = program.operations > SMALL
-        self.constants: list[str] = []  # those spread ahead of all ticks
-        self.base = ""  # address of the constants
-        self.first_input = ""  # row of the tick's first input
-        self.label = ""  # of the block that is printed
-        self.counter = 0
+        self.names = [""] * len(program.ops)  # names of the values, by operation
+        self.memory = "%state"  # prefix of the names of states
+        self.vectors: dict[int, list[str]] = {}  # names of the entries of matrix products
+        self.halves_known: set[str] = set()  # names whose values are half words
+        self.alone = program.operations > SMALL  # constants are copied to all lanes where they are used
+        self.constants: list[str] = []  # in small programs, vectors of the constants, loaded before the first step
+        self.first_input = ""  # row of the first input of the step
+        self.label = ""  # label of the current basic block
 
     def operations(self, indices: Iterable[int]) -> None:
-        """Print some of the operations that something depends on, in their order."""
+        """Write operations in the given order; the operations that an operation reads must come before it."""
         for index in indices:
             op = self.program.ops[index]
             if op.name == "product":
@@ -118,7 +93,7 @@ class Body:
                 self.names[index] = self._operation(op.name, op.arguments)
 
     def kind(self, index: int) -> str:
-        """Return the type of an operation's value, once it is printed."""
+        """Return the type of the value of an operation."""
         name = self.program.ops[index].name
         if name in ("greater", "less_equal", "and", "not", "any_bit"):
             return self.truths
@@ -127,14 +102,15 @@ class Body:
         return self.halves if self.names[index] in self.halves_known else self.words
 
     def added_up(self, index: int, before: str) -> str:
-        """Return what computes a sum over ticks with one term more."""
+        """Return the instruction that adds the value of this step to a sum over steps."""
         if index not in self.summed:
             return f"fadd {self.flags}{self.numbers} {before}, {self.names[index]}"
         one, other = (self.names[i] for i in self.program.ops[index].arguments)
         return self.multiply_add(one, other, before)
 
     def _fused_sum(self, op: Op, product: int) -> str:
-        """Print a sum or difference one of whose terms is a product."""
+        """Write a sum or difference with a fused product as one multiply-add."""
+        # a·b + c; a·b − c = a·b + (−c); c − a·b = (−a)·b + c: negation is exact
         one, other = (self.names[i] for i in self.program.ops[product].arguments)
         first = op.arguments[0] == product
         rest = self.names[op.arguments[1 if first else 0]]
@@ -145,34 +121,9 @@ class Body:
         return self._new(self.multiply_add(one, other, rest))
 
     def multiply_add(self, one: str, other: str, term: str) -> str:
-        """Return what computes one·other + term, rounded once where the processor can."""
+        """Return the instruction for one·other + term, which rounds once if the processor supports it."""
         V = self.numbers
         return f"call {self.flags}{V} @llvm.fmuladd.v{self.lanes}f{self.bits}({V} {one}, {V} {other}, {V} {term})"
-
-    def _new(self, text: str) -> str:
-        self.counter += 1
-        name = f"%v{self.counter}"
-        self.lines.append(f"  {name} = {text}")
-        return name
-
-    def _splat(self, scalar: str, kind: str) -> str:
-        """Return a vector with the scalar in every lane."""
-        vector = f"<{self.lanes} x {kind}>"
-        one = self._new(f"insertelement {vector} poison, {kind} {scalar}, i32 0")
-        return self._new(f"shufflevector {vector} {one}, {vector} poison, <{self.lanes} x i32> zeroinitializer")
-
-    def _load(self, address: str) -> str:
-        """Return the numbers that stand as doubles at an address."""
-        return self._narrow(self._new(f"load {self.doubles}, ptr {address}, align 8"))
-
-    def _narrow(self, doubles: str) -> str:
-        if self.number == "double":
-            return doubles
-        return self._new(f"fptrunc {self.doubles} {doubles} to {self.numbers}")
-
-    def _widen(self, numbers: str) -> str:
-        """Return numbers as doubles."""
-        return numbers if self.number == "double" else self._new(f"fpext {self.numbers} {numbers} to {self.doubles}")
 
     def _narrowed(self, numbers: str) -> str:
         """Round to single precision."""
@@ -182,25 +133,6 @@ class Body:
         return self._new(
             f"fpext {floats} {self._new(f'fptrunc {self.numbers} {numbers} to {floats}')} to {self.numbers}"
         )
-
-    def _row(self, base: str, first: str, index: int) -> str:
-        """Return the address of row ``index`` behind row ``first`` of an array of vectors of doubles."""
-        row = self._new(f"add i64 {first}, {index}")
-        offset = self._new(f"mul i64 {row}, {self.lanes}")
-        return self._new(f"getelementptr double, ptr {base}, i64 {offset}")
-
-    def _address(self, base: str, index: int | str) -> str:
-        """Return the address of a constant, or of one in each lane."""
-        if self.own:
-            index = self._new(f"mul i64 {index}, {self.lanes}")
-        return self._new(f"getelementptr {self.number_at}, ptr {base}, i64 {index}")
-
-    def _coefficient(self, index: int | str, base: str | None = None) -> str:
-        """Return a constant in every lane, given its place behind an address."""
-        address = self._address(base or self.base, index)
-        if self.own:
-            return self._load(address)
-        return self._splat(self._new(f"load {self.number}, ptr {address}, align 4"), self.number)
 
     def _operation(self, name: str, rest: Sequence[int]) -> str:
         V, B, names = self.numbers, self.truths, self.names
@@ -233,7 +165,7 @@ class Body:
         return self._on_bits(name, rest)
 
     def _on_bits(self, name: str, rest: Sequence[int]) -> str:
-        """Print an operation on words or halves; what is not known as a half is a word."""
+        """Write an operation on words or halves; a value not in ``halves_known`` is a word."""
         if name in ("word", "half"):
             kind = "i64" if name == "word" else "i32"
             return self._half(self._every(kind, str(rest[0])), name == "half")
@@ -266,17 +198,19 @@ class Body:
         return name
 
     def _every_other(self, words: str, first: int) -> str:
-        """Return the lower (0) or upper (1) halves of words: one permutation, where truncating takes three steps."""
+        """Return the lower (0) or upper (1) halves of words, by one permutation instead of three instructions."""
         wide = f"<{2 * self.lanes} x i32>"
         parts = self._new(f"bitcast {self.words} {words} to {wide}")
         chosen = ", ".join(f"i32 {2 * lane + first}" for lane in range(self.lanes))
         return self._new(f"shufflevector {wide} {parts}, {wide} poison, <{self.lanes} x i32> <{chosen}>")
 
     def _product(self, matrix: int, values: Sequence[int]) -> list[str]:
-        """Return the entries of a matrix times numbers: for each tile a loop over its columns."""
+        """Return the entries of a matrix times a vector; each tile is a loop over its columns."""
+        # memory order: constants, tables, matrices; ``before`` is the position of this matrix's first coefficient
         V, program = self.numbers, self.program
         before = len(program.constants) + sum(len(table) for table in program.tables)
-        before += sum(len(_columns(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
+        before += sum(len(columns_of(rows, tile)) for rows in program.matrices[:matrix] for tile in tiles(rows))
+        # the vector is stored in memory, so that the loop can index it
         column = self._new(f"getelementptr {V}, ptr %column, i64 0")
         for i, value in enumerate(values):
             address = self._new(f"getelementptr {V}, ptr {column}, i64 {i}")
@@ -289,7 +223,8 @@ class Body:
         return result
 
     def _tile(self, tile: Tile, before: int, column: str) -> list[str]:
-        """Return the entries of a tile's rows; ``before`` is where its coefficients stand in the constants."""
+        """Return the entries of a tile's rows; ``before`` is the position of its coefficients in the constants."""
+        # s_i ← s_i + M_ij v_j for j = begin, …, end − 1; each row has its own s_i, so the rows' chains run side by side
         V, loop = self.numbers, f"columns{self.counter}"
         totals = [f"%{loop}_{i}" for i in range(tile.rows)]
         start = self._address(self.base, before - tile.begin * tile.rows)
@@ -315,18 +250,8 @@ class Body:
         self.label = f"after_{loop}"
         return [f"{total}_next" for total in totals]
 
-    def _every(self, kind: str, literal: str) -> str:
-        return _filled(kind, literal, self.lanes)
-
-    def _table(self, table: int) -> str:
-        """Return the address of a table."""
-        before = len(self.program.constants) + sum(len(values) for values in self.program.tables[:table])
-        start = "%constants" if not self.own else self.base
-        places = before * (self.lanes if self.own else 1)
-        return self._new(f"getelementptr {self.number_at}, ptr {start}, i64 {places}")
-
     def _pick(self, table: int, word: int) -> str:
-        """A table of eight doubles fits one register of AVX-512 or two of AVX2, and is permuted there, or gathered."""
+        """Return entries of an eight-entry table, by permutations in registers (AVX-512 or AVX2) or by gathers."""
         base, U = self._table(table), self.words
         if not self.permutes:
             offsets = self._new(f"and {U} {self.names[word]}, {self._every('i64', str(EIGHT - 1))}")
@@ -337,64 +262,7 @@ class Body:
             found.append(self._permuted(base, part))
         return self._joined(found)
 
-    def _permuted(self, base: str, words: str) -> str:
-        """Return the entries at the words' last bits, for as many words as one instruction permutes."""
-        wide = self.permutes
-        U, V = f"<{wide} x i64>", f"<{wide} x double>"
-        function, numbers, places = PERMUTES[wide]
-        if wide == EIGHT:
-            entries = self._new(f"load {V}, ptr {base}, align 8")
-            return self._new(f"call {V} @{function}({V} {entries}, {U} {words})")
-        # both halves of the table by the last two bits, as pairs of half words; the third bit chooses
-        twice = self._new(f"shl {U} {words}, {_filled('i64', 1, wide)}")
-        parts = self._new(f"bitcast {U} {twice} to {places}")
-        evens = ", ".join(f"i32 {2 * (k // 2)}" for k in range(8))
-        pairs = self._new(f"shufflevector {places} {parts}, {places} poison, {places} <{evens}>")
-        odds = ", ".join(f"i32 {k % 2}" for k in range(8))
-        chosen = self._new(f"or {places} {pairs}, <{odds}>")
-        halves: list[str] = []
-        for first in (0, 4):
-            address = self._new(f"getelementptr double, ptr {base}, i64 {first}")
-            entries = self._new(f"load {numbers}, ptr {address}, align 8")
-            found = self._new(f"call {numbers} @{function}({numbers} {entries}, {places} {chosen})")
-            halves.append(self._new(f"bitcast {numbers} {found} to {V}"))
-        sign = self._new(f"shl {U} {words}, {_filled('i64', 61, wide)}")
-        upper = self._new(f"icmp slt {U} {sign}, zeroinitializer")
-        return self._new(f"select <{wide} x i1> {upper}, {V} {halves[1]}, {V} {halves[0]}")
-
-    def _part(self, name: str, kind: str, lanes: range, narrower: str) -> str:
-        """Return some lanes of a vector."""
-        if kind == narrower:
-            return name
-        chosen = ", ".join(f"i32 {lane}" for lane in lanes)
-        return self._new(f"shufflevector {kind} {name}, {kind} poison, <{len(lanes)} x i32> <{chosen}>")
-
-    def _joined(self, parts: Sequence[str]) -> str:
-        """Return vectors of doubles end to end."""
-        width = self.lanes // len(parts)
-        while len(parts) > 1:
-            kind, chosen = f"<{width} x double>", ", ".join(f"i32 {lane}" for lane in range(2 * width))
-            width *= 2
-            parts = [
-                self._new(f"shufflevector {kind} {one}, {kind} {other}, <{width} x i32> <{chosen}>")
-                for one, other in zip(parts[::2], parts[1::2], strict=True)
-            ]
-        return parts[0]
-
     def _lookup(self, table: int, index: int) -> str:
-        integers = self.halves  # every vector unit converts to these; few to 64 bits
+        integers = self.halves  # every vector unit converts to 32 bits, and few convert to 64 bits
         offsets = self._new(f"fptosi {self.numbers} {self.names[index]} to {integers}")
         return self._gathered(self._table(table), integers, offsets)
-
-    def _gathered(self, base: str, kind: str, offsets: str) -> str:
-        if self.own:
-            element = "i32" if kind == self.halves else "i64"
-            lanes = "<" + ", ".join(f"{element} {lane}" for lane in range(self.lanes)) + ">"
-            scaled = self._new(f"mul {kind} {offsets}, {self._every(element, str(self.lanes))}")
-            offsets = self._new(f"add {kind} {scaled}, {lanes}")
-        addresses = self._new(f"getelementptr {self.number_at}, ptr {base}, {kind} {offsets}")
-        found = self._new(
-            f"call {self.entries} @{self.gather}(<{self.lanes} x ptr> {addresses}, i32 4, "
-            f"{self.truths} {self._every('i1', 'true')}, {self.entries} zeroinitializer)"
-        )
-        return self._narrow(found) if self.number_at == "double" else found

@@ -1,4 +1,4 @@
-"""What functions of NumPy do with whole arrays of symbols: rearrange, choose, multiply, solve."""
+"""NumPy functions of whole arrays for arrays of symbols: rearrangement, selection, products, and linear systems."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from taciturn.program.symbols import (
     symbols_in,
 )
 
-_PLAIN: tuple[Callable[..., Any], ...] = (  # what rearranges, or comes down to the operators of the entries
+_PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, or use only operators of the entries
     np.append, np.atleast_1d, np.atleast_2d, np.block, np.broadcast_to, np.column_stack, np.concatenate, np.copy,
     np.cross, np.cumsum, np.diag, np.diagonal, np.diff, np.empty_like, np.expand_dims, np.flip, np.full_like,
     np.hstack, np.kron, np.mean, np.ndim, np.ones_like, np.outer, np.prod, np.ravel, np.repeat, np.reshape, np.roll,
@@ -33,42 +33,46 @@ _PLAIN: tuple[Callable[..., Any], ...] = (  # what rearranges, or comes down to 
 
 
 def choose(condition: Any, yes: Any, no: Any) -> Any:
-    """Return entries of one array or of the other."""
+    """Return ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
     recorder = recorder_of([condition, yes, no])
     return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
 
 
 def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
-    """Return entries between bounds, where there are any; NumPy has two names for each."""
+    """Return ``np.clip``: entries limited to the given bounds, each of which has two names in NumPy."""
     for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
         a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
     return a
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Return the product of vectors, matrices or numbers."""
+    """Return ``np.dot`` of vectors, matrices or numbers."""
     one, other = objects(a), objects(b)
     return seen(multiply(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
-    """Return the sums of products over the last axes of both."""
+    """Return ``np.inner``: the sums of products over the last axes of both."""
     return dot(a, objects(b).T) if objects(b).ndim > 1 else dot(a, b)
 
 
 def vdot(a: Any, b: Any) -> Any:
-    """Return the sum of the products of all entries, in order."""
+    """Return ``np.vdot``: the sum of the products of all entries, in order."""
     return dot(objects(a).ravel(), objects(b).ravel())
 
 
 def solve(a: Any, b: Any) -> Any:
-    """Return a⁻¹b by elimination, each pivot the largest of its column."""
+    """Return a⁻¹b by Gaussian elimination with partial pivoting."""
     A, B = objects(a), objects(b)
     size = len(A)
     if A.shape != (size, size) or B.ndim not in (1, 2) or len(B) != size:
-        raise ProblemError(f"a system of shapes {A.shape} and {B.shape} is solved; expected a square matrix, and rows")
+        raise ProblemError(
+            f"the arguments of np.linalg.solve have the shapes {A.shape} and {B.shape}; expected a square matrix, and "
+            "as many rows in the second argument"
+        )
     rows: list[Any] = [seen(row) for row in np.concatenate([A, B.reshape(size, -1)], axis=1)]
     for j in range(size):
+        # the values are unknown while tracing, so that selections compare and exchange the row with every row below it
         for i in range(j + 1, size):
             larger = abs(rows[i][j]) > abs(rows[j][j])
             rows[j], rows[i] = choose(larger, rows[i], rows[j]), choose(larger, rows[j], rows[i])
@@ -87,9 +91,9 @@ def invert(a: Any) -> Any:
 
 
 def norm(x: Any, ord: None = None, axis: Any = None, keepdims: bool = False) -> Any:
-    """Return the root of the sum of squares, of all entries or along an axis."""
+    """Return the Euclidean norm of all entries or along an axis."""
     if ord is not None:
-        raise ProblemError(f"np.linalg.norm of order {ord!r} cannot be traced; expected the root of a sum of squares")
+        raise ProblemError(f"np.linalg.norm of order {ord!r} cannot be traced; expected the Euclidean norm (no order)")
     return np.sqrt(compute(np.add, "reduce", (np.square(seen(objects(x))),), None, axis, keepdims))
 
 
@@ -112,14 +116,14 @@ def _called(rule: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, A
 
 
 def _plainly(function: Callable[..., Any]) -> Callable[[Sequence[Any], Mapping[str, Any]], Any]:
-    """Return what a function does with plain arrays of objects."""
+    """Return the rule that calls the NumPy function itself with plain arrays of objects."""
     return lambda args, kwargs: seen(
         function(*map(_plain, args), **{name: _plain(one) for name, one in kwargs.items()})
     )
 
 
 def _plain(value: Any) -> Any:
-    """Return an argument with plain arrays in place of those of symbols."""
+    """Return an argument with every ``Vector`` replaced by a plain array of objects."""
     if is_list(value):
         listed = [_plain(one) for one in value]
         return tuple(listed) if isinstance(value, tuple) else listed
@@ -166,7 +170,7 @@ def _identity(n: int, dtype: Any = None) -> Any:
 
 
 def _joined(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return a function of several arrays that sees symbols in lists of lists."""
+    """Return a function of several arrays that also accepts lists with symbols."""
 
     def joined(arrays: Any) -> Any:
         return seen(function([objects(one) for one in arrays])) if symbols_in(arrays) else held(function(arrays))
@@ -189,7 +193,7 @@ def _block(arrays: Any) -> Any:
     return held(np.block(_plain(arrays)))
 
 
-STAND_INS: Mapping[Any, Callable[..., Any]] = {  # functions whose arrays are to hold symbols, which they do not see
+STAND_INS: Mapping[Any, Callable[..., Any]] = {  # array constructors whose results can contain symbols
     np.array: _array, np.asarray: _as_array, np.zeros: _filled(0.0), np.ones: _filled(1.0), np.empty: _filled(np.nan),
     np.full: _full, np.eye: _eye, np.identity: _identity, np.concatenate: _joined_along(np.concatenate),
     np.stack: _joined_along(np.stack), np.hstack: _joined(np.hstack), np.vstack: _joined(np.vstack),

@@ -1,4 +1,4 @@
-"""The bits of a number as operations of the program: signs, magnitudes, whole numbers and powers of two."""
+"""Operations on the bits of floating-point numbers: signs, magnitudes, rounding to integers and powers of two."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from taciturn.program.ops import Precision
 
 
 class Layout(NamedTuple):
-    """How the numbers of a precision are laid out.
+    """The binary format of the numbers of a precision (IEEE 754).
 
     Args:
-        word: the operation that gives bits known now.
-        mantissa: bits behind the leading one.
-        bias: of the exponent.
+        word: the operation for constant bits, ``word`` or ``half``.
+        mantissa: number of stored bits of the mantissa.
+        bias: bias of the exponent.
     """
 
     word: str
@@ -24,32 +24,32 @@ class Layout(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """A sum with it has no bits left below one, so that its last bits are those of a whole number."""
+        """Number whose addition rounds to an integer; the sum has no bits below 1, and ends in those of the integer."""
         return 1.5 * 2.0**self.mantissa
 
     @property
     def fraction(self) -> int:
-        """The bits of the mantissa."""
+        """Mask of the mantissa."""
         return (1 << self.mantissa) - 1
 
     @property
     def magnitude(self) -> int:
-        """All bits but the sign."""
+        """Mask of all bits but the sign."""
         return (1 << self.sign) - 1
 
     @property
     def sign(self) -> int:
-        """Place of the sign."""
+        """Position of the sign bit."""
         return self.mantissa + self.bias.bit_length() + 1
 
     @property
     def one(self) -> int:
-        """The bits of 1."""
+        """The bits of the number 1."""
         return self.bias << self.mantissa
 
     @property
     def modulus(self) -> int:
-        """Words are whole numbers modulo this one."""
+        """The modulus of integer arithmetic on words."""
         return 2 << self.sign
 
 
@@ -60,7 +60,7 @@ LAYOUTS: Mapping[Precision, Layout] = {
 
 
 def literal(b: Builder, bits: int) -> int:
-    """Return bits known now; those of a negative number are its complement."""
+    """Return a constant word; a negative integer is given by its two's complement."""
     layout = LAYOUTS[b.precision]
     return b.emit(layout.word, bits % layout.modulus)
 
@@ -71,27 +71,30 @@ def absolute(b: Builder, x: int) -> int:
 
 
 def sign_bit(b: Builder, x: int) -> int:
-    """Return the bits of a number with all but the sign taken away."""
+    """Return the bits of a number with all but the sign bit cleared."""
     return b.emit("word_and", b.emit("bits", x), literal(b, 1 << LAYOUTS[b.precision].sign))
 
 
 def signed(b: Builder, x: int, sign: int) -> int:
-    """Return a number with its sign turned where the bit of a sign is set."""
+    """Return x with its sign changed if the sign bit ``sign`` is set."""
     return b.emit("number", b.emit("word_xor", b.emit("bits", x), sign))
 
 
 def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
-    """Return the whole number nearest to factor·x, of a size below 2^51 (2^22), as a number, and bits that end in its.
+    """Return the integer k nearest to factor·x, as a number, and a word whose last bits are those of k.
 
-    Whether the product is rounded before the sum does not matter: a tie goes one way or the other.
+    |factor·x| must be below 2^51, or 2^22 in single precision.
     """
+    # The fast build may round factor·x and the sum once instead of twice. The result then differs only for ties, where
+    # callers accept both neighbours.
     shift = b.constant(LAYOUTS[b.precision].shift)
     shifted = b.emit("add", b.scale(factor, x), shift)
     return b.emit("sub", shifted, shift), b.emit("bits", shifted)
 
 
 def power_of_two(b: Builder, whole: int) -> int:
-    """Return 2^k, given bits that end in those of the whole number k."""
+    """Return 2^k, given a word whose last bits are those of the integer k."""
+    # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
     biased = b.emit("word_add", whole, literal(b, layout.bias))
     return b.emit("number", b.emit("shift_left", biased, layout.mantissa))

@@ -1,7 +1,8 @@
-"""Prints a program as a C99 function of numbers: one path, one tick at a time, for devices.
+"""Translation of a program to a C99 function that computes one step of one path, for devices.
 
-Every operation rounds once, in the order of the program: where the compiler fuses nothing, the bits are those of
-``program.numpy``. Numbers have the type ``tac_real``; no library of mathematics is called.
+Each operation rounds once, in the order of the program. If the compiler does not fuse operations
+(``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. Numbers have the type
+``tac_real``. The code calls no mathematical library.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Precision, tiles
 
 REAL, ROOT = "tac_real", "tac_root"
-_INFIX: Mapping[str, tuple[str, str]] = {  # operator, and the type of the result; None: that of the operands
+_INFIX: Mapping[str, tuple[str, str]] = {  # operator, and type of the result; an empty type is that of the operands
     "add": ("+", REAL), "sub": ("-", REAL), "mul": ("*", REAL), "div": ("/", REAL),
     "greater": (">", "bool"), "less_equal": ("<=", "bool"), "and": ("&&", "bool"),
     "word_add": ("+", ""), "word_and": ("&", ""), "word_or": ("|", ""), "word_xor": ("^", ""),
@@ -25,20 +26,21 @@ _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
 def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
-    """Return the source of ``static void name(inputs, memory, outputs)``, with the tables that it reads before it.
+    """Return the source of the function ``static void name(inputs, memory, outputs)`` and of the tables that it reads.
 
-    Memory is changed in place. Where it consists of words, as that of a generator, there are no inputs.
+    The function updates its memory in place. The function has no inputs if the memory consists of words (a generator of
+    random numbers).
 
     Args:
-        program: one tick.
-        name: of the function; its tables begin with it.
-        places: where each of the program's inputs stands among those that are given.
+        program: one time step.
+        name: name of the function, and prefix of the names of its tables.
+        places: for each input of the program, its position in the array ``inputs``.
     """
     return _Printer(program, name, places).text()
 
 
 def print_root(precision: Precision) -> str:
-    """Return the source of ``static tac_real tac_root(x)``, which roots are taken by: digit by digit, rounded once."""
+    """Return the source of ``static tac_real tac_root(x)``, a correctly rounded square root computed bit by bit."""
     layout = LAYOUTS[precision]
     word = "uint64_t" if precision == "float64" else "uint32_t"
     return _ROOT.format(
@@ -47,7 +49,7 @@ def print_root(precision: Precision) -> str:
 
 
 def literal(value: float, precision: Precision) -> str:
-    """Return a number as C99 writes it exactly."""
+    """Return a number as an exact C99 literal."""
     if precision == "float32":
         value = float(np.float32(value))
     if np.isinf(value):
@@ -56,7 +58,7 @@ def literal(value: float, precision: Precision) -> str:
 
 
 def array(kind: str, name: str, values: Sequence[str]) -> str:
-    """Return the definition of an array of constants, some to a line."""
+    """Return the C definition of an array of constants, with several constants per line."""
     lines, line = list[str](), ""
     for value in values:
         if line and len(line) + len(value) > 110:
@@ -67,14 +69,14 @@ def array(kind: str, name: str, values: Sequence[str]) -> str:
 
 
 class _Printer:
-    """Lines of C, and the types of what they compute."""
+    """Converts one program to lines of C, and records the types of its values."""
 
     def __init__(self, program: Program, name: str, places: Sequence[int]) -> None:
         self.program, self.name, self.places = program, name, places
         moved = [op for i, op in enumerate(program.following) if self._moves(i, op)]
         self.live = needed(program, [*moved, *program.outputs.values()])
         self.types: dict[int, str] = {}  # of the operations
-        self.names: dict[int, str] = {}  # of those that are written where they are read
+        self.names: dict[int, str] = {}  # expressions of values without a variable (constants)
         self.arrays: list[str] = []
         self.declared: set[str] = set()
 
@@ -95,7 +97,7 @@ class _Printer:
         return "".join(self.arrays) + "\n  ".join([head, *lines]) + "\n}\n"
 
     def _moves(self, state: int, op: int) -> bool:
-        """Whether a state has another value at the next tick."""
+        """Return whether a step changes the state."""
         return self.program.ops[op] != Op("state", (state,))
 
     def _name(self, index: int) -> str:
@@ -116,7 +118,7 @@ class _Printer:
         return [f"const {kind} v{index} = {expression};"]
 
     def _expression(self, op: Op) -> tuple[str, str]:
-        """Return the type of an operation's value, and what computes it."""
+        """Return the type and the expression of an operation's value."""
         name, rest = op
         if name in _INFIX:
             sign, kind = _INFIX[name]
@@ -159,11 +161,11 @@ class _Printer:
             return "uint32_t", f"(uint32_t)({x} & UINT64_C(0xffffffff))"
         if name == "rotate_left":
             return kind, f"({x} << {rest[1]}) | ({x} >> {_WIDTHS[kind] - rest[1]})"
-        assert name in ("shift_left", "shift_right"), f"C knows no {name}"
+        assert name in ("shift_left", "shift_right"), f"the operation {name} has no translation to C"
         return kind, f"{x} {'<<' if name == 'shift_left' else '>>'} {rest[1]}"
 
     def _copied(self, index: int, op: Op, kind: str) -> list[str]:
-        """Read the bits of a value as another kind of value."""
+        """Return lines that copy the bits of a value to a variable of another type."""
         self.types[index] = kind
         read = op.arguments[0]
         known = [f"const {REAL} x{index} = {self.names[read]};"] if read in self.names else []
@@ -175,14 +177,14 @@ class _Printer:
         return self._declare(f"{self.name}_table{table}", [literal(v, self.program.precision) for v in values])
 
     def _declare(self, name: str, values: Sequence[str]) -> str:
-        """Define an array of numbers once, and return its name."""
+        """Define an array of numbers if it is not defined yet, and return its name."""
         if name not in self.declared:
             self.declared.add(name)
             self.arrays.append(array(REAL, name, values))
         return name
 
     def _product(self, index: int, op: Op) -> list[str]:
-        """Add up the rows of a matrix times numbers tile by tile, column by column, from 0."""
+        """Return the lines of a matrix product in the order of ``ops.Tile``: tile by tile, column by column, from 0."""
         matrix, parts = self.program.matrices[op.arguments[0]], tiles(self.program.matrices[op.arguments[0]])
         held = [
             literal(matrix[row][j], self.program.precision)
@@ -206,7 +208,7 @@ class _Printer:
         return lines
 
 
-_ROOT = """/* The root of a number, rounded to the nearest, without a library: digit by digit. */
+_ROOT = """/* The square root, rounded to nearest, without a library: one binary digit per iteration. */
 static {real} {name}({real} x)
 {{
   const {word} leading = {one} << {mantissa};

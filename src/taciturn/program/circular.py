@@ -1,10 +1,12 @@
-"""Sines, cosines, tangents and their inverses, made of the program's own operations.
+"""Sine, cosine, tangent and their inverses as operations of the program, bit-identical in every back end.
 
-An angle loses its multiples k·π/2 by Cody and Waite: π/2 is a sum of parts with so few bits that their products with
-a k below 2^25 (2^16 in single precision) and the differences are exact; of what the last parts leave, the rounding
-error is kept. Errors in the last place: sine and cosine one unit for |x| ≤ 5e7 (1e5), tangent two and three quarters,
-inverses two; nearer to a multiple of π/2 than 1e-9 (1e-5) they are absolute ones of at most 1e-25 (1e-12). A larger
-angle has no digit left that one could trust: the result is no number.
+An angle is reduced to |x| − k·π/2 by the method of Cody and Waite: π/2 is a sum of parts. The first parts have so few
+bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts are
+rounded, and the rounding error is stored in a second number.
+
+Largest errors in units in the last place, for |x| ≤ 5e7 (1e5 in single precision): sine and cosine 1, tangent 2.75,
+inverses 2. Within 1e-9 (1e-5) of a multiple of π/2 the error is absolute, at most 1e-25 (1e-12). For a larger |x| the
+reduction would be inaccurate, so that the result is NaN.
 """
 
 from __future__ import annotations
@@ -17,20 +19,20 @@ import numpy as np
 from taciturn.program.bits import LAYOUTS, absolute, literal, nearest, sign_bit, signed
 from taciturn.program.ir import Builder
 
-_HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # a double, and what it lacks
+_HALF_TURN = (3.141592653589793, 1.2246467991473532e-16)  # π as a double and the remainder
 _QUARTER_TURN = (1.5707963267948966, 6.123233995736766e-17)
 
 
 class _Format(NamedTuple):
-    """How a precision takes angles apart."""
+    """Constants of a precision."""
 
-    limit: float  # the largest angle
-    exact: tuple[float, ...]  # parts of π/2, and those whose differences are rounded
-    rounded: tuple[float, ...]
-    sine: int  # terms of the series within an eighth of a turn, less the first
+    limit: float  # largest |x| with a result
+    exact: tuple[float, ...]  # first parts of π/2, whose products with k and differences are exact
+    rounded: tuple[float, ...]  # last parts, whose differences are rounded
+    sine: int  # terms of each series for |r| ≤ π/4, without the first ones
     cosine: int
     arctangent: int
-    largest: float  # of two numbers that are compared as sides of a triangle
+    largest: float  # bound of the two arguments of ``direction``
 
 
 _FORMATS = {
@@ -42,7 +44,7 @@ _FORMATS = {
         4, 4, 4, 2.0**124,
     ),
 }  # fmt: skip
-_KNOTS = (  # from which ratio on which one is taken away, and its arctangent
+_KNOTS = (  # least ratio a/d for the knot c, c, and arctan c as a double and the remainder
     (0.1640625, 0.25, (0.24497866312686414, 1.0698755618734451e-17)),
     (0.375, 0.5, (0.4636476090008061, 2.2698777452961687e-17)),
     (0.71875, 1.0, (0.7853981633974483, 3.061616997868383e-17)),
@@ -54,6 +56,7 @@ def sine(b: Builder, x: int) -> int:
 
     Source: muller2016
     """
+    # |x| = k·π/2 + r: sin |x| = ±sin r or ±cos r, depending on the last two bits of k
     r, rest, quarter = _reduced(b, x)
     sign = b.emit("word_xor", _moved(b, quarter), sign_bit(b, x))
     return signed(b, b.emit("select", _odd(b, quarter), _cosine(b, r, rest), _sine(b, r, rest)), sign)
@@ -64,6 +67,7 @@ def cosine(b: Builder, x: int) -> int:
 
     Source: muller2016
     """
+    # cos |x| = sin(|x| + π/2), so that k + 1 determines the sign
     r, rest, quarter = _reduced(b, x)
     sign = _moved(b, b.emit("word_add", quarter, literal(b, 1)))
     return signed(b, b.emit("select", _odd(b, quarter), _sine(b, r, rest), _cosine(b, r, rest)), sign)
@@ -74,6 +78,7 @@ def tangent(b: Builder, x: int) -> int:
 
     Source: muller2016
     """
+    # tan(k·π/2 + r) = tan r for even k and −1/tan r for odd k
     r, rest, quarter = _reduced(b, x)
     odd, (over, under) = _odd(b, quarter), (_sine(b, r, rest), _cosine(b, r, rest))
     ratio = b.emit("div", b.emit("select", odd, under, over), b.emit("select", odd, over, under))
@@ -90,26 +95,30 @@ def arctangent(b: Builder, x: int) -> int:
 
 
 def direction(b: Builder, y: int, x: int) -> int:
-    """Return the angle of the point (x, y), in [−π, π]; that of the origin is 0 or π, by the sign of its x.
+    """Return the angle of the point (x, y), in [−π, π]; the angle of the origin is 0 or π, depending on the sign of x.
 
-    Numbers beyond 2^1020 (2^124 in single precision) count as these, so that the angle between two infinities is π/4.
+    Larger coordinates are replaced by 2^1020 (2^124 in single precision), so that two infinities give π/4.
 
     Source: muller2016
     """
     angle = _angle(b, absolute(b, y), absolute(b, x))
+    # π − angle in the left half-plane; then the sign of y
     left = b.emit("any_bit", sign_bit(b, x))
     behind = _less(b, _HALF_TURN, angle)
     return signed(b, b.emit("select", left, behind, angle), sign_bit(b, y))
 
 
 def _reduced(b: Builder, x: int) -> tuple[int, int, int]:
-    """Return |x| less its nearest multiple of π/2, what rounding took from that, and bits that end in those of k."""
+    """Return r, rest, and a word that ends in the bits of the integer k, where |x| = k·π/2 + r + rest, |r| ≤ π/4."""
+    # an angle beyond the limit is replaced by ∞, and ∞ − ∞ makes the result NaN
     f, size = _FORMATS[b.precision], absolute(b, x)
     size = b.emit("select", b.emit("greater", size, b.constant(f.limit)), b.constant(inf), size)
     k, quarter = nearest(b, size, 2 / pi)
+    # the exact parts have so few bits that nothing is rounded
     r, rest = size, None
     for part in f.exact:
         r = b.emit("sub", r, b.scale(part, k))
+    # the rounded parts: r' = fl(r − t) with t = part·k − rest; (r − r') − t is its rounding error, the new rest
     for part in f.rounded:
         taken, before = b.scale(part, k), r
         taken = taken if rest is None else b.emit("sub", taken, rest)
@@ -120,29 +129,31 @@ def _reduced(b: Builder, x: int) -> tuple[int, int, int]:
 
 
 def _odd(b: Builder, quarter: int) -> int:
+    """Return whether k is odd."""
     return b.emit("any_bit", b.emit("word_and", quarter, literal(b, 1)))
 
 
 def _moved(b: Builder, quarter: int) -> int:
-    """Return the sign that half a turn gives: the last bit but one."""
+    """Return the second-last bit of k as a sign bit: half a turn changes the sign."""
     second = b.emit("word_and", quarter, literal(b, 2))
     return b.emit("shift_left", second, LAYOUTS[b.precision].sign - 1)
 
 
 def _alternating(first: int, terms: int) -> list[float]:
-    """Return −1/first!, 1/(first + 2)!, …"""
+    """Return the coefficients −1/first!, 1/(first + 2)!, … of a series."""
     return [-((-1.0) ** i) / factorial(first + 2 * i) for i in range(terms)]
 
 
 def _sine(b: Builder, r: int, rest: int) -> int:
-    """Return sin(r + rest) of |r| ≤ π/4."""
+    """Return sin(r + rest) ≈ r + (r³ (−1/3! + r²/5! − …) + rest) for |r| ≤ π/4."""
     square = b.emit("mul", r, r)
     series = b.polynomial(_alternating(3, _FORMATS[b.precision].sine), square)
     return b.emit("add", r, b.emit("add", b.emit("mul", b.emit("mul", square, r), series), rest))
 
 
 def _cosine(b: Builder, r: int, rest: int) -> int:
-    """Return cos(r + rest) of |r| ≤ π/4; what rounding takes from 1 − r²/2 is kept."""
+    """Return cos(r + rest) ≈ 1 − r²/2 + r⁴ (1/4! − …) − r·rest for |r| ≤ π/4."""
+    # m = fl(1 − r²/2); its rounding error (1 − m) − r²/2 is exact and is added to the small terms
     one, square = b.constant(1.0), b.emit("mul", r, r)
     half = b.scale(0.5, square)
     most = b.emit("sub", one, half)
@@ -152,17 +163,22 @@ def _cosine(b: Builder, r: int, rest: int) -> int:
 
 
 def _angle(b: Builder, y: int, x: int) -> int:
-    """Return the angle of a point with y, x ≥ 0.
+    """Return the angle of a point with x, y ≥ 0.
 
-    The ratio a/d of the smaller side to the larger loses a knot c: tan(α − arctan c) = (a − cd)/(d + ca), where cd and
-    the difference are exact.
+    Let a ≤ d be the two coordinates and α = arctan(a/d). A knot c reduces the argument of the series:
+
+        tan(α − arctan c) = (a − cd)/(d + ca).
+
+    c is a power of two, so that cd is exact; the difference a − cd is exact where it is small.
     """
     f = _FORMATS[b.precision]
     steep = b.emit("greater", y, x)
     a, d = (_clipped(b, b.emit("select", steep, *sides), f.largest) for sides in ((x, y), (y, x)))
+    # at the origin, 0/1 replaces 0/0
     nothing = b.emit("less_equal", d, b.constant(0.0))
     d = b.emit("select", nothing, b.constant(1.0), d)
     zero = knot = b.constant(0.0)
+    # base + rest = arctan c, or π/2 − arctan c if y > x (``steep``), with twice the digits of one number
     base, rest = (b.emit("select", steep, part, zero) for part in _pair(b, _QUARTER_TURN))
     for start, value, known in _KNOTS:
         beyond = b.emit("greater", a, b.scale(start, d))
@@ -171,28 +187,30 @@ def _angle(b: Builder, y: int, x: int) -> int:
         base, rest = (
             b.emit("select", beyond, b.emit("select", steep, back, forth), old) for back, forth, old in turned
         )
+    # v = tan(α − arctan c), |v| ≤ 0.17; arctan v = v − v³ (1/3 − v²/5 + …)
     v = b.emit("div", b.emit("sub", a, b.emit("mul", knot, d)), b.emit("add", d, b.emit("mul", knot, a)))
     square = b.emit("mul", v, v)
     series = b.polynomial([-((-1.0) ** i) / (2 * i + 3) for i in range(f.arctangent)], square)
     moved = b.emit("add", v, b.emit("mul", b.emit("mul", square, v), series))
+    # angle = α, or π/2 − α if steep; the small terms are added first, as this has the smaller rounding error
     moved = b.emit("select", steep, b.emit("sub", zero, moved), moved)
     return b.emit("add", base, b.emit("add", moved, rest))
 
 
 def _difference(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    """Return the difference of two numbers, the first the larger, each a double and what it lacks."""
+    """Return the difference of a larger and a smaller number, each given as a double and a remainder."""
     high = one[0] - other[0]
     return high, (one[0] - high) - other[0] + (one[1] - other[1])
 
 
 def _less(b: Builder, turn: tuple[float, float], angle: int) -> int:
-    """Return a turn less an angle."""
+    """Return turn − angle."""
     high, low = _pair(b, turn)
     return b.emit("sub", high, b.emit("sub", angle, low))
 
 
 def _pair(b: Builder, value: tuple[float, float]) -> tuple[int, int]:
-    """Return a number of the program's precision, and what it lacks."""
+    """Return two constants: a number rounded to the precision of the program, and the remainder."""
     high = value[0] if b.precision == "float64" else float(np.float32(value[0]))
     return b.constant(high), b.constant(value[0] - high + value[1])
 

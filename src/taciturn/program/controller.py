@@ -1,4 +1,4 @@
-"""Lowers a policy as a whole: its nodes and the links between them, with the measurement supplied."""
+"""Translation of a whole policy, all nodes and the links between them, to a program with measurements as inputs."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from taciturn.model.network import Network
 from taciturn.model.packets import told_by
 from taciturn.model.policy import ENDS, Policy, Send
 from taciturn.program.ir import Builder, Coefficient, Program
-from taciturn.program.lower import Tick, encode_payloads
+from taciturn.program.lower import TimeStep, encode_payloads
 from taciturn.program.ops import Precision
 
 
 def lower_policy(policy: Policy, network: Network) -> Program:
-    """Return one tick of all nodes of a policy: what the plant is told when it has been measured.
+    """Return one time step of all nodes of a policy, from the measurement to the input of the plant.
 
-    Inputs: ``y i``, ``uniform i``. Outputs: ``applied i``, clipped as the model's input is, ``sent LINK`` and
+    Inputs: ``y i``, ``uniform i``. Outputs: ``applied i``, clipped by the model's ``input_limit``, ``sent LINK`` and
     ``arrived LINK``.
 
     Args:
         policy: the policy.
-        network: between its nodes.
+        network: the links between its nodes.
     """
-    tick = begin_tick(policy, network, {}, {})
+    tick = begin_time_step(policy, network, {}, {})
     losses = draw_losses(tick, policy, network)
     tick.signals["y"] = [tick.builder.input(f"y {i}") for i in range(policy.model.outputs)]
     for step in policy.steps:
@@ -35,29 +35,30 @@ def lower_policy(policy: Policy, network: Network) -> Program:
     return tick.finish({}, outputs)
 
 
-def begin_tick(
+def begin_time_step(
     policy: Policy,
     network: Network,
     sizes: Mapping[str, int],
     initial: Mapping[str, Array | str],
     precision: Precision = "float64",
-) -> Tick:
-    """Return a tick of all nodes of a policy before its first step, with signals that are not the policy's."""
+) -> TimeStep:
+    """Return the time step of all nodes before its first policy step; ``sizes`` and ``initial`` add further signals."""
     bad = [is_bad(link) for link in ENDS]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
     sizes = {**policy.sizes, **sizes, **dict.fromkeys(bad, 1)}
     initial = {**policy.initial, **initial, **{name: name for name in bad}}
-    return Tick(Builder(precision), sizes, initial, policy.locations, told)
+    return TimeStep(Builder(precision), sizes, initial, policy.locations, told)
 
 
-def draw_losses(tick: Tick, policy: Policy, network: Network) -> dict[str, Coefficient]:
-    """Return the loss probability of each link: constant, or read by the drawn location of its bursts."""
+def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, Coefficient]:
+    """Return the loss probability of each link: a constant, or for bursts a value that depends on the link's state."""
     losses: dict[str, Coefficient] = {}
     for link in ENDS:
         burst, b = network.burst(link), tick.builder
         losses[link] = network.loss(link)
         if burst is not None and any(isinstance(s, Send) and s.link == link for s in policy.steps):
+            # Gilbert–Elliott model: a memory in {0, 1} selects the loss, and changes with probability to_bad or to_good
             (bad,) = tick.read(is_bad(link))
             losses[link] = b.lookup([burst.loss_good, burst.loss_bad], bad)
             turn = b.value(b.lookup([burst.to_bad, burst.to_good], bad))
@@ -67,5 +68,5 @@ def draw_losses(tick: Tick, policy: Policy, network: Network) -> dict[str, Coeff
 
 
 def is_bad(link: str) -> str:
-    """Return the name of the memory whether a link is bad."""
+    """Return the name of the memory that is 1 while a link is in its bad state, and 0 otherwise."""
     return f"{link} link is bad"

@@ -1,8 +1,8 @@
-"""Control variates: sums whose mean is known to be 0, and which explain most of what a mean over paths still varies by.
+"""Control variates: sums with mean 0 that explain most of the variance of a path's average cost.
 
-A normal n_i drawn in a tick is independent of what is remembered when the tick begins. So n_i s_j, for every state s_j,
-and n_i n_j − [i = j] are martingale differences, and those of a quadratic value function are linear in them
-[henderson2002].
+A normal number n_i that is drawn in a step is independent of the states s_j at the start of the step. So n_i s_j and
+n_i n_j − [i = j] have the conditional mean 0 given the past: they are martingale differences. Those of a quadratic
+value function are linear combinations of them [henderson2002].
 """
 
 from __future__ import annotations
@@ -14,14 +14,14 @@ from taciturn.program.ir import Program
 from taciturn.program.ops import Op
 
 CONTROL = "control"
-MOST = 64  # controls: more would take longer than the rest of a tick
+MOST = 64  # most controls; more would take longer than the rest of a step
 
 
 def with_controls(program: Program) -> Program:
-    """Return the program with the controls among its sums; without them where they would be too many.
+    """Return the program with control variates as additional sums, or unchanged if there would be more than MOST.
 
     Args:
-        program: one tick, with inputs ``normal i``.
+        program: one time step, with inputs ``normal i``.
     """
     ops, sums = list(program.ops), dict(program.sums)
     normals = [i for i, op in enumerate(ops) if op.name == "input" and _is_normal(program.inputs[op.arguments[0]])]
@@ -44,7 +44,7 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return what was kept of a program, with the controls that are made of what it remembers."""
+    """Return a reduced program ``lean`` with the control variates of ``program`` that use only its own states."""
     remembered = {f"{state.name} {state.index}" for state in lean.states}
     controls = [name for name in program.sums if name.startswith(CONTROL)]
     fit = {name for name in controls if name.partition(" of ")[2] in {"", *remembered}}

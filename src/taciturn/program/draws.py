@@ -1,10 +1,10 @@
-"""Drawn numbers as operations of the program: the same bits under every printer, with no mathematical library.
+"""Random numbers as operations of the program, bit-identical in every back end, without a mathematical library.
 
-One 64-bit word of xoshiro256++ [blackman2021] gives two normals by Box–Muller [box1958]: 32 bits for the radius, 30 for
-the angle within an eighth of the circle on either side of an axis, one for the sign and one for the axis. The radius
-ends at sqrt(66 ln 2) = 6.76. Logarithm, cosine and sine are polynomials (Chebyshev interpolation; absolute errors
-2.3e-11, 4.8e-11 and 3.4e-12, which is below the resolution of the radius). In single precision the same bits give the
-same normals, to its seven digits (`single`).
+One 64-bit word of xoshiro256++ [blackman2021] gives two normal numbers by the Box–Muller method [box1958]: 32 bits for
+the radius, 30 for the angle from the nearest axis (up to an eighth of the circle on either side), one for the sign, and
+one for the axis. The largest radius is sqrt(66 ln 2) = 6.76. Logarithm, cosine and sine are polynomials (Chebyshev
+interpolation) with the absolute errors 2.3e-11, 4.8e-11 and 3.4e-12, which are below the resolution of the radius. In
+single precision the same bits give the same normal numbers, to seven digits (`single`).
 """
 
 from __future__ import annotations
@@ -32,20 +32,21 @@ _SIN = (1.570796326788107, -0.6459640961476686, 0.07969258274306916, -0.00468126
 _LOG_TWO = 0.6931471805599453
 
 _EXPONENT_ONE = 0x3FF0000000000000  # bits of 1.0
-_EXPONENT_MANTISSA = 0x4330000000000000  # bits of 2^52: or-ing an integer below 2^52 gives 2^52 + integer
+_EXPONENT_MANTISSA = 0x4330000000000000  # bits of 2^52: a bitwise or with an integer k < 2^52 gives 2^52 + k
 _MANTISSA = 0x000FFFFFFFFFFFFF
-_EXPONENT_FIELD = 0x000FFE0000000000  # the eleven bits of an exponent, moved down by as many
-_INVERSES = tuple(16 / (17 + 2 * i) for i in range(8))  # 1/m in the middle of each eighth of [1, 2)
-_LOGARITHMS = tuple(2 * math.log(inverse) + (4096 + 2046) * _LOG_TWO for inverse in _INVERSES)  # and the offsets
+_EXPONENT_FIELD = 0x000FFE0000000000  # the eleven bits of an exponent, shifted right by eleven
+_INVERSES = tuple(16 / (17 + 2 * i) for i in range(8))  # 1/m at the middle of each eighth of [1, 2)
+# 2 log c_i, plus the offset from the encoding of the exponent in ``minus_two_log``
+_LOGARITHMS = tuple(2 * math.log(inverse) + (4096 + 2046) * _LOG_TWO for inverse in _INVERSES)
 _SIGN = 1 << 63
 _WORD = (1 << 64) - 1
 
 GENERATOR = "generator"  # name of the four words of xoshiro256++
-NORMAL, UNIFORM = "normal", "uniform"  # names of the inputs that are draws: "normal 0", "normal 1", …
+NORMAL, UNIFORM = "normal", "uniform"  # inputs that are random numbers have names such as "normal 0"
 
 
 def with_draws(program: Program) -> Program:
-    """Return the program with its inputs ``normal i`` and ``uniform i`` drawn inside, from a generator in its state."""
+    """Return the program with its inputs ``normal i`` and ``uniform i`` computed by a generator in its own states."""
     drawn = [name for name in program.inputs if name.split()[0] in (NORMAL, UNIFORM)]
     if not drawn:
         return program
@@ -65,17 +66,19 @@ def with_draws(program: Program) -> Program:
 
 
 def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
-    """Return the program that draws so many uniform numbers in a tick: its outputs ``uniform i``."""
+    """Return a program that draws ``count`` uniform numbers per step, as its outputs ``uniform i``."""
     builder, supplied = Builder(precision), dict[str, int]()
     following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 
 
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
-    """Return the start of each path's generator, (4, paths), as the bits of doubles.
+    """Return the initial words of each path's generator, (4, paths), as the bits of doubles.
 
-    Path i of a seed is the same whatever other paths are run (SplitMix64 of seed and path [steele2014]).
+    They are computed by SplitMix64 [steele2014] from the seed and the number of the path. So path i of a seed does not
+    depend on which other paths are run.
     """
+    # the increment 2^64/φ of SplitMix64, and an odd multiplier that separates the counters of the paths
     key = np.random.SeedSequence(seed).generate_state(1, np.uint64)[0]
     index = np.arange(first, first + paths, dtype=np.uint64)
     counter = _mix(index * np.uint64(0xD1342543DE82EF95) + key)
@@ -87,13 +90,14 @@ def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
 
 
 def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+    """Return the output function of SplitMix64, a bijection of words."""
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return z ^ (z >> np.uint64(31))
 
 
 def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
-    """Define every draw of a tick under its name; return the generator's next words."""
+    """Add the random numbers of a step to ``supplied``, by name; return the next words of the generator."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]
     for i in range(0, len(normals), 2):
@@ -108,7 +112,8 @@ def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> li
 
 
 def _next_word(b: Builder, words: Sequence[int]) -> tuple[int, list[int]]:
-    """xoshiro256++."""
+    """Return the output word of xoshiro256++ and the next four words of the generator."""
+    # result = rotl(s0 + s3, 23) + s0; the linear update of the state follows [blackman2021]
     s0, s1, s2, s3 = words
     result = b.emit("word_add", b.emit("rotate_left", b.emit("word_add", s0, s3), 23), s0)
     shifted = b.emit("shift_left", s1, 17)
@@ -118,24 +123,26 @@ def _next_word(b: Builder, words: Sequence[int]) -> tuple[int, list[int]]:
 
 
 def _uniform(b: Builder, word: int) -> int:
-    """A number strictly between 0 and 1; a double is a multiple of 2^-53."""
+    """Return a number strictly between 0 and 1; in double precision an odd multiple of 2^-53."""
     if b.precision == "float32":
         return single.uniform(b, word)
+    # the upper 52 bits k as a mantissa give 1 + k/2^52; minus 1 − 2^-53 this is (k + ½)/2^52, without rounding
     mantissa = b.emit("word_or", b.emit("shift_right", word, 12), b.emit("word", _EXPONENT_ONE))
     return b.emit("sub", b.emit("number", mantissa), b.constant(1.0 - 2.0**-53))
 
 
 def _two_normals(b: Builder, word: int) -> tuple[int, int]:
+    """Return two independent standard normal numbers √(−2 log u)·(cos φ, sin φ) by the Box–Muller method."""
     if b.precision == "float32":
         return single.two_normals(b, word)
     radius = b.emit("sqrt", minus_two_log(b, _upper_half_as_fraction(b, word)))
-    # an angle in [−½, ½) eighths of a turn from an axis: bits 0–29
+    # bits 0–29: the angle (π/2) t from the nearest axis, t in [−½, ½). As a mantissa they give 1 + (t + ½).
     field = b.emit("word_and", b.emit("shift_left", word, 22), b.emit("word", _MANTISSA))
     t = b.emit("sub", b.emit("number", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE))), b.constant(1.5))
     square = b.emit("mul", t, t)
     cosine = b.polynomial(_COS, square)
     sine = b.emit("mul", b.polynomial(_SIN, square), t)
-    # which direction of the axis: bit 31; which axis: bit 30
+    # bit 31: direction of the axis, as the sign of the radius; bit 30: which axis, as an exchange of cos and sin
     sign = b.emit("word_and", b.emit("shift_left", word, 32), b.emit("word", _SIGN))
     signed = b.emit("number", b.emit("word_xor", b.emit("bits", radius), sign))
     along, across = b.emit("mul", signed, cosine), b.emit("mul", signed, sine)
@@ -144,24 +151,32 @@ def _two_normals(b: Builder, word: int) -> tuple[int, int]:
 
 
 def _upper_half_as_fraction(b: Builder, word: int) -> int:
-    """(upper 32 bits + ½) / 2^32, in (0, 1)."""
+    """Return (k + ½) / 2^32, a number in (0, 1), for the upper 32 bits k of a word."""
+    # 2^52 + k as a double, times 2^-32, minus (2^52 − ½) 2^-32. Both operations are exact, so that the result does not
+    # change if the fast build fuses them.
     integer = b.emit("number", b.emit("word_or", b.emit("shift_right", word, 32), b.emit("word", _EXPONENT_MANTISSA)))
-    scaled = b.emit("mul", integer, b.constant(2.0**-32))  # exact, and the next as well: they may fuse
+    scaled = b.emit("mul", integer, b.constant(2.0**-32))
     return b.emit("sub", scaled, b.constant((2.0**52 - 0.5) * 2.0**-32))
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u of a u in (0, 1), by u = 2^e m, m in [1, 2), and m·c = 1 + r for the c of its eighth.
+    """Return −2 log u for u in (0, 1).
 
-    A double's exponent is read as the fraction of a double in [1, 2): a 2048th of it is added, times its scale.
+    With u = 2^e m, m in [1, 2), and c ≈ 1/m from a table of eight entries, m·c = 1 + r with |r| ≤ 1/17 and
+
+        −2 log u = −2e log 2 + 2 log c − 2 log(1 + r).
     """
     if b.precision == "float32":
         return single.minus_two_log(b, u)
+    # the first three bits of the mantissa select the eighth of [1, 2), and so c
     bits = b.emit("bits", u)
     eighth = b.emit("shift_right", bits, 49)
+    # the biased exponent E = e + 1023 at the top of a mantissa gives the double 1 + E/2048, without a conversion;
+    # times −4096 log 2 this is −2e log 2 − (4096 + 2046) log 2, and the table adds the constant back
     field = b.emit("word_and", b.emit("shift_right", bits, 11), b.emit("word", _EXPONENT_FIELD))
     exponent = b.emit("number", b.emit("word_or", field, b.emit("word", _EXPONENT_ONE)))
     mantissa = b.emit("word_or", b.emit("word_and", bits, b.emit("word", _MANTISSA)), b.emit("word", _EXPONENT_ONE))
+    # r = m·c − 1, then −2 log(1 + r) = r Σ c_i r^i with an absolute error of 2.3e-11
     r = b.emit("sub", b.emit("mul", b.emit("number", mantissa), b.pick(_INVERSES, eighth)), b.constant(1.0))
     whole = b.emit("add", b.emit("mul", b.constant(-4096 * _LOG_TWO), exponent), b.pick(_LOGARITHMS, eighth))
     return b.emit("add", b.emit("mul", b.polynomial(_MINUS_TWO_LOG, r), r), whole)

@@ -1,7 +1,8 @@
-"""What the functions of NumPy are in the operations of a program: of numbers known now (floats) and later (indices).
+"""NumPy's elementary functions as operations; an argument is a constant (float) or the index of an operation.
 
-What is known is computed at once; zeros and ones are elided. ``floor`` and its kind are exact; a remainder errs by the
-rounding of what is taken away. ``minimum`` and ``maximum`` of what is no number are no number.
+Constant expressions are evaluated in advance; additions of zero and multiplications by one are removed. ``floor``,
+``ceil`` and ``round_off`` are exact. The error of ``remainder`` is the rounding error of y·floor(x/y). ``minimum`` and
+``maximum`` of NaN are NaN, as in NumPy.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from taciturn.program.bits import absolute as _magnitude
 from taciturn.program.exponential import exponential, exponential_less_one, hyperbolic_tangent, logarithm
 from taciturn.program.ir import Builder, Coefficient
 
-Truth = int | bool  # an operation, or known now
+Truth = int | bool  # an operation, or a known truth value
 
 
 def add(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
@@ -43,7 +44,7 @@ def multiply(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
 
 
 def divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return x/y; by a power of two, exactly as a product."""
+    """Return x/y; a division by a power of two is an exact multiplication."""
     if _is(x, 0.0) or _is(y, 1.0):
         return x
     if isinstance(y, float) and y.hex().lstrip("-").startswith("0x1.0000000000000p") and 2**-1000 < abs(y) < 2**1000:
@@ -57,15 +58,16 @@ def negate(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def power(b: Builder, x: Coefficient, exponent: Coefficient) -> Coefficient:
-    """Return x^p of a whole number p or half of one, by squares.
+    """Return x^p by repeated squaring, for an integer or half-integer p.
 
     Raises:
-        ProblemError: another exponent.
+        ProblemError: the exponent is not a constant, or not an integer or half-integer.
     """
     if isinstance(exponent, int) or not (2 * exponent).is_integer():
-        got = "one that is traced" if isinstance(exponent, int) else f"{exponent:g}"
+        got = "a traced number" if isinstance(exponent, int) else f"{exponent:g}"
         raise ProblemError(
-            f"the exponent of a traced number is {got}; expected a whole number or half of one, or np.exp and np.log"
+            f"the exponent of a traced number is {got}; expected a constant integer or half-integer, "
+            "or np.exp and np.log"
         )
     if exponent < 0:
         return b.emit("div", b.constant(1.0), b.value(power(b, x, -exponent)))
@@ -79,43 +81,44 @@ def power(b: Builder, x: Coefficient, exponent: Coefficient) -> Coefficient:
 
 
 def sign(b: Builder, x: Coefficient) -> Coefficient:
-    """Return 1, −1 or 0."""
+    """Return the sign of x: 1, −1 or 0."""
     value, zero = b.value(x), b.constant(0.0)
     below = b.emit("select", b.emit("greater", zero, value), b.constant(-1.0), value)
     return b.emit("select", b.emit("greater", value, zero), b.constant(1.0), below)
 
 
 def minimum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the smaller one."""
+    """Return the smaller of x and y."""
     return _extreme(b, x, y, less=True)
 
 
 def maximum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the larger one."""
+    """Return the larger of x and y."""
     return _extreme(b, x, y, less=False)
 
 
 def clip(b: Builder, x: Coefficient, low: Coefficient, high: Coefficient) -> Coefficient:
-    """Return the number between low and high that is nearest."""
+    """Return x limited to the range from low to high."""
     return minimum(b, maximum(b, x, low), high)
 
 
 def round_off(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the nearest whole number, ties to even."""
-    value, most = b.value(x), b.constant(2.0 ** LAYOUTS[b.precision].mantissa)  # from which on all numbers are whole
+    """Return the nearest integer, ties to even."""
+    # all numbers from 2^mantissa on are integers, so that adding this number rounds a sum to an integer
+    value, most = b.value(x), b.constant(2.0 ** LAYOUTS[b.precision].mantissa)
     size = _magnitude(b, value)
     whole = b.emit("sub", b.emit("add", size, most), most)
     return b.emit("select", b.emit("greater", most, size), signed(b, whole, sign_bit(b, value)), value)
 
 
 def floor(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the largest whole number not above x."""
+    """Return the largest integer not above x."""
     value, whole = b.value(x), b.value(round_off(b, x))
     return b.emit("select", b.emit("greater", whole, value), b.emit("sub", whole, b.constant(1.0)), whole)
 
 
 def ceil(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the smallest whole number not below x."""
+    """Return the smallest integer not below x."""
     value, whole = b.value(x), b.value(round_off(b, x))
     return b.emit("select", b.emit("greater", value, whole), b.emit("add", whole, b.constant(1.0)), whole)
 
@@ -131,7 +134,7 @@ def floor_divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
 
 
 def hypotenuse(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return sqrt(x² + y²), of numbers whose squares are numbers."""
+    """Return sqrt(x² + y²); the squares must not overflow."""
     return b.emit("sqrt", b.value(add(b, square(b, x), square(b, y))))
 
 
@@ -141,17 +144,17 @@ def square(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def arcsine(b: Builder, x: Coefficient) -> Coefficient:
-    """Return arcsin x, no number beyond ±1."""
+    """Return arcsin x, the angle of (√(1 − x²), x); NaN beyond ±1."""
     return circular.direction(b, b.value(x), _other_side(b, x))
 
 
 def arccosine(b: Builder, x: Coefficient) -> Coefficient:
-    """Return arccos x, no number beyond ±1."""
+    """Return arccos x, the angle of (x, √(1 − x²)); NaN beyond ±1."""
     return circular.direction(b, _other_side(b, x), b.value(x))
 
 
 def hyperbolic_sine(b: Builder, x: Coefficient) -> Coefficient:
-    """Return sinh x = ½(E + E/(E + 1)) of E = e^{|x|} − 1, with the sign of x."""
+    """Return sinh x = ±½(E + E/(E + 1)), where E = e^{|x|} − 1, accurate for small x."""
     value = b.value(x)
     grown = exponential_less_one(b, _magnitude(b, value))
     both = b.emit("add", grown, b.emit("div", grown, b.emit("add", grown, b.constant(1.0))))
@@ -188,17 +191,17 @@ def both(b: Builder, one: Truth, other: Truth) -> Truth:
 
 
 def opposite(b: Builder, one: Truth) -> Truth:
-    """Return whether it is not true."""
+    """Return the negation of a truth value."""
     return not one if isinstance(one, bool) else b.emit("not", one)
 
 
 def either(b: Builder, one: Truth, other: Truth) -> Truth:
-    """Return whether one of both is true."""
+    """Return whether at least one is true."""
     return opposite(b, both(b, opposite(b, one), opposite(b, other)))
 
 
 def choose(b: Builder, truth: Truth, yes: Coefficient, no: Coefficient) -> Coefficient:
-    """Return one of two numbers."""
+    """Return ``yes`` where the truth value holds, else ``no``."""
     if isinstance(truth, bool):
         return yes if truth else no
     if isinstance(yes, float) and isinstance(no, float) and yes == no:
@@ -212,14 +215,15 @@ def _extreme(b: Builder, x: Coefficient, y: Coefficient, less: bool) -> Coeffici
     one, other = b.value(x), b.value(y)
     forth, back = (b.emit("less_equal", *pair) for pair in ((one, other), (other, one)))
     ahead, behind = (forth, back) if less else (back, forth)
-    if isinstance(y, float):  # what is traced is taken where it is no number
+    # comparisons with NaN are false: with a constant y the result is the traced x, and otherwise x + y = NaN
+    if isinstance(y, float):
         return b.emit("select", behind, other, one)
     rest = b.emit("select", behind, other, b.emit("add", one, other))
     return b.emit("select", ahead, one, rest)
 
 
 def _other_side(b: Builder, x: Coefficient) -> int:
-    """Return sqrt(1 − x²), with all its digits."""
+    """Return √(1 − x²) as √((1 − x)(1 + x)), which is accurate near |x| = 1."""
     value, one = b.value(x), b.constant(1.0)
     return b.emit("sqrt", b.emit("mul", b.emit("sub", one, value), b.emit("add", one, value)))
 
@@ -229,7 +233,7 @@ def _is(coefficient: Coefficient, number: float) -> bool:
 
 
 def _of(rule: Callable[..., int]) -> Callable[..., Coefficient]:
-    """Return a rule of operations as one of numbers."""
+    """Return a rule for operations that also accepts constants."""
 
     def of(b: Builder, *values: Coefficient) -> Coefficient:
         return rule(b, *(b.value(value) for value in values))

@@ -1,7 +1,7 @@
-"""Runs programs on the fastest interpreter there is: LLVM, or NumPy where llvmlite is missing.
+"""Execution of programs on the fastest available back end: LLVM, or NumPy if llvmlite is missing.
 
-There are three ways: many ticks of one program (``prepare``), any ticks of many programs (``Stepper``), and one tick
-after the other of programs that are told something in each (``Resident``).
+There are three drivers. ``prepare`` runs many steps of one program. ``Stepper`` runs many programs that differ only in
+their constants. ``Resident`` runs programs that receive inputs at each step.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from taciturn.program import numpy as interpreter
 from taciturn.program.ir import Program
 from taciturn.program.numpy import Run
 
-MANY = 1024  # paths of a program, from which on its constants are read once for all of them
+MANY = 1024  # least number of paths of a program that runs alone, with constants shared by all paths
 Runner: TypeAlias = Callable[[Array, int, int | None], Run]
-"""States (states, paths), ticks and threads (None: all processors; the result does not depend on it) → what is left."""
+"""Function from states (states, paths), number of steps and threads (None: all processors) to a ``Run``."""
 
 
 def prepare(program: Program) -> Runner:
-    """Compile a program without inputs, and return what runs it."""
+    """Compile a program without inputs, and return the function that runs it."""
     if not machine.available():
         return lambda states, ticks, threads: interpreter.run(program, states, ticks)
     kernel = machine.Kernel(program)
@@ -31,14 +31,14 @@ def prepare(program: Program) -> Runner:
 
 
 class Stepper:
-    """Runs programs of one structure side by side, each on a path of its own.
+    """Runs programs of equal structure together, with one path each.
 
     Args:
-        programs: without inputs, of equal ``Program.structure``.
+        programs: programs without inputs, of equal ``Program.structure``.
     """
 
     def __init__(self, programs: Sequence[Program]) -> None:
-        """Compile once for all."""
+        """Compile once for all programs."""
         self._programs = programs
         self._kernel = machine.Kernel(programs[0], own=True) if machine.available() else None
         self._constants = None if self._kernel is None else self._kernel.pack(programs)
@@ -47,7 +47,7 @@ class Stepper:
         self._offsets = {name: np.array([total[name].offset for total in totals]) for name in totals[0]}
 
     def run(self, states: Array, ticks: int, threads: int | None = None) -> tuple[Array, dict[str, Array]]:
-        """Return states and sums after some ticks, given the states before them, (states, programs)."""
+        """Return states and sums after a number of steps, given the initial states, (states, programs)."""
         if self._kernel is None:
             runs = [interpreter.run(program, states[:, [i]], ticks) for i, program in enumerate(self._programs)]
             sums = {name: np.concatenate([run.sums[name] for run in runs]) for name in self._factors}
@@ -59,19 +59,19 @@ class Stepper:
 
 
 class Resident:
-    """Paths of programs that are run tick by tick, with what they are told in each.
+    """Paths of programs that run step by step, with inputs at each step.
 
-    Neighbours run together, each path with the constants of its program; a program of many paths runs alone, with
-    machine code that reads its constants once. The result does not depend on that.
+    Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
+    with constants shared by its paths. The results do not depend on this.
 
     Args:
-        programs: with inputs, of equal ``Program.structure``.
-        paths: how many each has.
-        states: the first ones, (states, paths), program by program.
+        programs: programs with inputs, of equal ``Program.structure``.
+        paths: number of paths of each program.
+        states: initial states, (states, paths), program by program.
     """
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
-        """Compile, with constants for each path, for all, or both."""
+        """Group the programs and compile each group."""
         self._parts: list[tuple[slice, _Compiled | _Interpreted]] = []
         ends, first = [0, *np.cumsum(paths).tolist()], 0
         while first < len(paths):
@@ -84,17 +84,17 @@ class Resident:
             first = end
 
     def tick(self, inputs: Array) -> Array:
-        """Run one tick: what it is told, (inputs, paths), to what comes out, (outputs, paths)."""
+        """Run one step from inputs, (inputs, paths), to outputs, (outputs, paths)."""
         return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
     def take_sums(self) -> dict[str, Array]:
-        """Return the sums over the ticks since this was last asked, (paths,) each."""
+        """Return the sums over the steps since the last call, (paths,) each."""
         taken = [part.take_sums() for _, part in self._parts]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
 
 
 class _Compiled:
-    """Paths of programs that run together by LLVM."""
+    """A group of programs that LLVM runs."""
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
         own = len(programs) > 1
@@ -121,7 +121,7 @@ class _Compiled:
 
 
 class _Interpreted:
-    """Paths of programs by NumPy."""
+    """A group of programs that NumPy runs."""
 
     def __init__(self, programs: Sequence[Program], paths: Sequence[int], states: Array) -> None:
         self._programs, self._added = programs, [dict[str, Array]() for _ in programs]

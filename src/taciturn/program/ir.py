@@ -1,4 +1,8 @@
-"""Straight-line programs in single-assignment form: one tick of a loop or of a node, and how they are written down."""
+"""Straight-line programs in single-assignment form for one time step of a loop or a node, and their builder.
+
+``Builder`` collects operations and stores equal ones once. ``Builder.finish`` merges states that agree at every step
+and removes operations without effect. The result is a ``Program``, the data that every back end reads.
+"""
 
 from __future__ import annotations
 
@@ -9,26 +13,26 @@ from itertools import compress
 
 from taciturn.program.ops import EIGHT, LITERAL, Op, Precision, Rows, State, Total, tiles
 
-BLOCK = 256  # coefficients of a matrix, zeros left out, from which on it is multiplied in loops instead of one by one
-FULL = 4  # coefficients of a column of such a matrix, at least
-Coefficient = float | int  # a float is a number known now; an int is the index of an operation
+BLOCK = 256  # least number of nonzero coefficients of a matrix that is multiplied in a loop instead of term by term
+FULL = 4  # least number of nonzero coefficients of a column that takes part in the loop
+Coefficient = float | int  # a float is a known constant; an int is the index of an operation
 
 
 @dataclass(frozen=True)
 class Program:
-    """One tick: from states, inputs and constants to next states, sums and outputs.
+    """One time step, which maps states, inputs and constants to next states, sums and outputs.
 
     Args:
-        ops: operations in order.
-        states: what is remembered from tick to tick.
-        following: operation that gives each state its next value.
-        inputs: names of what is supplied at each tick.
+        ops: operations in order; each reads earlier ones only.
+        states: scalars that keep their value from step to step.
+        following: for each state, the operation that computes its next value.
+        inputs: names of the values supplied at each step.
         constants: values of the ``const`` operations; programs that differ only here share machine code.
-        tables: values of the ``lookup`` operations.
-        sums: operations that are summed over the ticks, by name.
-        outputs: operations that are recorded at each tick, by name.
-        precision: of its numbers.
-        matrices: of the ``product`` operations.
+        tables: values of the ``lookup`` and ``pick`` operations.
+        sums: operations whose values are summed over the steps, by name.
+        outputs: operations whose values are recorded at each step, by name.
+        precision: precision of the numbers.
+        matrices: matrices of the ``product`` operations.
     """
 
     ops: tuple[Op, ...]
@@ -44,14 +48,14 @@ class Program:
 
     @cached_property
     def operations(self) -> int:
-        """Number of operations that compute something; a product counts its multiplications and additions."""
+        """Number of arithmetic operations; a matrix product counts its multiplications and additions."""
         single = sum(op.name not in ("const", "state", "input", "word", "half", "product", "entry") for op in self.ops)
         products = [self.matrices[op.arguments[0]] for op in self.ops if op.name == "product"]
         return single + sum(2 * tile.rows * (tile.end - tile.begin) for rows in products for tile in tiles(rows))
 
     @property
     def structure(self) -> Hashable:
-        """What programs share that differ in their numbers alone: they can run side by side."""
+        """Key that is equal for programs that differ only in their constants, and therefore can run together."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
         names = (tuple(self.sums.items()), tuple(self.outputs.items()))
         sizes = (len(self.constants), *(len(table) for table in self.tables))
@@ -62,10 +66,11 @@ class Program:
 
     @property
     def totals(self) -> dict[str, Total]:
-        """What is added up for each sum: known factors and terms wait until the end."""
+        """How each sum is computed: constant factors and terms are applied once, after the last step."""
         return {name: self._total(index) for name, index in self.sums.items()}
 
     def _total(self, index: int) -> Total:
+        # Σ(a·x + c) = a·Σx + c·steps: outer constants are removed one by one, so that a step adds up x alone
         factor, offset = 1.0, 0.0
         while True:
             op = self.ops[index]
@@ -85,22 +90,23 @@ class Program:
     def keep(
         self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
     ) -> Program:
-        """Return the program with only these sums, outputs and states, and what they depend on."""
+        """Return the program reduced to these sums, outputs and states, and to the operations that they depend on."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
-        smaller = replace(self, sums=kept_sums, outputs=kept_outputs)  # of its states no two agree
+        smaller = replace(self, sums=kept_sums, outputs=kept_outputs)
+        # every state is the leader of its own class, since ``finish`` has merged the states that agree
         return _pruned(smaller, range(len(self.states)), states)
 
 
 class Builder:
-    """Collects operations; equal operations are shared.
+    """Collects the operations of one time step; equal operations are stored once.
 
     Args:
-        precision: of the numbers.
+        precision: precision of the numbers.
     """
 
     def __init__(self, precision: Precision = "float64") -> None:
-        """Start empty."""
+        """Start without operations."""
         self.precision: Precision = precision
         self.ops: list[Op] = []
         self.constants: list[float] = []
@@ -112,7 +118,7 @@ class Builder:
         self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
-        """Return the index of the operation, new or shared."""
+        """Return the index of an operation; a new one is added if no equal operation exists."""
         new = len(self.ops)
         found = self._known.setdefault((name, arguments), new)
         if found == new:
@@ -120,45 +126,45 @@ class Builder:
         return found
 
     def constant(self, value: float) -> int:
-        """Return a number known now."""
-        key = float(value) or str(value)  # 0 and −0 are two
+        """Return the operation of a constant."""
+        key = float(value) or str(value)  # 0.0 == −0.0, but the two constants have different bits
         if key not in self._constant_index:
             self._constant_index[key] = len(self.constants)
             self.constants.append(float(value))
         return self.emit("const", self._constant_index[key])
 
     def state(self, state: State) -> int:
-        """Return the value at the start of the tick, declaring the state when new."""
+        """Return the value of a state at the start of the step, and declare the state if it is new."""
         if state not in self.states:
             self.states.append(state)
         return self.emit("state", self.states.index(state))
 
     def input(self, name: str) -> int:
-        """Return what is supplied at this tick under a name."""
+        """Return the input with a name, whose value is supplied at each step."""
         if name not in self.inputs:
             self.inputs.append(name)
         return self.emit("input", self.inputs.index(name))
 
     def lookup(self, values: Sequence[float], index: int) -> Coefficient:
-        """Return values[index]: a number where all values are equal."""
+        """Return values[index], or a constant if all values are equal."""
         if len(set(values)) == 1:
             return float(values[0])
         return self.emit("lookup", self._table(values), index)
 
     def pick(self, values: Sequence[float], word: int) -> int:
-        """Return the entry of eight that the last three bits of a word name."""
+        """Return the entry of an eight-entry table at the last three bits of a word."""
         assert len(values) == EIGHT
         return self.emit("pick", self._table(values), word)
 
     def _table(self, values: Sequence[float]) -> int:
-        """Return the index of a table, declared when new."""
+        """Return the index of a table, and store the table if it is new."""
         row = tuple(float(value) for value in values)
         if row not in self.tables:
             self.tables.append(row)
         return self.tables.index(row)
 
     def value(self, coefficient: Coefficient) -> int:
-        """Return the operation of a coefficient."""
+        """Return the operation that gives a coefficient."""
         return self.constant(coefficient) if isinstance(coefficient, float) else coefficient
 
     def scale(self, coefficient: Coefficient, x: int) -> int:
@@ -168,7 +174,7 @@ class Builder:
         return x if _is(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
 
     def add(self, *terms: int | None) -> int | None:
-        """Return the sum of the terms that are there, from the left."""
+        """Return the sum of the terms that are not None, added from the left; None if there are none."""
         total: int | None = None
         for term in terms:
             if term is not None:
@@ -176,10 +182,8 @@ class Builder:
         return total
 
     def combine(self, coefficients: Sequence[Coefficient], values: Sequence[int]) -> int | None:
-        """Return Σ coefficient·value from the left without the zeros, or None when nothing is left.
-
-        One chain, each link a fused multiply-add in the fast build: two halves, added at the end, were 6 % slower.
-        """
+        """Return Σ coefficient·value, added from the left without zero coefficients; None if all are zero."""
+        # a single chain of sums, which become fused multiply-adds in the fast build; two half chains were 6 % slower
         total: int | None = None
         for coefficient, value in zip(coefficients, values, strict=True):
             if _is(coefficient, 0.0):
@@ -191,10 +195,8 @@ class Builder:
         return total
 
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
-        """Return matrix·values, a ``combine`` for each row; a large matrix of known numbers is one operation.
-
-        Its columns with few coefficients, as those of an identity, are added one by one.
-        """
+        """Return matrix·values: one ``combine`` per row, or one ``product`` if the matrix is large and constant."""
+        # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
         full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
         known = all(len(row) == sum(full) for row in rows)
@@ -208,22 +210,24 @@ class Builder:
         ]
 
     def product(self, rows: Rows, values: Sequence[int]) -> int:
-        """Return the vector of a matrix times numbers."""
+        """Return the vector matrix·values as one operation."""
         if rows not in self.matrices:
             self.matrices.append(rows)
         return self.emit("product", self.matrices.index(rows), *values)
 
     def polynomial(self, coefficients: Sequence[float], x: int) -> int:
-        """Return Σ coefficient·x^i by Horner's rule: splitting into even and odd powers takes an operation more."""
+        """Return Σ coefficient·x^i by Horner's rule, one multiplication and one addition per power."""
         total = self.constant(coefficients[-1])
         for coefficient in coefficients[-2::-1]:
             total = self.emit("add", self.emit("mul", total, x), self.constant(coefficient))
         return total
 
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
-        """Return v'Ψv of a symmetric Ψ without the zeros; equal diagonal weights share one product."""
-        alone: dict[int, list[int]] = {}
-        mixed: list[tuple[int, list[Coefficient]]] = []  # a value may stand there more than once
+        """Return v'Ψv for a symmetric Ψ; None if it is zero."""
+        # v'Ψv = Σ_i v_i (Ψ_ii v_i + Σ_{j>i} 2Ψ_ij v_j): the upper triangle holds every pair once.
+        # Rows without off-diagonal terms are grouped by weight: ψ v_1² + ψ v_2² = ψ (v_1² + v_2²).
+        alone: dict[int, list[int]] = {}  # squares by the operation of their common weight
+        mixed: list[tuple[int, list[Coefficient]]] = []  # a list, since the same value may occur more than once
         total: int | None = None
         for i, value in enumerate(values):
             row = [c if j == i else self._twice(c) for j, c in enumerate(Psi[i][i:], start=i)]
@@ -243,9 +247,10 @@ class Builder:
         return total
 
     def choose(self, truth: int, yes: int, no: int) -> int:
-        """Return one of two values; what is scaled or nothing is scaled after the choice."""
+        """Return ``yes`` where ``truth`` holds, else ``no``."""
         if yes == no:
             return yes
+        # (t ? c·x : 0) = c·(t ? x : 0): a constant factor outside can be applied to a sum once (``Program.totals``)
         op, zero = self.ops[yes], self.constant(0.0)
         if no == zero and op.name == "mul" and self.ops[op.arguments[0]].name == "const":
             return self.emit("mul", op.arguments[0], self.emit("select", truth, op.arguments[1], zero))
@@ -257,8 +262,12 @@ class Builder:
     def finish(
         self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
     ) -> Program:
-        """Return the program, with states that always agree merged and dead operations removed."""
-        program = Program(
+        """Return the program, with states that always agree merged and unused operations removed."""
+        return merge_states(self.collect(following, sums, outputs or {}))
+
+    def collect(self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int]) -> Program:
+        """Return the collected operations as a program without simplification."""
+        return Program(
             tuple(self.ops),
             tuple(self.states),
             tuple(following),
@@ -266,22 +275,18 @@ class Builder:
             tuple(self.constants),
             tuple(self.tables),
             dict(sums),
-            dict(outputs or {}),
+            dict(outputs),
             self.precision,
             tuple(self.matrices),
         )
-        return merge_states(program)
 
 
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
-    """Replay a program: ``substitute`` may replace a state or an input; only the given states are kept.
-
-    Unused operations, constants and tables disappear on the way.
-    """
+    """Copy a program with only the given states; ``substitute`` may replace a ``state`` or an ``input``."""
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program, roots))
     builder = Builder(program.precision)
-    for i in states:  # the order of the states is that of the original, whatever is read first
+    for i in states:  # declared first, so that their order does not depend on the order of reading
         builder.state(program.states[i])
     new = [0] * len(program.ops)
     for index in live:
@@ -289,27 +294,20 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
         if op.name in LITERAL:
             replaced = substitute(builder, op) if op.name in ("state", "input") else None
             new[index] = _copy(program, builder, op, new) if replaced is None else replaced
-        else:  # nearly all
+        else:  # the common case
             new[index] = builder.emit(op.name, *[new[argument] for argument in op.arguments])
-    return Program(
-        tuple(builder.ops),
-        tuple(builder.states),
-        tuple(new[program.following[i]] for i in states),
-        tuple(builder.inputs),
-        tuple(builder.constants),
-        tuple(builder.tables),
-        {name: new[index] for name, index in program.sums.items()},
-        {name: new[index] for name, index in program.outputs.items()},
-        program.precision,
-        tuple(builder.matrices),
-    )
+    following = [new[program.following[i]] for i in states]
+    sums = {name: new[index] for name, index in program.sums.items()}
+    return builder.collect(following, sums, {name: new[index] for name, index in program.outputs.items()})
 
 
 def merge_states(program: Program) -> Program:
-    """Merge states that provably agree at every tick, and drop states that nothing depends on.
+    """Merge states that provably agree at every step, and drop states without influence on sums and outputs.
 
-    States are first taken to agree where they start equal; classes whose next values differ are split until
-    none does (the coarsest partition, as in the minimisation of automata).
+    A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
+    one class. A class is split if the next values of its states differ while each state is read from its class leader.
+    At the fixed point, the states of a class are equal at the start, and equal at step k + 1 if they are equal at step
+    k; so they are always equal.
     """
     starts: dict[object, int] = {}
     leader = [starts.setdefault((state.start, state.word), i) for i, state in enumerate(program.states)]
@@ -325,7 +323,7 @@ def merge_states(program: Program) -> Program:
 
 
 def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -> list[int]:
-    """Return the first operation that has the value of each of the live ones, where states are their leaders."""
+    """Return for each live operation the first operation of equal value, assuming that states equal their leaders."""
     same, known = list(range(len(program.ops))), dict[tuple[str, tuple[int, ...]], int]()
     for index in live:
         name, arguments = program.ops[index]
@@ -333,26 +331,26 @@ def _same_values(program: Program, live: Sequence[int], leader: Sequence[int]) -
             arguments = (leader[arguments[0]],)
         elif name in LITERAL:
             arguments = tuple([a if i == LITERAL[name] else same[a] for i, a in enumerate(arguments)])
-        else:  # nearly all
+        else:  # the common case
             arguments = tuple([same[a] for a in arguments])
         same[index] = known.setdefault((name, arguments), index)
     return same
 
 
 def _pruned(program: Program, leader: Sequence[int], wanted: Set[str] = frozenset()) -> Program:
-    """Return a program whose states are read from their leaders, without those that nothing depends on or wants."""
+    """Return a program that reads each state from its leader, without states that are neither needed nor wanted."""
     alive = _alive(program, leader, {leader[i] for i, state in enumerate(program.states) if state.name in wanted})
     return rebuild(program, _led(leader, alive), alive)
 
 
 def _led(leader: Sequence[int], kept: Sequence[int]) -> Callable[[Builder, Op], int | None]:
-    """Return the substitution that reads each state from its leader, one of those kept."""
+    """Return the substitution (for ``rebuild``) that reads each state from its class leader, one of ``kept``."""
     positions = {old: new for new, old in enumerate(kept)}
     return lambda builder, op: builder.emit("state", positions[leader[op.arguments[0]]]) if op.name == "state" else None
 
 
 def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int]:
-    """Return the states that sums, outputs and those already alive depend on, through any number of ticks."""
+    """Return the states on which sums, outputs and the given states depend, over any number of steps."""
     roots = [*program.sums.values(), *program.outputs.values(), *(program.following[i] for i in alive)]
     seen: set[int] = set()
     while roots:
@@ -370,8 +368,9 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
-    """Return the operations that the roots depend on: each reads only earlier ones."""
+    """Return the operations that the roots depend on within one step."""
     needed = set(roots)
+    # operations read earlier ones only, so one pass from the last to the first finds all
     for index in range(max(needed, default=-1), -1, -1):
         if index in needed:
             needed.update(program.ops[index].reads)
@@ -396,5 +395,5 @@ def _copy(program: Program, builder: Builder, op: Op, new: Sequence[int]) -> int
 
 
 def _is(coefficient: Coefficient, number: float) -> bool:
-    """Tell whether a coefficient is known now to be a number; an operation's index never is."""
+    """Return whether a coefficient is a constant and equals a number."""
     return isinstance(coefficient, float) and coefficient == number

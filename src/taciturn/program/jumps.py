@@ -1,4 +1,9 @@
-"""What Poisson jumps have added to a state by the end of a tick, drawn as operations of the program."""
+"""The contribution of Poisson jumps within a time step to the state at its end, as operations of the program.
+
+Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ. At the end τ of the step its contribution is
+
+    e^{A(τ − t)} G ξ,   where GG' is the covariance of a jump, and ξ has independent entries of mean 0 and variance 1.
+"""
 
 from __future__ import annotations
 
@@ -11,33 +16,33 @@ from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpDistribution, JumpNoise
 from taciturn.program.draws import NORMAL, minus_two_log
 from taciturn.program.ir import Builder
-from taciturn.program.lower import Tick, Vector
+from taciturn.program.lower import TimeStep, Vector
 
-MISSED = 1e-14  # probability of more jumps in a tick than are drawn
-MOST = 100  # jumps that are drawn at most
-ROUNDING = 1e-16
+MISSED = 1e-14  # largest probability that a step has more jumps than are drawn
+MOST = 100  # most jumps drawn per step
+ROUNDING = 1e-16  # size below which a term of the power series has no effect
 
 
-def add_jumps(tick: Tick, noise: JumpNoise) -> Vector:
-    """Return Σ_i e^{A(τ−t_i)} G ξ_i over the jumps of one tick, GG' their covariance.
+def add_jumps(tick: TimeStep, noise: JumpNoise) -> Vector:
+    """Return Σ_i e^{A(τ−t_i)} G ξ_i over the jumps of one time step, where GG' is their covariance.
 
-    Waiting times are drawn until they pass the tick, in as many steps as all but 1e-14 of the ticks need. The flow from
-    a jump to the end of the tick is a power series about the middle of the tick, to rounding; that of a nilpotent A
-    ends by itself.
+    A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step
+    has more jumps than this number with a probability below 1e-14.
 
     Args:
-        tick: what is written down.
+        tick: the time step under construction.
         noise: the jumps.
 
     Returns:
-        One operation per state.
+        One operation for each state.
 
     Raises:
-        ProblemError: more jumps per tick than are drawn.
+        ProblemError: a step has too many jumps on average.
     """
     b, n = tick.builder, len(noise.A)
     half, spread = noise.period / 2, factor(noise.jumps.covariance)
     law = noise.jumps.distribution
+    # the waiting time between jumps is exponential with mean 1/rate: −log(u)/rate, from −2 log u
     pause, end, zero = b.constant(0.5 / noise.jumps.rate), b.constant(noise.period), b.constant(0.0)
     time, total = zero, [zero] * n
     for _ in range(_drawn(noise)):
@@ -45,6 +50,8 @@ def add_jumps(tick: Tick, noise: JumpNoise) -> Vector:
         inside = b.emit("greater", end, time)
         size = [jump_size(b, law, _draw(tick, law)) for _ in range(spread.shape[1])]
         jump = [tick.value(b.combine([float(g) for g in row], size)) for row in spread]
+        # e^{A(τ−t)} = e^{Aτ/2} e^{A(τ/2−t)}: |τ/2 − t| ≤ τ/2 halves the argument of the series, and e^{Aτ/2} is applied
+        # once, to the sum of all jumps
         moved = _flow(b, noise.A, half, jump, b.emit("sub", b.constant(half), time))
         total = [b.emit("add", old, tick.choose(inside, new, zero)) for old, new in zip(total, moved, strict=True)]
     middle = _scipy.exponential(noise.A * half)
@@ -52,7 +59,7 @@ def add_jumps(tick: Tick, noise: JumpNoise) -> Vector:
 
 
 def _flow(b: Builder, A: Array, reach: float, start: Vector, time: int) -> Vector:
-    """Return e^{As} start for a time |s| ≤ reach by Horner's rule."""
+    """Return e^{As} start for a time |s| ≤ reach, by Horner's rule: start + sA(start + sA/2 (start + sA/3 (…)))."""
     result = start
     for k in range(_terms(A, reach), 0, -1):
         pushed = [b.combine([float(entry) for entry in row], result) for row in A / k]
@@ -64,9 +71,13 @@ def _flow(b: Builder, A: Array, reach: float, start: Vector, time: int) -> Vecto
 
 
 def _terms(A: Array, reach: float) -> int:
-    """Return the power after which the series of e^{As}, |s| ≤ reach, is below rounding."""
+    """Return the last power of the series of e^{As}, |s| ≤ reach, after which its terms are below rounding.
+
+    The terms are bounded entry by entry by (|A|·reach)^k/k!. The series of a nilpotent A is finite.
+    """
     power, k = np.abs(A) * reach, 1
     term = power
+    # continue while a term is not negligible, or while terms may still grow
     while term.any() and (term.max() > ROUNDING or k < term.max()):
         k += 1
         term = term @ power / k
@@ -74,7 +85,7 @@ def _terms(A: Array, reach: float) -> int:
 
 
 def _drawn(noise: JumpNoise) -> int:
-    """Return how many jumps all but a share MISSED of the ticks have at most."""
+    """Return the number of jumps that a step exceeds with a probability of at most MISSED (Poisson distribution)."""
     mean = noise.jumps.rate * noise.period
     chance, count = np.exp(-mean), 0
     seen = chance
@@ -84,22 +95,23 @@ def _drawn(noise: JumpNoise) -> int:
         seen += chance
         if count > MOST:
             raise ProblemError(
-                f"a tick of {noise.period:g} s sees {mean:.3g} jumps on average, too many to draw one by one; "
-                "expected shorter ticks, or Wiener noise W = rate · covariance, which they come close to"
+                f"a step of {noise.period:g} s has {mean:.3g} jumps on average, too many to draw one by one; "
+                "expected shorter steps, or Wiener noise W = rate · covariance, which approximates the jumps"
             )
     return count
 
 
 def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
-    """Return one component of mean 0 and variance 1 of a jump, from a normal draw, or for other laws a uniform one."""
+    """Return one entry of ξ, with mean 0 and variance 1, from a normal or (for other laws) a uniform number."""
     if distribution == "normal":
         return drawn
+    # u − ½ has variance 1/12; its sign is the two-point distribution ±1
     centred = b.emit("sub", drawn, b.constant(0.5))
     if distribution == "uniform":
         return b.emit("mul", b.constant(float(np.sqrt(12.0))), centred)
     return b.emit("select", b.emit("greater", centred, b.constant(0.0)), b.constant(1.0), b.constant(-1.0))
 
 
-def _draw(tick: Tick, distribution: JumpDistribution) -> int:
+def _draw(tick: TimeStep, distribution: JumpDistribution) -> int:
     b = tick.builder
     return b.input(f"{NORMAL} {len(b.inputs)}") if distribution == "normal" else tick.uniform()

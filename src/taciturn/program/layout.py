@@ -1,4 +1,4 @@
-"""Where everything stands that a tick of a node reads and tells, for whoever runs its parts."""
+"""The positions of all inputs and outputs in the time step of a node, for the back ends that run nodes."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from taciturn.model.policy import Acknowledged, Assign, Evaluate, Policy
 from taciturn.program.draws import UNIFORM
 from taciturn.program.node import NodeProgram
 
-FORGOTTEN = 7.0  # time constants after which a fault is past: e^-7 < 1e-3
+FORGOTTEN = 7.0  # time constants after which the effect of a fault is negligible: e^-7 < 1e-3
 NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):
-    """Packets of one kind on one link, and where they are read.
+    """Packets of one kind that arrive on one link, and their positions among the inputs.
 
     Args:
         kind: ``"data"`` or ``"acknowledgement"``.
-        link: that they come over.
-        lag: how many ticks older than the tick that reads it a packet is.
-        at: where the values stand among the inputs: whether one arrived, and then the payload.
-        size: of the payload.
-        part: of the tick that reads it.
-        acknowledged: whether the sender is to be told what has come.
+        link: link on which they arrive.
+        lag: number of steps between the sending of a packet and the step that reads it.
+        at: position of the flag "arrived" among the inputs; the payload is after it.
+        size: number of entries of the payload.
+        part: index of the part of the step that reads the packet.
+        acknowledged: whether the receiver acknowledges packets.
     """
 
     kind: Literal["data", "acknowledgement"]
@@ -37,12 +37,12 @@ class Arrival(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """Packets that a node sends over one link, and where they are told.
+    """Packets that a node sends over one link, and their positions among the outputs.
 
     Args:
-        link: that they go over.
-        at: where the flag stands among the outputs; the payload stands behind it.
-        size: of the payload.
+        link: link on which they are sent.
+        at: position of the flag "sent" among the outputs; the payload is after it.
+        size: number of entries of the payload.
     """
 
     link: str
@@ -52,18 +52,18 @@ class Departure(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Where inputs and outputs of a node's tick stand.
+    """The positions of the inputs and outputs in the time step of a node.
 
     Args:
-        inputs: their names: the measurement, clocks, packets, draws.
-        wiring: for each part, where its inputs stand among them.
-        clocks: where the first of the clocks stands.
-        drawn: where the draws stand.
-        arrivals: the packets that are read.
-        departures: the packets that are sent.
-        applied: where the plant's input stands among the outputs; None where the node has none.
-        options: where the value of each option of its triggers stands among the outputs, by name.
-        remembers: ticks after which what its theory does not know is forgotten.
+        inputs: names of all inputs: measurement, step counters, packets, and random numbers.
+        wiring: for each part of the step, the positions of its inputs among all inputs.
+        clocks: position of the first step counter among the inputs.
+        drawn: positions of the random numbers among the inputs.
+        arrivals: the packets that the node reads.
+        departures: the packets that the node sends.
+        applied: positions of the plant's input among the outputs; None if the node does not apply it.
+        options: positions of the values of all trigger options among the outputs, by name.
+        remembers: number of steps after which the effect of a fault, which the theory excludes, is negligible.
     """
 
     inputs: tuple[str, ...]
@@ -78,7 +78,7 @@ class Layout:
 
 
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
-    """Return where a node of a policy has its inputs and outputs."""
+    """Return the positions of the inputs and outputs of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
     names = [f"y {i}" for i in range(sizes["y"])]
     clocks = len(names)

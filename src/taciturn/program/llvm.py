@@ -1,14 +1,14 @@
-"""Prints a program as LLVM IR for vectors of numbers: one lane, one path; the loop over ticks stays in registers.
+"""Translation of a program to LLVM IR on vectors with one lane per path; states stay in registers between steps.
 
-The printed function runs blocks of ``lanes`` paths through any number of ticks:
+The generated function runs blocks of ``lanes`` paths for any number of steps:
 
-    void run(i64 first, i64 end, i64 ticks,
+    void run(i64 first, i64 end, i64 steps,
              double* state, double* sums, double* constants, double* inputs, double* outputs)
 
-with state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, ticks, inputs, lanes) and outputs alike.
-All of it is doubles, whatever the precision of the program, but for constants that all lanes share: these are numbers
-of the program's precision. What is added up over a window of ticks is added to the sums in memory. Constants and tables
-are read from memory, so programs of equal structure share one machine code.
+The arrays are state (blocks, states, lanes), sums (blocks, sums, lanes), inputs (blocks, steps, inputs, lanes) and
+outputs (blocks, steps, outputs, lanes). They contain doubles for both precisions of the program; only constants that
+all lanes share have the precision of the program. The sums of a window of steps are added to the sums in memory at its
+end. Constants and tables are read from memory, so that programs of equal structure share machine code.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from taciturn.program._llvm_ahead import FREE, Ahead, find_ahead
-from taciturn.program._llvm_body import PERMUTES, Body, Build, constants_of
+from taciturn.program._llvm_body import Body, Build
+from taciturn.program._llvm_lines import PERMUTES, constants_of
 from taciturn.program.ir import Program
 from taciturn.program.ops import WINDOW
 from taciturn.program.target import Target
@@ -27,29 +28,32 @@ def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: 
 
     Args:
         program: the program.
-        target: for which processor.
-        lanes: paths per block, the width of the vectors: a power of two from two on.
-        build: ``"parity"`` agrees with NumPy bit for bit, ``"fast"`` lets multiplications and additions fuse.
-        own: whether each lane has constants of its own, (blocks, constants, lanes).
+        target: the processor.
+        lanes: paths per block and vector, a power of two, at least 2.
+        build: ``"parity"``, bit-identical to NumPy, or ``"fast"``, which fuses multiplications and additions.
+        own: whether each lane has its own constants, (blocks, constants, lanes).
     """
     return _Printer(program, target, lanes, build, own).text()
 
 
 class _Printer(Body):
-    """A program within its loops over blocks, windows and ticks."""
+    """Writes a time step inside the loops over blocks, windows of steps, and steps."""
 
     def __init__(self, program: Program, target: Target, lanes: int, build: Build, own: bool) -> None:
         super().__init__(program, target, lanes, build, own)
         self.target = target
-        # not where a run is one tick or so, nor where a tick is long enough to fill the processor
+        # random numbers run ahead, unless a run has few steps (``own``, inputs), or a step fills the processor's window
         alone = own or self.alone or bool(program.inputs)
         self.ahead = Ahead() if alone else find_ahead(program, self.printed, self.fused, self.summed)
 
     def text(self) -> str:
         program, V, U, L = self.program, self.numbers, self.words, self.lanes
+        # sections are written in the order of execution, as each uses names that the previous one has defined
         outer = self._section(self._load_constants)
         body = self._section(self._tick)
         kinds = [U if state.word else V for state in program.states]
+        # values that a step passes to the next one: states, and random numbers that run one step ahead. They enter the
+        # loop over windows from ``outer``, and the loop over steps from the previous step.
         turning = [(f"state{i}", *row) for i, row in enumerate(zip(kinds, self.first, self.following, strict=True))]
         turning += [(f"early{i}", *row) for i, row in enumerate(zip(self.kinds, self.begun, self.drawn, strict=True))]
         starts = [f"  %{name}_from = phi {T} [ {a}, %outer ], [ {b}, %flush ]" for name, T, a, b in turning]
@@ -71,7 +75,7 @@ class _Printer(Body):
                 "",
                 "define void @run(i64 %first, i64 %end, i64 %ticks, ptr noalias %state, ptr noalias %sums, "
                 "ptr noalias readonly %constants, ptr noalias readonly %inputs, ptr noalias %outputs) "
-                # without "stackrealign", spills are unaligned and speed is bimodal
+                # without "stackrealign", spilled vectors may be unaligned, so that the speed varies from run to run
                 f'nounwind "stackrealign" {self.target.attributes} {{',
                 "entry:",
                 f"  %column = alloca {V}, i64 {max((len(op.arguments) for op in program.ops), default=1)}",
@@ -119,7 +123,7 @@ class _Printer(Body):
         return self.lines
 
     def _permutation(self) -> list[str]:
-        """Declare what permutes tables."""
+        """Return the declaration of the instruction that permutes tables."""
         if not self.permutes:
             return []
         function, numbers, places = PERMUTES[self.permutes]
@@ -139,7 +143,7 @@ class _Printer(Body):
         self.first, self.memory = self._moved(self.first), "%state"
 
     def _draw(self) -> list[str]:
-        """Print what is done ahead, from the words in memory; return the names of what the tick reads of it."""
+        """Write the operations that run ahead; return the names of the values that the step reads."""
         ahead = {*self.ahead.operations}
         if ahead:
             free = (*FREE, "state")
@@ -147,7 +151,7 @@ class _Printer(Body):
         return [self.names[i] for i in self.ahead.carried]
 
     def _moved(self, before: Sequence[str]) -> list[str]:
-        """Return the names of the states once words have moved, where they move ahead."""
+        """Return the names of the states after random numbers are drawn; if these run ahead, the words have changed."""
         states = zip(self.program.states, self.program.following, before, strict=True)
         return [self.names[index] if state.word and self.ahead.carried else name for state, index, name in states]
 
@@ -175,7 +179,7 @@ class _Printer(Body):
         first = self._new(f"mul i64 %block, {len(self.program.states)}")
         for i, index in enumerate(self.program.following):
             address, word = self._row("%state", first, i), self.program.states[i].word
-            value = f"%state{i}" if word and self.ahead.carried else self.names[index]  # a word has moved on already
+            value = f"%state{i}" if word and self.ahead.carried else self.names[index]  # words are one step ahead
             shown = f"{self.words} {value}" if word else f"{self.doubles} {self._widen(value)}"
             self.lines.append(f"  store {shown}, ptr {address}, align 8")
 
@@ -185,7 +189,8 @@ class _Printer(Body):
         at = self._new(f"add i64 {at}, %k")
         self.first_input = self._new(f"mul i64 {at}, {len(program.inputs)}")
         self.label = "tick"
-        zero = self._new("load volatile i64, ptr %nought, align 8")  # so that constants are not all spread ahead
+        # an address that is opaque to the compiler, so that it does not load all constants before the loop
+        zero = self._new("load volatile i64, ptr %nought, align 8")
         self.base = self._new(f"getelementptr {self.number_at}, ptr {self.base}, i64 {zero}")
         self.drawn = self._draw()
         moved = self._moved([""] * len(program.states))

@@ -1,6 +1,10 @@
-"""Lowers the steps of a policy into operations: what each node computes, decides and sends within one tick.
+"""Translation of policy steps to operations: the computations, decisions and packets of nodes in one time step.
 
-The same walk serves the closed loop (all nodes, the plant between them) and a single node (its packets as inputs).
+``TimeStep`` stores the value of every signal while policy steps are translated in order. The closed loop (all nodes,
+with the plant) and a single site (with its packets as inputs, ``node``) use this class. Two rules apply:
+
+* A signal that is read before it is assigned has its value of the previous step. Such a signal becomes a state.
+* A condition becomes selections. Every branch is computed, and a truth value selects one of the results.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ from taciturn.model.policy import (
     Step,
     Terms,
 )
-from taciturn.model.trigger import Bell, Form, Matrix, Scheduled
+from taciturn.model.trigger import Form, GaussianTerm, Matrix, Scheduled
 from taciturn.model.wire import LARGEST, ROUNDERS, Encoding
 from taciturn.program.draws import UNIFORM, minus_two_log
 from taciturn.program.exponential import falling
@@ -37,20 +41,20 @@ from taciturn.program.trace import trace
 
 Vector = list[int]
 Payloads: TypeAlias = Mapping[str, Mapping[str, Encoding]]
-Truth = int | bool  # an operation, or known now
+Truth = int | bool  # an operation, or a truth value that is known during the translation
 
 
-class Tick:
-    """The values of one tick while it is being written down.
+class TimeStep:
+    """The values of all signals within one time step, while its policy steps are translated.
 
-    A signal that is read before it is assigned becomes a memory.
+    A signal that is read before it is assigned becomes a memory, which is a state of the program.
 
     Args:
-        builder: where the operations go.
-        sizes: entries of each signal.
-        initial: first value of a memory; omitted: 0. A string names values that differ from path to path.
-        locations: finite locations.
-        payloads: how each signal in the packets of a link is rounded, by link; omitted: what is read is exact.
+        builder: collects the operations.
+        sizes: number of entries of each signal.
+        initial: first value of each memory; omitted: 0. A string is the name of values that differ between paths.
+        locations: the locations (finite states) of the policy.
+        payloads: encoding of each signal in the packets of a link, by link; omitted: packets are exact.
     """
 
     def __init__(
@@ -61,29 +65,29 @@ class Tick:
         locations: Sequence[Location],
         payloads: Payloads | None = None,
     ) -> None:
-        """Start before the first step."""
+        """Start before the first policy step."""
         self.payloads = payloads or {}
-        self.listening: Mapping[str, Encoding] = {}  # what the packet tells that the step being taken reads
+        self.listening: Mapping[str, Encoding] = {}  # encodings of the packet that the current policy step reads
         self.builder, self.sizes, self.initial = builder, sizes, initial
         self.signals: dict[str, Vector] = {ONE: [builder.constant(1.0)]}
         self.memories: dict[str, Vector] = {}
-        self.outcomes: dict[Condition, list[Truth]] = {}  # one truth value per outcome but the last
+        self.outcomes: dict[Condition, list[Truth]] = {}  # truth values of all outcomes but the last, by condition
         self.arrived: dict[str, Truth] = {}
         self.sent: dict[str, Truth] = {}
-        self.options: dict[str, dict[str, int]] = {}  # value of each option of each decision
+        self.options: dict[str, dict[str, int]] = {}  # value of each option of each trigger
         self.locations = {location.name: location for location in locations}
-        self.drawn = 0  # uniform numbers
+        self.drawn = 0  # number of uniform numbers drawn so far
 
     def read(self, name: str) -> Vector:
-        """Return the signal's value now, or of the tick before; as the packet tells it, where one is read."""
+        """Return the value of a signal, from the packet if the current policy step reads one, else from ``recall``."""
         return self.hear(name) if name in self.listening else self.recall(name)
 
     def hear(self, name: str) -> Vector:
-        """Return a signal as the packet tells it."""
+        """Return a signal as it is encoded in the packet."""
         return self.rounded(self.recall(name), self.listening[name])
 
     def rounded(self, values: Vector, encoding: Encoding) -> Vector:
-        """Return numbers as a packet holds them."""
+        """Return numbers rounded by the encoding of a packet."""
         if encoding.name == "float64":
             return values
         if encoding.name == "float32":
@@ -91,32 +95,33 @@ class Tick:
         return [self._whole(value, scale) for value, scale in zip(values, encoding.full_scale, strict=True)]
 
     def _whole(self, value: int, scale: float) -> int:
-        """Round to a whole number of steps, ties to even."""
+        """Round to an integer multiple of the resolution, scale/LARGEST, ties to even."""
+        # a sum with 1.5·2^mantissa has no bits below 1, so that adding and subtracting this number rounds to an integer
         b, most = self.builder, float(LARGEST)
         steps = self.clip(b.scale(most / scale, value), most)
         rounder = b.constant(ROUNDERS[b.precision])
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
     def clipped(self, values: Vector, limit: Array | None) -> Vector:
-        """Return numbers within ± their limits, or as they are where there are none."""
+        """Return numbers clipped to ± their limits, or unchanged if there are no limits."""
         return (
             values if limit is None else [self.clip(v, bound) for v, bound in zip(values, limit.tolist(), strict=True)]
         )
 
     def clip(self, value: int, limit: float) -> int:
-        """Return a number within ±limit."""
+        """Return a number clipped to ±limit."""
         high, low = self.builder.constant(limit), self.builder.constant(-limit)
         below = self.choose(self.builder.emit("greater", value, high), high, value)
         return self.choose(self.builder.emit("greater", low, below), low, below)
 
     def recall(self, name: str) -> Vector:
-        """Return the signal's value now, or of the tick before."""
+        """Return the current value of a signal, or before its assignment the value of the previous step."""
         if name not in self.signals:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
         return self.signals[name]
 
     def take(self, step: Step, losses: Mapping[str, Coefficient]) -> None:
-        """Write down one step; ``losses`` gives the loss probability of each link."""
+        """Translate one policy step; ``losses`` has the loss probability of each link."""
         on = step.on if isinstance(step, Assign | Evaluate) else None
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
@@ -128,6 +133,7 @@ class Tick:
             arguments = {name: self.read(name) for name in step.reads}
             self.signals |= trace(self.builder, step.function, arguments, step.signals)
         elif isinstance(step, Draw):
+            # −log u of a uniform u has the exponential distribution of mean 1
             self.signals[step.signal] = [self.builder.scale(0.5, minus_two_log(self.builder, self.uniform()))]
         elif isinstance(step, Decide):
             self._decide(step)
@@ -136,14 +142,14 @@ class Tick:
         self.listening = {}
 
     def combine(self, terms: Terms, rows: int) -> Vector:
-        """Return Σ matrix·signal."""
+        """Return Σ matrix·signal as one matrix [M_1 M_2 …] times one vector."""
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
         joined = [[c for block in blocks for c in block[i]] for i in range(rows)]
         return [self.value(index) for index in self.builder.transform(joined, values)]
 
     def form(self, form: Form) -> int:
-        """Return the value of a form."""
+        """Return the value v'Ψv + bell(v) + Σ weight·scalar + constant of a form."""
         b = self.builder
         values = [value for name in form.signals for value in self.read(name)]
         square = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values)
@@ -153,12 +159,14 @@ class Tick:
         fixed = None if constant == 0.0 and isinstance(constant, float) else b.value(constant)
         return self.value(b.add(square, bell, added, fixed))
 
-    def _bell(self, bell: Bell, values: Vector) -> int:
+    def _bell(self, bell: GaussianTerm, values: Vector) -> int:
+        """Return height·exp(−½ v'Πv)."""
         halved = self.value(self.builder.quadratic(self.coefficients(bell.Pi / 2), values))
         return self.builder.scale(bell.height, falling(self.builder, halved))
 
     def pick(self, condition: Condition | None, options: Sequence[int]) -> int:
-        """Return the option of the outcome that came."""
+        """Return the option of the outcome that occurred."""
+        # t_1 ? o_1 : (t_2 ? o_2 : … o_last): at most one truth value is true; if all are false, the outcome is the last
         chosen = options[-1]
         if condition is not None:
             for truth, option in zip(reversed(self.happened(condition)), reversed(options[:-1]), strict=True):
@@ -166,7 +174,7 @@ class Tick:
         return chosen
 
     def choose(self, truth: Truth, yes: int, no: int) -> int:
-        """Return one of two values."""
+        """Return ``yes`` where the truth value holds, else ``no``."""
         if isinstance(truth, bool):
             return yes if truth else no
         return self.builder.choose(truth, yes, no)
@@ -176,13 +184,13 @@ class Tick:
         return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return a truth value for each outcome but the last."""
+        """Return truth values of all outcomes of a condition but the last; for a packet, whether it has not arrived."""
         if isinstance(condition, str):
             return self.outcomes[condition]
         return [self._not(self._arrived(condition.link))]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
-        """Return the entries of a matrix, read at the location now where it is scheduled."""
+        """Return the entries of a matrix; a scheduled matrix is looked up at the current value of its location."""
         if isinstance(matrix, Scheduled):
             at = self.place(matrix.by)
             entries = np.moveaxis(matrix.values, 0, -1)
@@ -190,18 +198,18 @@ class Tick:
         return [[float(value) for value in row] for row in matrix]
 
     def number(self, value: float | Scheduled) -> Coefficient:
-        """Return a number, read at the location now where it is scheduled."""
+        """Return a number; a scheduled number is looked up at the current value of its location."""
         if isinstance(value, Scheduled):
             return self.builder.lookup(list(value.values), self.place(value.by))
         return value
 
     def uniform(self) -> int:
-        """Return a fresh draw, uniform in (0, 1)."""
+        """Return a new random number, uniform in (0, 1)."""
         self.drawn += 1
         return self.builder.input(f"{UNIFORM} {self.drawn - 1}")
 
     def finish(self, sums: Mapping[str, int], outputs: Mapping[str, int] | None = None) -> Program:
-        """Close the tick: move the locations, carry the memories over."""
+        """Return the program, in which locations change and every memory gets the last value of its signal."""
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
@@ -219,11 +227,11 @@ class Tick:
         return [self.builder.state(State(name, i, key)) for i, key in enumerate(keys)]
 
     def value(self, index: int | None) -> int:
-        """Return the operation, or zero where nothing is left of a sum."""
+        """Return the operation, or the constant 0 for an empty sum (None)."""
         return self.builder.constant(0.0) if index is None else index
 
     def place(self, name: str) -> int:
-        """Return where a location is in this tick."""
+        """Return the current value of a location."""
         if name not in self.memories:
             location = self.locations[name]
             start = State(name, 0, float(location.initial))
@@ -231,14 +239,16 @@ class Tick:
         return self.memories[name][0]
 
     def move(self, location: Location) -> int:
-        """Return where a location is in the next tick."""
+        """Return the next value of a location, from a table indexed by its current value and by an outcome."""
         columns = location.table[:, None] if location.on is None else location.table
         here = self.place(location.name)
         options = [self.builder.value(self.builder.lookup([float(v) for v in column], here)) for column in columns.T]
         return self.pick(location.on, options)
 
     def _decide(self, step: Decide) -> None:
-        """The first label that no other undercuts wins."""
+        """Translate a decision for the label of the least form, or the first of several equal forms."""
+        # label i is chosen if V_i ≤ V_j for every later j, and no earlier label is chosen. For an earlier label that is
+        # not chosen there is a later one with a smaller value, so by induction the chosen value is the minimum.
         values = [self.form(form) for form in step.trigger.options.values()]
         self.options[step.decision] = dict(zip(step.trigger.labels, values, strict=True))
         truths: list[Truth] = []
@@ -258,7 +268,9 @@ class Tick:
             silent = [label not in (step.labels or labels[1:]) for label in labels]
             truths = self.outcomes[step.on]
             flags = zip(truths, silent[:-1], strict=True)
-            if silent[-1]:  # sent if one of the other labels is picked that sends
+            # the last label has no truth value: it is chosen if no other label is. So "sent" is expressed without it,
+            # either as "one of the sending labels", or as "none of the silent labels".
+            if silent[-1]:
                 none: Truth = True
                 for truth in (truth for truth, quiet in flags if not quiet):
                     none = self._and(none, self._not(truth))
@@ -266,13 +278,14 @@ class Tick:
             else:
                 for truth in (truth for truth, quiet in flags if quiet):
                     sent = self._and(sent, self._not(truth))
+        # a packet arrives if a uniform random number is above the loss probability
         self.sent[step.link] = arrives = sent
         if not (isinstance(loss, float) and loss == 0.0):
             arrives = self._and(arrives, self.builder.emit("greater", self.uniform(), self.builder.value(loss)))
         self.arrived[step.link] = arrives
 
     def _arrived(self, link: str) -> Truth:
-        """Whether this tick's packet arrived; read before this tick's sending, that of the tick before."""
+        """Return whether the packet of this step has arrived, or before its Send, the packet of the previous step."""
         if link not in self.arrived:
             name = _arrival(link)
             self.memories[name] = self._remember(name, 1)
@@ -294,10 +307,10 @@ class Tick:
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
-    """Return how each signal that a packet tells its receiver is rounded, by link and signal.
+    """Return the encoding of each signal in the packets of a policy, by link and signal.
 
     Raises:
-        ProblemError: a range is missing, or has another number of entries than the packet.
+        ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.
     """
     payloads: dict[str, dict[str, Encoding]] = {}
     for step in policy.steps:

@@ -1,8 +1,8 @@
-"""Lowers one node of a policy: what a place computes within a tick, with its packets as inputs.
+"""Translation of one site of a policy to programs: the policy steps of its nodes, with arriving packets as inputs.
 
-A tick has two parts. The first ends with the last thing that leaves the node, a packet or the input of the plant. What
-follows and needs a packet or an acknowledgement may wait for it until the next tick begins: that is the second part,
-where there is one.
+A time step has one or two parts. The first part ends with the last output of the node, a packet or the input of the
+plant. Later policy steps that read a packet or an acknowledgement form the second part. This part runs when the next
+time step begins, so that a packet has a whole sampling period to arrive.
 """
 
 from __future__ import annotations
@@ -29,29 +29,28 @@ from taciturn.model.policy import (
 from taciturn.model.steps import assigned
 from taciturn.program.draws import draw_uniforms
 from taciturn.program.ir import Builder, Program, rebuild
-from taciturn.program.lower import Payloads, Tick, Truth, Vector, encode_payloads
+from taciturn.program.lower import Payloads, TimeStep, Truth, Vector, encode_payloads
 from taciturn.program.ops import Precision, State
 
 
 @dataclass(frozen=True, eq=False)
 class NodeProgram:
-    """What a node runs.
+    """The programs of the nodes at one site.
 
-    Inputs of its parts: ``y i``, ``at CLOCK``, ``arrived LINK`` and ``LINK SIGNAL i`` of packets,
-    ``acknowledged LINK``, ``uniform i``. Outputs of the first: ``sent LINK``, ``LINK i`` (the payload), ``input i``,
-    ``option DECISION LABEL``.
+    Inputs of the parts: ``y i``, ``at COUNTER``, ``arrived LINK`` and ``LINK SIGNAL i`` of packets,
+    ``acknowledged LINK``, ``uniform i``. Outputs of the first part: ``sent LINK``, ``LINK i`` (the payload),
+    ``input i``, ``option DECISION LABEL``.
 
     Args:
-        site: the nodes that share the place.
-        parts: the tick up to the last thing that leaves the node and, where there is one, the part that follows; over
-            the same states.
-        draws: gives the uniform numbers of a tick; None where nothing is drawn.
-        clocks: clocks that are read.
-        hears: of each link that ends here, the signals of its packet.
-        lag: of each of them, how many ticks old the packet is that the tick wants.
-        late: those whose packets the second part reads.
+        site: the nodes at the site.
+        parts: the time step up to the last output of the node and, if any, the part after it; with equal states.
+        draws: program that draws the uniform numbers of a step; None if nothing is drawn.
+        clocks: the step counters that the program reads.
+        hears: for each link that ends at the site, the signals of its packet.
+        lag: for each of these links, the age in steps of the packet that the time step reads.
+        late: links whose packets the second part reads.
         acknowledged: links whose acknowledgements the second part reads.
-        sends: of each link that begins here, the signals of its packet.
+        sends: for each link that begins at the site, the signals of its packet.
     """
 
     site: frozenset[NodeName]
@@ -68,28 +67,28 @@ class NodeProgram:
 def lower_node(
     policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision = "float64"
 ) -> NodeProgram:
-    """Return what one place of a policy runs.
+    """Return the programs of one site of a policy.
 
     Args:
         policy: the policy.
-        site: nodes that share the place, from ``Policy.site``.
-        network: which tells how payloads are rounded.
-        precision: of the numbers.
+        site: nodes that share the site, from ``Policy.site``.
+        network: the network, whose encodings determine the rounding of payloads.
+        precision: precision of the numbers.
 
     Raises:
-        ProblemError: the nodes cannot be separated: a signal changes between the packet that tells it and its use, two
-            packets go over one link in a tick, a link stays within one place, a node waits for an acknowledgement
-            before it acts, or does nothing.
+        ProblemError: the site has no policy steps, or the nodes cannot be separated: a signal changes between the Send
+            of its packet and its use, both ends of a link are at one site, a packet is read both before and after it is
+            sent, or a node needs an acknowledgement before its last output.
     """
     check_separable(policy)
     return _Lowering(policy, site, network, precision).result()
 
 
 def check_separable(policy: Policy) -> None:
-    """Refuse a policy whose nodes cannot be separated.
+    """Reject a policy whose nodes cannot be separated.
 
     Raises:
-        ProblemError: why they cannot.
+        ProblemError: the nodes cannot be separated; the message has the reason.
     """
     places: dict[str, int] = {}
     for place, step in enumerate(policy.steps):
@@ -97,8 +96,8 @@ def check_separable(policy: Policy) -> None:
             continue
         if ENDS[step.link] in policy.site(step.at):
             raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at one place; "
-                "expected its ends at two, or no packets on it"
+                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at one site; "
+                "expected its ends at two sites, or no packets on this link"
             )
         places[step.link] = place
     for place, step in enumerate(policy.steps):
@@ -106,25 +105,27 @@ def check_separable(policy: Policy) -> None:
             continue
         on = step.on
         if on.link not in places:
-            raise ProblemError(f"{step.at} listens to the {on.link} link, on which nothing is sent; expected a packet")
+            raise ProblemError(
+                f"{step.at} reads packets of the {on.link} link, on which no policy step sends; expected a Send"
+            )
         sent, count = places[on.link], len(policy.steps)
         between = range(sent + 1, place) if sent < place else [*range(sent + 1, count), *range(place)]
         for name in told_by(policy, on.link):
             if any(name in assigned(policy.steps[i]) for i in between):
                 raise ProblemError(
-                    f"the nodes of {policy.kind} cannot be separated: {name} changes between the packet that tells it "
-                    f"and {step.signal}, which reads it; expected the packet after the change"
+                    f"the nodes of {policy.kind} cannot be separated: {name} changes after the packet that carries it "
+                    f"and before {step.signal} reads it; expected the Send after the change"
                 )
 
 
-class _Part(Tick):
-    """A part of a tick of one node: what others tell is an input."""
+class _Part(TimeStep):
+    """A part of the time step of one site: measurements, packets and step counters are inputs."""
 
     def __init__(self, policy: Policy, payloads: Payloads, drawn: int, precision: Precision) -> None:
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
         super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
-        self.packets: dict[str, Vector] = {}  # payload of each packet as it is sent
+        self.packets: dict[str, Vector] = {}  # payload of each packet, rounded by its encoding
         self._link = ""
 
     def take(self, step: Step, losses: Mapping[str, float]) -> None:
@@ -160,7 +161,7 @@ class _Part(Tick):
 
 
 class _Lowering:
-    """One place of a policy while it is written down."""
+    """The policy steps of one site, and their division into parts."""
 
     def __init__(self, policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision) -> None:
         self.policy, self.site = policy, site
@@ -169,8 +170,9 @@ class _Lowering:
         self.steps = [step for step in policy.steps if step.at in site]
         if not self.steps:
             raise ProblemError(
-                f"{' and '.join(sorted(site))} of {policy.kind} has nothing to do; expected another node"
+                f"{' and '.join(sorted(site))} of {policy.kind} has no policy steps; expected another node"
             )
+        # the cut: the first policy step after the last output that waits for a packet or an acknowledgement
         leaves = [i for i, step in enumerate(self.steps) if self._leaves(step)]
         behind = range(leaves[-1] + 1 if leaves else len(self.steps), len(self.steps))
         waits = [i for i in behind if isinstance(_condition(self.steps[i]), Received | Acknowledged)]
@@ -178,14 +180,14 @@ class _Lowering:
         self.parts = [part for part in (self.steps[:cut], self.steps[cut:]) if part]
         if any(isinstance(_condition(step), Acknowledged) for step in self.steps[:cut]):
             raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: one waits for an acknowledgement before it acts; "
-                "expected what depends on it after what is sent"
+                f"the nodes of {policy.kind} cannot be separated: a node needs an acknowledgement before its last "
+                "output; expected policy steps that depend on an acknowledgement after the last Send of the node"
             )
-        # locations that an outcome moves, which are remembered; a clock is told the tick
+        # locations that depend on an outcome are states; step counters are inputs, set from the number of the step
         self.places = [place for place in policy.locations if place.on is not None and place.at in site]
 
     def result(self) -> NodeProgram:
-        """Write the parts down, over what any of them remembers."""
+        """Translate the parts, over the union of their states."""
         walked: list[_Part] = []
         for part in self.parts:
             walked.append(self._walk(part, walked[0].drawn if walked else 0))
@@ -210,22 +212,22 @@ class _Lowering:
         )
 
     def _leaves(self, step: Step) -> bool:
-        """Whether a step is one whose result leaves the node."""
+        """Return whether a policy step produces an output of the node."""
         return isinstance(step, Send) or "input" in assigned(step)
 
     def _order(self, link: str) -> tuple[str, ...]:
         return next(step.payload for step in self.policy.steps if isinstance(step, Send) and step.link == link)
 
     def _before(self, link: str) -> int:
-        """Return 1 where a packet is read before it is sent, and is that of the tick before; else 0."""
+        """Return 1 if a step reads a packet before its Send, so that it is the packet of the previous step; else 0."""
         steps = self.policy.steps
         sent = next(i for i, step in enumerate(steps) if isinstance(step, Send) and step.link == link)
         conditions = [_condition(step) for step in steps]
         read = [i for i, on in enumerate(conditions) if isinstance(on, Received) and on.link == link]
         if read[0] < sent < read[-1]:
             raise ProblemError(
-                f"the nodes of {self.policy.kind} cannot be separated: the packet of the {link} link is read before "
-                "and after it is sent; expected all of its reading on one side"
+                f"the nodes of {self.policy.kind} cannot be separated: the packet of the {link} link is read "
+                "both before and after it is sent; expected that all steps read it before the send, or all after it"
             )
         return int(read[0] < sent)
 
@@ -236,7 +238,8 @@ class _Lowering:
         return tick
 
     def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
-        """Return a part over the states of all parts."""
+        """Return a part as a program over the states of all parts."""
+        # a state that this part does not assign keeps its value, also the flags of decisions for the second part
         builder, last = tick.builder, index == len(self.parts) - 1
         outputs = self._outputs(tick) if index == 0 else {}
         for state in states:
@@ -252,18 +255,7 @@ class _Lowering:
             signals[state.name][state.index] if state.name in signals else builder.state(state) for state in states
         ]
         order = [builder.states.index(state) for state in states]
-        program = Program(
-            tuple(builder.ops),
-            tuple(builder.states),
-            tuple(following[states.index(state)] for state in builder.states),
-            tuple(builder.inputs),
-            tuple(builder.constants),
-            tuple(builder.tables),
-            {},
-            outputs,
-            builder.precision,
-            tuple(builder.matrices),
-        )
+        program = builder.collect([following[states.index(state)] for state in builder.states], {}, outputs)
         return rebuild(program, lambda builder, op: None, order)
 
     def _outputs(self, tick: _Part) -> dict[str, int]:
@@ -284,5 +276,5 @@ def _condition(step: Step) -> Condition | None:
 
 
 def _flags(decision: str) -> str:
-    """Return under which name the outcome of a decision is remembered until the second part."""
+    """Return the name of the memory that stores the outcome of a decision for the second part."""
     return f"decided {decision}"

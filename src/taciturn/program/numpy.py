@@ -1,6 +1,6 @@
-"""Runs a program over many paths with NumPy, operation by operation: the meaning of a program, and the fallback.
+"""Execution of a program over many paths with NumPy: the reference implementation, also used without llvmlite.
 
-Every operation rounds once, in the order of the program, so the printers' parity builds agree with it bit for bit.
+Each operation rounds once, in the order of the program. The bit-exact builds are bit-identical to it.
 """
 
 from __future__ import annotations
@@ -102,17 +102,17 @@ _RULES: Mapping[str, Callable[..., Value]] = {
     "any_bit": _any_bit,
 }
 
-_GIVEN = ("const", "word", "half", "state", "input")  # operations that compute nothing
+_GIVEN = ("const", "word", "half", "state", "input")  # operations without a computation
 
 
 @dataclass(frozen=True)
 class Run:
-    """What a run leaves: states (words as their 64 bits), sums and outputs.
+    """The result of a run.
 
     Args:
-        states: value of each state after the last tick, (states, paths), doubles or the bits of words.
-        sums: total of each sum over the ticks, (paths,), by name.
-        outputs: record of each output, (ticks, paths), by name.
+        states: states after the last step, as doubles; words are reinterpreted as doubles, (states, paths).
+        sums: sums over the steps by name, (paths,) each.
+        outputs: outputs at each step by name, (steps, paths) each.
     """
 
     states: Array
@@ -120,18 +120,18 @@ class Run:
     outputs: Mapping[str, Array]
 
 
-@np.errstate(all="ignore")  # paths compute what a select leaves out, and divide by what they like there
+@np.errstate(all="ignore")  # branches that a selection discards may divide by zero
 def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
-    """Run ``ticks`` ticks of a program on every path.
+    """Run ``ticks`` steps of a program on every path.
 
     Args:
         program: the program.
-        states: value of each state at the first tick, (states, paths); words as the bits of doubles.
-        ticks: number of ticks.
-        inputs: what is supplied, (ticks, inputs, paths), if the program has inputs.
+        states: states before the first step, (states, paths): doubles, or the bits of words as doubles.
+        ticks: number of steps.
+        inputs: values of the inputs, (steps, inputs, paths), if the program has any.
 
     Returns:
-        The states after the last tick, the sums and the outputs.
+        The states after the last step, the sums and the outputs.
     """
     assert inputs is not None or not program.inputs, "the program has inputs, and none are supplied"
     paths = states.shape[1]
@@ -164,12 +164,12 @@ def run(program: Program, states: Array, ticks: int, inputs: Array | None = None
         memory = [values[index] for index in program.following]
     final = np.empty((len(memory), paths))
     for row, value in zip(final, memory, strict=True):
-        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value  # floats become doubles
+        row[:] = value.view(np.float64) if value.dtype == np.uint64 else value  # floats are converted to doubles
     return Run(final, {name: total.of(added[name], ticks) for name, total in totals.items()}, records)
 
 
 def _fixed(program: Program, paths: int) -> list[Value]:
-    """Return the value of each operation, for those that have one at every tick."""
+    """Return the values of all operations, by index: constants, and empty arrays for the others."""
     fixed: list[Value] = [np.empty(0)] * len(program.ops)
     for index, (name, rest) in enumerate(program.ops):
         if name == "const":
@@ -180,7 +180,7 @@ def _fixed(program: Program, paths: int) -> list[Value]:
 
 
 def _rule(op: Op, program: Program) -> Callable[..., Value]:
-    """Return what makes an operation's value of those that it reads."""
+    """Return the function that computes an operation's value from the values that it reads."""
     name, rest = op
     if name == "product":
         matrix = program.matrices[rest[0]]
@@ -194,6 +194,7 @@ def _rule(op: Op, program: Program) -> Callable[..., Value]:
 
 def _product(matrix: Value, parts: Sequence[Tile], *values: Value) -> Value:
     """Return the matrix times the values, (rows, paths)."""
+    # tile by tile and column by column from 0, as in every back end, so that the sums are bit-identical
     result = np.zeros((len(matrix), len(values[0])), dtype=matrix.dtype)
     for tile in parts:
         rows = slice(tile.first, tile.first + tile.rows)

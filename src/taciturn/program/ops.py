@@ -1,27 +1,27 @@
 """The operations of a program.
 
-An operation is a name with the indices of earlier operations (or literals, where the table below says so).
-Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits;
-vectors and loops belong to the printers, not to the program.
+An operation is a name with the indices of earlier operations, or with literals where the table below says so.
+Values are numbers (doubles, or floats in single precision), truth values, 64-bit words, or half words of 32 bits.
+Programs have no vectors of paths and no loops; the back ends add them.
 
 | operation | arguments | result |
 |---|---|---|
 | `const` | index into `constants` | number |
 | `state`, `input` | index into `states`, `inputs` | number, or word |
-| `add` `sub` `mul` `div` `sqrt` | numbers | number, rounded once each: the order is the meaning |
-| `select` | truth value, two numbers | the first where true |
+| `add` `sub` `mul` `div` `sqrt` | numbers | number; each operation rounds once |
+| `select` | truth value, two numbers | number: the first if true, else the second |
 | `lookup` | index into `tables`, a number that is a small integer | number |
 | `pick` | index into `tables` of eight entries, word | number: the entry at the word's last three bits |
 | `product` | index into `matrices`, numbers | vector: the matrix times the numbers |
-| `entry` | vector, literal | number: its entry |
+| `entry` | vector, literal | number: an entry of the vector |
 | `greater` `less_equal` | two numbers | truth value |
 | `and` `not` | truth values | truth value |
 | `word` / `half` | literal | word / half |
-| `word_add` `word_and` `word_or` `word_xor` | two words, or two halves | the same |
-| `shift_left` `shift_right` `rotate_left` | word or half, literal | the same |
-| `upper` `lower` | word | its half |
-| `count` | half | number, the integer it holds (single precision) |
-| `narrow` | number | the nearest number of single precision |
+| `word_add` `word_and` `word_or` `word_xor` | two words, or two halves | word, or half |
+| `shift_left` `shift_right` `rotate_left` | word or half, literal | word, or half |
+| `upper` `lower` | word | half: the upper or lower one of the word |
+| `count` | half | number: the half as an integer (single precision) |
+| `narrow` | number | number: the nearest one of single precision |
 | `bits` / `number` | number / word (double), half (single precision) | the same bits as a word or half / as a number |
 | `any_bit` | word or half | truth value: not zero |
 """
@@ -35,11 +35,11 @@ from typing import Literal, NamedTuple
 from taciturn._arrays import Array
 
 Precision = Literal["float64", "float32"]
-TILE = 8  # rows of a product that are computed side by side
-WINDOW = 256  # ticks whose sum is kept in the precision of the program; sums of windows are doubles
-EIGHT = 8  # entries that a word can pick from: one vector of the widest kind
+TILE = 8  # rows of a product that are computed together
+WINDOW = 256  # steps that are summed in the precision of the program; the sums of windows are added as doubles
+EIGHT = 8  # entries of a ``pick`` table, as many as the widest vector (AVX-512) has
 
-LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is no operation
+LITERAL: Mapping[str, int] = {  # position (from 0) of the argument that is a literal, not an operation
     "const": 0,
     "state": 0,
     "input": 0,
@@ -59,7 +59,7 @@ class Op(NamedTuple):
     """One operation.
 
     Args:
-        name: what it does.
+        name: a name from the table above.
         arguments: indices of earlier operations, or literals.
     """
 
@@ -68,20 +68,21 @@ class Op(NamedTuple):
 
     @property
     def reads(self) -> tuple[int, ...]:
-        """The operations that this one reads."""
+        """The operations that this operation reads."""
         literal = LITERAL.get(self.name)
         return self.arguments if literal is None else self.arguments[:literal] + self.arguments[literal + 1 :]
 
 
 @dataclass(frozen=True)
 class State:
-    """One scalar of memory.
+    """One scalar that keeps its value from step to step.
 
     Args:
         name: the signal.
         index: entry of the signal.
-        start: key of its first value; states with equal keys start equal.
-        word: whether it is a 64-bit word.
+        start: first value, or a key if the first value differs between paths; states with equal keys have equal first
+            values.
+        word: whether it is a 64-bit word instead of a number.
     """
 
     name: str
@@ -91,15 +92,15 @@ class State:
 
 
 class Tile(NamedTuple):
-    """Some rows of a matrix, and the columns from the first to the last where one of them is not zero.
+    """A block of a matrix: some rows, and the range of columns in which at least one of them is nonzero.
 
-    The rows times the numbers of these columns are added up from the left, to 0.
+    Every back end computes each row's sum from the left, starting at 0, so that all results are bit-identical.
 
     Args:
-        first: row.
-        rows: how many.
+        first: first row.
+        rows: number of rows.
         begin: first column.
-        end: column after the last.
+        end: column after the last one.
     """
 
     first: int
@@ -112,7 +113,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def tiles(matrix: Rows) -> list[Tile]:
-    """Return a matrix as tiles; rows of zeros alone are in none."""
+    """Return the tiles of a matrix, without blocks of zero rows."""
     found: list[Tile] = []
     for first in range(0, len(matrix), TILE):
         rows = matrix[first : first + TILE]
@@ -122,12 +123,12 @@ def tiles(matrix: Rows) -> list[Tile]:
 
 
 class Total(NamedTuple):
-    """How a sum is made of the operation that is added up at each tick: factor·Σ + offset·ticks.
+    """A sum over the steps as factor·Σ op + offset·steps.
 
     Args:
-        op: index of the operation.
-        factor: by which the sum is multiplied at the end.
-        offset: added for each tick, at the end.
+        op: index of the operation whose values are added up at each step.
+        factor: applied once, after the last step.
+        offset: added for each step, after the last step.
     """
 
     op: int
@@ -135,5 +136,5 @@ class Total(NamedTuple):
     offset: float
 
     def of(self, added: Array, ticks: int) -> Array:
-        """Return the sum, given what was added up in so many ticks."""
+        """Return the sum, given Σ op and the number of steps."""
         return self.factor * added + self.offset * ticks

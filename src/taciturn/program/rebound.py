@@ -1,7 +1,7 @@
-"""Functions whose NumPy is another one: copies that read stand-ins for some of what they use.
+"""Copies of functions in which NumPy's array constructors are replaced, so that their arrays can contain symbols.
 
-``np.zeros(3)`` makes an array of floats, into which no symbol can be put, and sees no symbol by which it could know
-better. So a function is not traced itself, but a copy of it, for which the names that it reads mean something else.
+``np.zeros(3)`` returns an array of floats, which cannot contain a symbol, and has no symbol as argument that could
+redirect the call. Therefore a copy of a function is traced, in which names such as ``np`` refer to replacements.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from taciturn.program.symbols import is_list
 
 
 def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a function that calls stand-ins, and so do the functions that it knows by name or in a list.
+    """Return a copy of a function, and of the functions that it calls by name or from a list, with replacements.
 
     Args:
-        function: written in Python; any other is returned as it is.
-        stand_ins: what is called instead, by functions of NumPy.
+        function: a function written in Python; any other function is returned unchanged.
+        stand_ins: the replacement of each NumPy function.
     """
     if not isinstance(function, FunctionType | MethodType | partial) and callable(type(function).__call__):
         method = type(function).__call__
@@ -30,7 +30,7 @@ def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., A
 
 
 class _Numpy(ModuleType):
-    """NumPy, with stand-ins."""
+    """The module ``numpy`` with some functions replaced."""
 
     def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
         super().__init__("numpy")
@@ -41,14 +41,14 @@ class _Numpy(ModuleType):
 
 
 class _Copies:
-    """The copies of functions that call each other."""
+    """Stores the copies of functions, so that a function that is called twice is copied once."""
 
     def __init__(self, stand_ins: Mapping[Any, Callable[..., Any]]) -> None:
         self.stand_ins, self.numpy = stand_ins, _Numpy(stand_ins)
         self.copies: dict[int, FunctionType] = {}
 
     def of(self, value: Any) -> Any:
-        """Return what a name means in a copy."""
+        """Return the replacement of a value in the copies; most values are unchanged."""
         if value is np:
             return self.numpy
         if isinstance(value, FunctionType):
@@ -73,7 +73,7 @@ class _Copies:
         cells = tuple(CellType() for _ in function.__closure__ or ())
         copy = FunctionType(function.__code__, known, function.__name__, function.__defaults__, cells or None)
         copy.__kwdefaults__ = function.__kwdefaults__
-        self.copies[id(function)] = copy  # before what it reads, which may be itself
+        self.copies[id(function)] = copy  # stored before its contents, as the function may call itself
         for cell, original in zip(cells, function.__closure__ or (), strict=True):
             if _is_filled(original):
                 cell.cell_contents = self.of(original.cell_contents)
@@ -82,7 +82,7 @@ class _Copies:
 
 
 def _is_ours(function: FunctionType) -> bool:
-    """Whether a function is one that a user may have written."""
+    """Return whether a function is not part of NumPy or SciPy, so that a copy is traced."""
     return str(function.__module__).split(".")[0] not in ("numpy", "scipy")
 
 
@@ -94,7 +94,7 @@ def _is_filled(cell: CellType) -> bool:
 
 
 def _names(code: CodeType) -> Iterator[str]:
-    """Yield the names that a function and those within it read."""
+    """Yield the names that a function and its inner functions read."""
     yield from code.co_names
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

@@ -1,7 +1,7 @@
-"""Symbols that stand for numbers of a program while a function of NumPy is traced, and what is recorded of them.
+"""Symbols that represent the numbers of a program while a NumPy function is traced, and the recorder of operations.
 
-An array of symbols is an array of objects, so that indexing, slicing and reshaping are NumPy's own; what computes is
-looked up in ``elementary``, and functions of whole arrays in ``FUNCTIONS``.
+An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Computations
+on entries are recorded by the rules in ``elementary``, and functions of whole arrays by the rules in ``FUNCTIONS``.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from taciturn.program.elementary import COMPARISONS, LOGIC, NUMBERS, choose
 from taciturn.program.ir import Builder, Coefficient
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
-FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # what functions of whole arrays do with their arguments
+FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
 _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
 
 
 class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
-    """What a traced function sees in place of a number or of a truth value.
+    """The placeholder that a traced function receives instead of a number or a truth value.
 
     Args:
-        recorder: where its operations go.
-        index: operation that it stands for.
+        recorder: records operations on the symbol.
+        index: operation that the symbol represents.
     """
 
     def __init__(self, recorder: Recorder, index: int) -> None:
-        """Stand for an operation."""
+        """Store recorder and operation."""
         self.recorder, self.index = recorder, index
 
     def __array_ufunc__(
@@ -48,13 +48,13 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         where: object = True,
         initial: object = None,
     ) -> Any:
-        """Record what an operator or a function of NumPy computes entry by entry."""
+        """Record an operator or a NumPy function of single entries."""
         if where is not True or initial is not None or dtype is not None:
             raise recorder_of(inputs).refused(f"{ufunc.__name__} with where, initial or dtype")
         return compute(ufunc, method, inputs, out, axis, keepdims)
 
     def __array_function__(self, function: Any, types: object, args: Any, kwargs: Any) -> Any:
-        """Record what a function of NumPy does with arrays."""
+        """Record a NumPy function of whole arrays."""
         given = [*args, *kwargs.values()]
         if not symbols_in(given):
             named = {name: _as_floats(value) for name, value in kwargs.items()}
@@ -64,43 +64,43 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
         return FUNCTIONS[function](args, kwargs)
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        """Return what NumPy asks of the entries of plain arrays of objects, as functions that are not copied make."""
+        """Return the method, such as ``sqrt``, that NumPy calls on entries of plain arrays of objects."""
         if name not in NUMBERS:
             raise AttributeError(f"{self!r} has no {name}")
         return lambda *others: self.recorder.entry(getattr(np, name), self, *others)
 
     def __repr__(self) -> str:
-        """Say that it is traced."""
+        """Return a description such as "a traced number"."""
         return f"a traced {type(self).__name__.lower()}"
 
     def __bool__(self) -> bool:
-        """Refuse: it is not known."""
+        """Raise an error, since the value is unknown."""
         raise self._asked(
-            "whether something is true, as by if, and, or, max", f"np.where, & and |, np.maximum: {_ARRAYS}"
+            "whether a condition is true, as if, and, or, max do", f"np.where, & and |, np.maximum: {_ARRAYS}"
         )
 
     def __float__(self) -> float:
-        """Refuse: it is not known."""
-        raise self._asked("for a number as a float, as by math.sin, float() or np.zeros(n)[i] =", _ARRAYS)
+        """Raise an error, since the value is unknown."""
+        raise self._asked("for a number as a float, as math.sin, float() or np.zeros(n)[i] = do", _ARRAYS)
 
     def __int__(self) -> int:
-        """Refuse: it is not known."""
-        raise self._asked("for a number as a whole one, as by int() or round()", "np.floor or np.rint")
+        """Raise an error, since the value is unknown."""
+        raise self._asked("for a number as an integer, as int() or round() do", "np.floor or np.rint")
 
     __index__ = __int__
 
     def _asked(self, what: str, remedy: str) -> ProblemError:
         return ProblemError(
-            f"{self.recorder.name} asks {what}, and its numbers are not known when it is traced; expected {remedy}"
+            f"{self.recorder.name} asks {what}, but its numbers are unknown while it is traced; expected {remedy}"
         )
 
 
 class Number(Symbol):
-    """A number that is known when the program runs."""
+    """A number whose value is known only when the program runs."""
 
 
 class Truth(Symbol):
-    """A truth value that is known when the program runs."""
+    """A truth value whose value is known only when the program runs."""
 
 
 class Vector(np.ndarray[Any, Any]):
@@ -111,15 +111,15 @@ class Vector(np.ndarray[Any, Any]):
 
 
 class Recorder:
-    """Turns what a function does into operations.
+    """Records the computations of a function as operations.
 
     Args:
-        builder: where they go.
-        name: of the function.
+        builder: collects the operations.
+        name: name of the function, for messages.
     """
 
     def __init__(self, builder: Builder, name: str) -> None:
-        """Start before the function is called."""
+        """Start without operations."""
         self.builder, self.name = builder, name
 
     def symbols(self, values: Sequence[int]) -> Vector:
@@ -129,14 +129,14 @@ class Recorder:
         return vector.view(Vector)
 
     def symbol(self, value: Coefficient) -> float | Number:
-        """Return a number known now, or the symbol of an operation."""
+        """Return a constant, or the symbol of an operation."""
         return value if isinstance(value, float) else Number(self, value)
 
     def number(self, value: object) -> Coefficient:
-        """Return what an entry of an array is.
+        """Return an array entry as a constant if it is a number, else as the operation that computes it.
 
         Raises:
-            ProblemError: no number.
+            ProblemError: the entry is not a number.
         """
         if isinstance(value, Number):
             return value.index
@@ -149,11 +149,11 @@ class Recorder:
                 f"{self.name} computes with {value!r:.60}; expected numbers, or arrays of numbers"
             ) from None
         if math.isnan(found):
-            raise ProblemError(f"{self.name} computes with a constant that is no number (NaN); expected finite numbers")
+            raise ProblemError(f"{self.name} computes with a constant NaN; expected finite numbers")
         return found
 
     def truth(self, value: object) -> int | bool:
-        """Return what an entry of an array of truth values is."""
+        """Return an entry of an array as a truth value: a known one, or an operation."""
         if isinstance(value, Truth):
             return value.index
         if isinstance(value, Number):
@@ -161,7 +161,7 @@ class Recorder:
         return bool(value)
 
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
-        """Return what a function of NumPy makes of single entries."""
+        """Return the result of a NumPy function of single entries."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
         if not any(isinstance(value, Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
@@ -174,18 +174,18 @@ class Recorder:
         raise self.refused(name)
 
     def condition(self, truth: int | bool) -> bool | Truth:
-        """Return a truth value known now, or the symbol of one."""
+        """Return a known truth value, or the symbol of a truth value."""
         return truth if isinstance(truth, bool) else Truth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
-        """Return one of two entries, by a condition."""
+        """Return ``yes`` where the condition holds, else ``no``."""
         truth = self.truth(condition)
         if isinstance(truth, bool):
             return yes if truth else no
         return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
 
     def product(self, matrix: Objects, column: Objects) -> list[object]:
-        """Return a matrix times a column; a large matrix of numbers known now is one operation."""
+        """Return a matrix times a column; a large constant matrix becomes one operation."""
         b, values = self.builder, [self.number(value) for value in column]
         rows = [[self.number(entry) for entry in row] for row in matrix]
         known = all(isinstance(entry, float) for row in rows for entry in row)
@@ -195,7 +195,7 @@ class Recorder:
         return [self.symbol(self._inner(row, values)) for row in rows]
 
     def _inner(self, row: Sequence[Coefficient], values: Sequence[Coefficient]) -> Coefficient:
-        """Return Σ row·values."""
+        """Return Σ row·values; products of two constants are evaluated in advance."""
         fixed, pairs = 0.0, list[tuple[Coefficient, int]]()
         for one, other in zip(row, values, strict=True):
             if isinstance(other, int):
@@ -208,25 +208,25 @@ class Recorder:
         return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
 
     def lost(self) -> ProblemError:
-        """Return that symbols stand in a plain array of objects, of which NumPy knows nothing."""
+        """Return the error for symbols in a plain array of objects, which NumPy does not trace."""
         return ProblemError(
-            f"{self.name} computes with traced numbers in an array that does not tell so, as np.array and np.asarray "
-            f"make them in methods of objects; expected {_ARRAYS}"
+            f"{self.name} computes with traced numbers in a plain array of objects, such as np.array and np.asarray "
+            f"create in methods of objects; expected {_ARRAYS}"
         )
 
     def refused(self, name: str) -> ProblemError:
-        """Return that a function of NumPy cannot be traced."""
+        """Return the error for a NumPy function that cannot be traced."""
         known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
         return ProblemError(f"{self.name} uses np.{name}, which cannot be traced; expected one of {', '.join(known)}")
 
     def _known(self, index: int) -> Coefficient:
-        """Return the number of a constant, or the operation."""
+        """Return the value of a constant operation, or the index of another operation."""
         op = self.builder.ops[index]
         return self.builder.constants[op.arguments[0]] if op.name == "const" else index
 
 
 def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
-    """Return what a function of single entries makes of arrays of them, or what its ``reduce`` does."""
+    """Return the result of a function of single entries on arrays, or of its ``reduce`` method."""
     if not symbols_in(inputs):
         more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
         result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
@@ -240,7 +240,7 @@ def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis:
         result = rule(*(objects(one) for one in inputs))
     else:
         raise recorder_of(inputs).refused(f"{ufunc.__name__}.{method}")
-    if out is None or isinstance(out[0], Symbol):  # x[0] += 1: a symbol is never another one
+    if out is None or isinstance(out[0], Symbol):  # in x[0] += 1, the symbol is immutable
         return seen(result)
     out[0][...] = result
     return out[0]
@@ -249,7 +249,9 @@ def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis:
 def multiply(A: Objects, B: Objects) -> Any:
     """Return the matrix product of vectors and matrices."""
     if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
-        raise ProblemError(f"@ is between shapes {A.shape} and {B.shape}; expected vectors and matrices that fit")
+        raise ProblemError(
+            f"the operands of @ have the shapes {A.shape} and {B.shape}; expected vectors or matrices of matching sizes"
+        )
     recorder = recorder_of([A, B])
     columns = B[:, None] if B.ndim == 1 else B
     found = [recorder.product(A[None] if A.ndim == 1 else A, column) for column in columns.T]
@@ -260,41 +262,41 @@ def multiply(A: Objects, B: Objects) -> Any:
 
 
 def objects(value: object) -> Objects:
-    """Return a plain array of objects."""
+    """Return a value as a plain array of objects."""
     return np.asarray(value, dtype=object).view(np.ndarray)
 
 
 def seen(value: Any) -> Any:
-    """Return arrays of objects as ones whose functions are recorded; anything else as it is."""
+    """Return an array of objects as a ``Vector``, on which functions are recorded; other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
     return value.view(Vector) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
-    """Return an array of floats as one into which symbols can be put; whole numbers and truth values as they are."""
+    """Return an array of floats as an array that can contain symbols; other values unchanged."""
     return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
 
 
 def is_array(value: object) -> TypeGuard[Objects]:
-    """Tell whether a value is an array."""
+    """Return whether a value is an array."""
     return isinstance(value, np.ndarray)
 
 
 def is_list(value: object) -> TypeGuard[Sequence[Any]]:
-    """Tell whether a value is a list or a tuple."""
+    """Return whether a value is a list or a tuple."""
     return isinstance(value, list | tuple)
 
 
 def _as_floats(value: Any) -> Any:
-    """Return an argument without symbols with arrays of floats in place of those of objects."""
+    """Return an argument that contains no symbols, with arrays of objects converted to floats."""
     if is_list(value):
         return [_as_floats(one) for one in value]
     return objects(value).astype(float) if isinstance(value, Vector) else value
 
 
 def symbols_in(value: object) -> list[Symbol]:
-    """Return the symbols among arguments, and in their arrays and lists."""
+    """Return the symbols among arguments, including those in arrays and lists."""
     if isinstance(value, Symbol):
         return [value]
     if is_array(value) and value.dtype == object:
@@ -303,13 +305,13 @@ def symbols_in(value: object) -> list[Symbol]:
 
 
 def recorder_of(values: Sequence[object]) -> Recorder:
-    """Return the recorder of the symbols in arguments, or one of what is known now alone."""
+    """Return the recorder of the symbols in arguments, or a new recorder if there are none."""
     found = symbols_in(list(values))
     return found[0].recorder if found else Recorder(Builder(), "the function")
 
 
 def _reduced(ufunc: np.ufunc, values: Objects, axis: Any, keepdims: bool) -> Any:
-    """Return a fold of all entries, or along one axis, from the first."""
+    """Return the reduction of all entries, or along one axis, in the order of the entries."""
     shape = values.shape
     lines = values.ravel() if axis is None else np.moveaxis(values, axis, 0)
     if not len(lines):

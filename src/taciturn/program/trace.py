@@ -1,4 +1,4 @@
-"""Records a function of NumPy arrays as operations of a program: called once, with symbols in place of numbers."""
+"""Tracing of a function of NumPy arrays: the function is called once with symbols, and its operations are recorded."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taciturn.program.ir import Builder, Coefficient
 from taciturn.program.rebound import rebind
 from taciturn.program.symbols import Recorder, is_list, objects
 
-_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy of what plain arrays of objects cannot do
+_OF_OBJECTS = re.compile(r"has no callable \w+ method|dtype\('O'\)")  # NumPy's errors for plain arrays of objects
 
 
 def trace(
@@ -25,24 +25,26 @@ def trace(
     arguments: Mapping[str, Sequence[int]],
     results: Mapping[str, int],
 ) -> dict[str, list[int]]:
-    """Call a function once with symbols, and return the operations of what it returns.
+    """Call a function once with symbols, and return the operations of its results.
 
-    The function is NumPy code that runs on floats as well. Its numbers are not known while it is traced: a choice is
-    ``np.where`` and no ``if``. What does not depend on its arguments is computed now. Functions that it calls by name
-    may fill an array of ``np.zeros``; methods of objects make theirs by ``np.zeros_like(x)`` or ``np.stack([…])``.
+    The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
+    traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed
+    during the trace. The function, and functions that it calls by name, may assign to entries of arrays from
+    ``np.zeros``. Methods of objects must create arrays by ``np.zeros_like(x)`` or ``np.stack([…])``.
 
     Args:
-        builder: where the operations go.
-        function: of one vector for each argument.
-        arguments: operations of each of its vectors, by name, in the order of its parameters.
-        results: entries of each vector that it returns, by name. Of one: the function returns it; of several: a tuple.
-            A vector of one entry may be a number.
+        builder: collects the operations.
+        function: function with one vector per argument.
+        arguments: operations of the entries of each vector, by name, in the order of the parameters.
+        results: number of entries of each returned vector, by name. The function returns one vector, or a tuple of
+            several vectors. A number may replace a vector of one entry.
 
     Returns:
-        The operations of each result.
+        The operations of the entries of each result.
 
     Raises:
-        ProblemError: the function fails, asks for a number or uses what cannot be traced, or returns something else.
+        ProblemError: the function fails, needs the value of a number, uses a function that cannot be traced, or
+            returns a wrong number of results or a result of wrong size.
     """
     name = getattr(function, "__name__", type(function).__name__)
     recorder = Recorder(builder, name)
@@ -57,7 +59,7 @@ def trace(
             raise recorder.lost() from error
         raise ProblemError(
             f"{name} fails when it is traced: {type(error).__name__}: {' '.join(str(error).split())}; "
-            f"expected a function of the vectors {', '.join(arguments)} that NumPy code makes of them"
+            f"expected a function of the vectors {', '.join(arguments)} in NumPy code"
         ) from error
     if returned is None:
         raise ProblemError(f"{name} returns nothing; expected the vector {', '.join(results)}")
@@ -74,7 +76,7 @@ def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int
     found = objects(value)
     if found.shape != (size,) and not (size == 1 and found.shape == ()):
         raise ProblemError(
-            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), a number for each entry"
+            f"{recorder.name} returns {name} of shape {found.shape}; expected ({size},), one number per entry"
         )
     return [recorder.builder.value(_number(recorder, name, i, entry)) for i, entry in enumerate(found.ravel().tolist())]
 
@@ -82,7 +84,6 @@ def _result(recorder: Recorder, name: str, size: int, value: object) -> list[int
 def _number(recorder: Recorder, name: str, place: int, entry: object) -> Coefficient:
     if isinstance(entry, float) and not math.isfinite(entry):
         raise ProblemError(
-            f"{recorder.name} returns {entry} as entry {place} of {name}, whatever its arguments are; "
-            "expected a finite number"
+            f"{recorder.name} returns {entry} as entry {place} of {name} for all arguments; expected a finite number"
         )
     return recorder.number(entry)

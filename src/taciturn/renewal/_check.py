@@ -1,4 +1,4 @@
-"""A check as a linear map between nodes: a matrix, or for many nodes sums over one axis after the other on a grid."""
+"""A check as a linear map between nodes: a matrix or, for many nodes, sums on a grid over one axis after the other."""
 
 from __future__ import annotations
 
@@ -17,32 +17,32 @@ if TYPE_CHECKING:
     import scipy.sparse
 
 STEP = 0.2  # noise standard deviations between points of the grid
-STENCIL = 10  # points per axis that a value between them is taken from
-INTERPOLATED = 1e-7  # relative error that this leaves in a rate or an excess, at most
-NEAR = 7.0  # noise standard deviations beyond which nothing comes
+STENCIL = 10  # points per axis of an interpolation
+INTERPOLATED = 1e-7  # largest relative error of rate and excess due to the interpolation
+NEAR = 7.0  # noise standard deviations beyond which the density of the noise is negligible
 MOST_POINTS = 20_000_000
-SOLVED = 1e-3  # residual of the equations, of the accuracy
-LEAST = 1e-11  # that it can be, relative
-DIRECTIONS, RESTARTS = 80, 2
+SOLVED = 1e-3  # residual of the equations, relative to the accuracy
+LEAST = 1e-11  # least relative residual
+DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """The map as a matrix.
+    """The map of a check as a matrix.
 
     Args:
-        entries: the share that goes from rows to columns in a check, (nodes, nodes).
+        entries: probability to go from the node of the row to that of the column without a send, (nodes, nodes).
     """
 
     entries: Array
 
     @property
     def slack(self) -> float:
-        """Relative error that the map itself brings."""
+        """Relative error of rate and excess due to the map itself."""
         return 0.0
 
     def after(self, share: Array) -> Array:
-        """Return the shares at the nodes after a check, given those before it."""
+        """Return the probabilities of the nodes after a check, given those before the check."""
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
@@ -56,12 +56,12 @@ class Matrix:
 
 @dataclass(frozen=True)
 class Effort:
-    """What a quadrature is to spend.
+    """The budget of a quadrature.
 
     Args:
-        accuracy: of rate and excess, relative, that is aimed at.
-        alive: called now and then; it may raise ``OutOfTime``.
-        dense: nodes up to which the map is a matrix.
+        accuracy: requested relative accuracy of rate and excess.
+        alive: called regularly; it may raise ``OutOfTime``.
+        dense: largest number of nodes for which the map is a matrix.
     """
 
     accuracy: float
@@ -70,18 +70,18 @@ class Effort:
 
 
 class Grid:
-    """The map without a matrix.
+    """The map of a check by sums on a grid, without a matrix.
 
-    What the noise makes of values at the nodes is smooth in where the error would be without it. So it is summed on a
-    grid, axis by axis as the nodes are nested, and read off between the points of the grid.
+    The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
+    of a grid, one axis after the other because the nodes are nested, and interpolated between these points.
 
     Args:
         white: the chain.
-        nodes: at which values are given.
-        effort: how well the equations are solved.
+        nodes: nodes at which values are given.
+        effort: accuracy to which the equations are solved.
 
     Raises:
-        TooManyNodes: the grid is too large.
+        TooManyNodes: the grid would be too large.
     """
 
     def __init__(self, white: White, nodes: Nodes, effort: Effort) -> None:
@@ -102,7 +102,7 @@ class Grid:
         self.read = _stencils(means, halves, self.shape)
 
     def ahead(self, values: Array) -> Array:
-        """Return what is expected, from each node, of values after the check that keeps the error."""
+        """Return the expectation, from each node, of values after a check without a send."""
         sums = (self.scale * values)[:, None]
         for level, fall in zip(reversed(self.levels), reversed(self.falls), strict=True):
             sums = level.gathered(fall, sums)
@@ -110,7 +110,7 @@ class Grid:
         return np.asarray(self.read @ (even + np.flip(even)).ravel(), dtype=np.float64)
 
     def after(self, share: Array) -> Array:
-        """Return the shares at the nodes after a check, given those before it."""
+        """Return the probabilities of the nodes after a check, given those before the check."""
         even = np.asarray(self._read_back @ share, dtype=np.float64).reshape(self.shape)
         sums = (even + np.flip(even)).reshape(1, -1)
         for level, fall in zip(self.levels, self.falls, strict=True):
@@ -122,16 +122,16 @@ class Grid:
         return self.read.T
 
     def settled(self, known: Array) -> Array:
-        """Return X with X = known + ahead(X), for every column; not a number where it is not found."""
+        """Return X with X = known + ahead(X), for every column; NaN if the iteration does not converge."""
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return X with X = known + after(X); not a number where it is not found."""
+        """Return X with X = known + after(X); NaN if the iteration does not converge."""
         return self._solved(self.after, known)
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:
-        """Return x with x = known + check(x), by GMRES; not a number where it is not found."""
-        import scipy.sparse.linalg  # 0.2 s, and few answers need it
+        """Return x with x = known + check(x), by GMRES; NaN if the iteration does not converge."""
+        import scipy.sparse.linalg  # takes 0.2 s, and few answers need it
 
         def less(x: Array) -> Array:
             self.effort.alive()
@@ -146,7 +146,7 @@ class Grid:
 
 
 def _stencils(means: Array, halves: Array, shape: tuple[int, ...]) -> scipy.sparse.csr_matrix:
-    """Return the matrix that reads values at means off a grid: Lagrange's polynomial through the points around each."""
+    """Return the matrix that interpolates from a grid to the means, by Lagrange polynomials through nearby points."""
     import scipy.sparse
 
     place = means / STEP
@@ -167,7 +167,7 @@ def _stencils(means: Array, halves: Array, shape: tuple[int, ...]) -> scipy.spar
 
 
 def _lagrange(away: Array) -> Array:
-    """Return the weights of STENCIL points one apart, at places so far from each of them, (places, STENCIL)."""
+    """Return the Lagrange weights of STENCIL points with spacing 1, given the distances to them, (places, STENCIL)."""
     weights = np.ones_like(away)
     for k in range(STENCIL):
         for other in range(STENCIL):

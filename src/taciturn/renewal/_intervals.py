@@ -1,4 +1,4 @@
-"""How long intervals last, from the map that a check makes of the density of the kept error."""
+"""Distribution of the intervals between sends, from the map of the density of unsent errors at a check."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from taciturn._arrays import Array, frozen
 from taciturn.renewal._check import Grid, Matrix
 from taciturn.renewal.chain import Intervals
 
-NEGLIGIBLE = 1e-14  # survival
-SETTLED = 1e-12  # change of the kept error's distribution between looks: then survival is geometric
-SMALL = 1e-3
-STEPS = 1024  # checks that are taken one by one; after them so many at once
-SLOW_STEPS = 128  # the same on a grid
-MOST_NODES = 2500  # whose map is raised to a power
+NEGLIGIBLE = 1e-14  # survival probability that counts as 0
+SETTLED = 1e-12  # change of the distribution of the unsent error below which the survival is geometric
+SMALL = 1e-3  # share of the mean interval after the last check below which a difference would cancel
+STEPS = 1024  # checks that are computed one by one; after them this many per product
+SLOW_STEPS = 128  # checks that are computed one by one on a grid
+MOST_NODES = 2500  # most nodes of a map that is raised to a power
 MOST_CHECKS = 1 << 22
 
 
 def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) -> Intervals:
-    """Return the survival check by check, until it is negligible or geometric.
+    """Return the distribution of the intervals, computed check by check until the survival is negligible or geometric.
 
-    The survival after the last check is given the factor with which it sums to the mean interval: where survival is
-    geometric that is the dominant eigenvalue of the map.
+    After the last check, the survival is assumed to decrease by a constant factor per check, such that its sum is the
+    mean interval. If the survival is geometric, this factor is the dominant eigenvalue of the map.
 
     Args:
-        start: of each node, its share of errors after the first check, (nodes,).
-        check: the map.
-        checks: mean of the checks that are still to come, the next one included, (nodes,).
-        mean: interval in checks.
+        start: probability of each node after the first check, (nodes,).
+        check: the map of a check.
+        checks: expected checks until the next send, with the next check included, (nodes,).
+        mean: mean interval in checks.
 
     Returns:
         The distribution.
@@ -39,14 +39,14 @@ def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) ->
         more, error = _many_at_once(error, check.entries)
         survival = np.concatenate([survival, more])
     left = mean - float(survival.sum())
-    if left < SMALL * mean:  # the difference has lost its digits, and the sum of the rest has few to lose
+    if left < SMALL * mean:  # the difference cancels; the sum of the rest is then accurate enough
         left = float(error @ (checks - 1))
     left = left / survival[-1] if survival[-1] > 0 else 0.0
     return Intervals(frozen(survival), left / (1 + left))
 
 
 def _one_by_one(start: Array, check: Matrix | Grid) -> tuple[Array, Array, bool]:
-    """Return the survival, what is kept after its last check, and whether no more is needed."""
+    """Return the survival, the distribution of the unsent error after the last check, and whether it is complete."""
     survival, error = [1.0, float(start.sum())], start
     steps = STEPS if isinstance(check, Matrix) else SLOW_STEPS
     while survival[-1] > NEGLIGIBLE:
@@ -60,8 +60,8 @@ def _one_by_one(start: Array, check: Matrix | Grid) -> tuple[Array, Array, bool]
 
 
 def _many_at_once(error: Array, kernel: Array) -> tuple[Array, Array]:
-    """Return the further survival and what is kept after its last check, STEPS checks for one product."""
-    ahead = np.empty((len(error), STEPS))  # column k: the chance to be kept k + 1 times
+    """Return the further survival, and the distribution after its last check, with STEPS checks per product."""
+    ahead = np.empty((len(error), STEPS))  # column k: probability of no send at the next k + 1 checks
     column = np.ones(len(error))
     for k in range(STEPS):
         column = kernel @ column
@@ -77,6 +77,6 @@ def _many_at_once(error: Array, kernel: Array) -> tuple[Array, Array]:
 
 
 def _same(before: Array, after: Array) -> bool:
-    """Say whether two densities have one shape."""
+    """Return whether two densities have the same shape."""
     sizes = before.sum(), after.sum()
     return bool(sizes[1] > 0 and np.abs(after / sizes[1] - before / sizes[0]).sum() <= SETTLED)

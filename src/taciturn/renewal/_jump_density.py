@@ -1,4 +1,4 @@
-"""The density of what normal jumps of a period add to an error in the plane: along rays from where it would be."""
+"""Density of the increment that normal jumps of one period add to an error in the plane, tabulated along rays."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from taciturn._arrays import Array
 from taciturn.renewal._nodes import legendre
 from taciturn.renewal.chain import NoQuadratureError
 
-BEYOND = 1e-10  # probability of jumps that are left out because they are too large together
-SPLIT = 0.5  # of √(ρ/reach), where the two radial tables meet
-TAPER = 8  # power with which the Fourier sum ends
-RESOLVED = 1e-6  # of the characteristic function, that may be left beyond the frequencies kept
+BEYOND = 1e-10  # probability of the larger increments, which are neglected
+SPLIT = 0.5  # value of √(ρ/reach) at which the two radial tables meet
+TAPER = 8  # power in the exponent of the window that ends the Fourier sum
+RESOLVED = 1e-6  # largest characteristic function at the highest frequency, relative to its maximum
 
 
 @dataclass(frozen=True)
 class Fineness:
-    """Numbers of nodes of a density.
+    """Numbers of nodes in the tables of a density.
 
     Args:
-        angles: of a table in the angle.
-        radii: of a table in the radius, two tables of this size per angle.
-        waves: of the Fourier sum, per direction.
-        times: of an integral over the period.
+        angles: nodes of a table in the angle.
+        radii: nodes in the radius of each of the two tables per angle.
+        waves: frequencies of the Fourier sum per direction.
+        times: nodes of an integral over the period.
     """
 
     angles: int
@@ -39,13 +39,13 @@ class Fineness:
 
 
 @dataclass(frozen=True, eq=False)
-class Shower:
-    """Normal jumps over a period in the plane.
+class CompoundPoissonNoise:
+    """A Poisson process of normal jumps in the plane, over the period between two checks.
 
     Args:
         A: (2, 2) dynamics per second.
-        G: a jump is Gξ, (2, 1) or (2, 2).
-        rate: λ, per second.
+        G: a jump is Gξ with standard normal ξ, (2, 1) or (2, 2).
+        rate: λ, jumps per second.
         period: τ, seconds.
     """
 
@@ -56,22 +56,22 @@ class Shower:
 
     @property
     def quiet(self) -> float:
-        """Probability e^{−λτ} of no jump."""
+        """Probability e^{−λτ} of no jump in a period."""
         return exp(-self.rate * self.period)
 
     def moved(self, left: Array) -> Array:
-        """Return e^{As}G, what a jump becomes until the check, for times s left, (…, 2, jumps)."""
+        """Return e^{As}G, the effect of a jump at the check, for times s from the jump to the check, (…, 2, jumps)."""
         return flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:
-        """Return the covariance of what a period adds, (2, 2)."""
+        """Return the covariance of the increment of a period, (2, 2)."""
         left, weights = gauss(times, 0.0, self.period)
         moved = self.moved(left)
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
 
 
 def gauss(count: int, low: float = 0.0, high: float = 1.0) -> tuple[Array, Array]:
-    """Return nodes and weights of Gauss and Legendre on an interval."""
+    """Return nodes and weights of Gauss–Legendre quadrature on an interval."""
     nodes, weights = legendre(count)
     return low + (high - low) * (nodes + 1) / 2, weights * (high - low) / 2
 
@@ -82,7 +82,8 @@ def _composite(count: int, edges: Array) -> tuple[Array, Array]:
 
 
 def flow(A: Array, times: Array) -> Array:
-    """Return e^{At} of a (2, 2) matrix in closed form for many times, (…, 2, 2)."""
+    """Return e^{At} of a (2, 2) matrix for many times, in closed form, (…, 2, 2)."""
+    # A = mean·I + rest, and rest² = −det(rest)·I (Cayley–Hamilton): the series of e^{rest·t} is a cosh and a sinh
     mean = float(np.trace(A)) / 2
     rest = A - mean * np.eye(2)
     turn = np.asarray(np.sqrt(complex(-np.linalg.det(rest))) * times, dtype=np.complex128)
@@ -95,12 +96,12 @@ def flow(A: Array, times: Array) -> Array:
 
 
 def cross(first: Array, second: Array) -> Array:
-    """Return the area that two vectors span, with its sign."""
+    """Return the signed area of the parallelogram that two vectors span."""
     return first[..., 0] * second[..., 1] - first[..., 1] * second[..., 0]
 
 
 def eased(share: Array) -> Array:
-    """Return 3x² − 2x³: nodes on [0, 1] moved towards both ends, where integrands have roots and logarithms."""
+    """Return 3x² − 2x³, which moves nodes on [0, 1] towards both ends, where integrands have roots and logarithms."""
     return share * share * (3 - 2 * share)
 
 
@@ -109,12 +110,12 @@ def _uneased(share: Array) -> Array:
 
 
 def _chebyshev(count: int) -> Array:
-    """Return the nodes of Chebyshev on [0, 1]."""
+    """Return the Chebyshev nodes on [0, 1]."""
     return (1 - np.cos(np.pi * (np.arange(count) + 0.5) / count)) / 2
 
 
 def _coefficients(values: Array) -> Array:
-    """Return the coefficients along the first axis of what takes these values at the nodes of Chebyshev."""
+    """Return the Chebyshev coefficients, along the first axis, of a function with these values at the nodes."""
     count = len(values)
     basis = chebyshev.chebvander(2 * _chebyshev(count) - 1, count - 1)
     found = (basis.T @ values.reshape(count, -1)) * (2 / count)
@@ -124,12 +125,13 @@ def _coefficients(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """The density along rays of the plane; from ρ p(ρ) dρ dθ the weight of a place follows.
+    """The density p of the increment along rays; the probability of an area element is ρ p(ρ) dρ dθ.
 
     Args:
-        tables: coefficients of ρ p without the single jumps, over √(ρ/reach) below and above SPLIT, (2, rays, radii).
-        single: ρ p of single jumps is single·exp(−(ρ/size)²/2), (rays,).
-        size: (rays,).
+        tables: Chebyshev coefficients in √(ρ/reach) of ρ p without single jumps, below and above SPLIT,
+            (2, rays, radii).
+        single: amplitude of single jumps, whose ρ p is single·exp(−(ρ/size)²/2), (rays,).
+        size: standard deviation of a single jump that points along the ray, (rays,).
     """
 
     tables: Array
@@ -137,68 +139,70 @@ class Rays:
     size: Array
 
     def part(self, chosen: npt.NDArray[np.bool_]) -> Rays:
-        """Return some of the rays."""
+        """Return the chosen rays."""
         return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
 
     def density(self, root: Array, radius: Array, outer: int) -> Array:
-        """Return ρ p at √(ρ/reach) and ρ, (rays, nodes each), all in one of the two radial tables."""
+        """Return ρ p, given √(ρ/reach) and ρ, (rays, nodes) each; all must lie in the same radial table."""
         table, low = self.tables[outer], SPLIT * outer
         turn = 2 * (root - low) / SPLIT - 1
         last, before = np.zeros_like(root), np.zeros_like(root)
-        for k in range(table.shape[1] - 1, 0, -1):  # Clenshaw
+        for k in range(table.shape[1] - 1, 0, -1):  # Clenshaw's recurrence sums the Chebyshev series
             last, before = table[:, k : k + 1] + 2 * turn * last - before, last
         many = table[:, :1] + turn * last - before
         return many + self.single[:, None] * np.exp(-((radius / self.size[:, None]) ** 2) / 2)
 
 
 class Density:
-    """The density of what at least one jump adds, in the plane.
+    """The density of the increment of a period with at least one jump, in the plane.
 
-    One jump of rank one has a density only in the cone that its direction sweeps until the check, and is kept in
-    closed form. So is the logarithm that two jumps bring, by quadrature over both times. More jumps, or jumps of rank
-    two, are smooth enough for a Fourier sum over their characteristic function.
+    A single jump of rank one has a density only in the cone that its direction sweeps until the check; this part has a
+    closed form. The density of two such jumps has a logarithmic singularity and is integrated over both times. The
+    density of more jumps, or of jumps of rank two, is smooth enough for a Fourier sum of the characteristic function.
 
     Args:
-        shower: in coordinates where the covariance of a period is the identity.
-        fineness: of the tables.
+        shower: the jumps, in coordinates in which the increment of a period has the identity as covariance.
+        fineness: numbers of nodes of the tables.
 
     Raises:
-        NoQuadratureError: a jump's direction turns by half a turn or more within a period, or jumps are nearly flat.
+        NoQuadratureError: the direction of a jump turns by half a turn or more within a period, or does not turn, or
+            jumps are nearly flat.
     """
 
-    def __init__(self, shower: Shower, fineness: Fineness) -> None:
+    def __init__(self, shower: CompoundPoissonNoise, fineness: Fineness) -> None:
         self.shower, self.fineness = shower, fineness
         self.flat = shower.G.shape[1] == 1
         sizes = np.linalg.norm(shower.moved(gauss(60, 0.0, shower.period)[0]), 2, axis=(-2, -1))
         self.reach = reach(float(sizes.max()), shower.rate * shower.period)
         self._times, self._turns = self._sweep() if self.flat else (np.zeros(0), np.array([0.0, np.pi / 2]))
         low, high = float(self._turns[0]), float(self._turns[-1])
+        # sector 0 is the cone of single jumps; its edges are the only angles at which the density is not smooth
         self.sectors = ((low, high), (high, low + np.pi))
         self._tables = [self._table(sector) for sector in range(2)]
 
     def _sweep(self) -> tuple[Array, Array]:
-        """Return times left and the angles of a jump then, increasing in the angle."""
+        """Return times from a jump to the check, and the angle of the jump at the check, in the order of the angle."""
         times = np.linspace(0.0, self.shower.period, 2001)
         moved = self.shower.moved(times)[..., 0]
         angles = np.unwrap(np.arctan2(moved[:, 1], moved[:, 0]))
         if not 1e-6 < abs(angles[-1] - angles[0]) < 0.99 * np.pi:
             raise NoQuadratureError(
-                f"a jump turns by {abs(angles[-1] - angles[0]):.3g} rad within a period; this quadrature needs it "
-                "to turn, but by less than half a turn; check more often, or simulate"
+                f"the direction of a jump turns by {abs(angles[-1] - angles[0]):.3g} rad within a period; expected "
+                "more than 0 and less than half a turn (3.14 rad); check more often, or simulate"
             )
         return (times, angles) if angles[-1] > angles[0] else (times[::-1], angles[::-1])
 
     def _left(self, angles: Array) -> Array:
-        """Return the times left at which a jump points so."""
+        """Return the times from a jump to the check at which the jump then points in given directions."""
         times = np.interp(angles, self._turns, self._times)
         rays = np.stack([np.cos(angles), np.sin(angles)], -1)
-        for _ in range(3):  # Newton
+        for _ in range(3):  # Newton's method, from the interpolated table
             moved = self.shower.moved(times)[..., 0]
             times = times - cross(rays, moved) / cross(rays, moved @ self.shower.A.T)
         return np.clip(times, 0.0, self.shower.period)
 
     def _table(self, sector: int) -> Array:
-        """Return the coefficients of ρ p over eased angle and √(ρ/reach), (2, angles, radii)."""
+        """Return the coefficients of ρ p in the eased angle and in √(ρ/reach), (2, angles, radii)."""
         low, high = self.sectors[sector]
         angles = low + (high - low) * eased(_chebyshev(self.fineness.angles))
         share = _chebyshev(self.fineness.radii)
@@ -213,7 +217,8 @@ class Density:
 
     @cached_property
     def _spectrum(self) -> tuple[Array, Array]:
-        """Return frequencies and the characteristic function of at least one jump, of rank one at least three."""
+        """Return frequencies and the characteristic function of at least one jump (of rank one: of at least three)."""
+        # λ ∫ exp(−½|wave·jump|²) dt is the exponent of the characteristic function of a compound Poisson process
         shower, count = self.shower, self.fineness.waves
         waves = np.pi / self.reach * np.arange(-(count // 2), count // 2)
         jumps = np.zeros((count, count // 2))
@@ -221,7 +226,7 @@ class Density:
         for moved, weight in zip(shower.moved(left), weights, strict=True):
             seen = sum((waves[:, None] * g[0] + waves[count // 2 :] * g[1]) ** 2 for g in moved.T)
             jumps += shower.rate * weight * np.exp(-seen / 2)
-        few = jumps < 0.05  # where differences would cancel
+        few = jumps < 0.05  # where the differences would cancel, so that a series is used
         if self.flat:
             series = jumps**3 / 6 * (1 + jumps / 4 * (1 + jumps / 5 * (1 + jumps / 6)))
             spectrum = np.where(few, series, np.expm1(jumps) - jumps - jumps**2 / 2)
@@ -229,13 +234,13 @@ class Density:
             spectrum = np.expm1(jumps)
             if max(spectrum[0].max(), spectrum[:, -1].max()) > RESOLVED * spectrum.max():
                 raise NoQuadratureError(
-                    "the jumps are nearly flat: much narrower in one direction than what they add within a period; "
-                    "simulate instead"
+                    "the distribution of the jumps is nearly flat: in one direction it is much narrower than the "
+                    "change of the state in one period; simulate instead"
                 )
-        if self.flat:  # a sharp end would ring through the tables
+        if self.flat:  # a sharp end of the sum would cause oscillations in the tables
             share = np.hypot(waves[:, None], waves[count // 2 :]) / waves[-1]
             spectrum *= np.exp(-36 * share**TAPER)
-        spectrum[:, 0] /= 2  # the other half of the plane has the same values
+        spectrum[:, 0] /= 2  # only half of the frequencies is stored, by symmetry; column 0 would count twice
         return np.asarray(waves, dtype=np.float64), spectrum * shower.quiet
 
     def _fourier(self, places: Array) -> Array:
@@ -246,11 +251,12 @@ class Density:
         return 2 * (real - imaginary) / (2 * self.reach) ** 2
 
     def _two(self, ray: Array, radii: Array, left: float) -> Array:
-        """Return the density of two jumps along a ray.
+        """Return the density of the sum of two jumps along a ray.
 
-        Given the times, two jumps are normal. The integral over both times nearly breaks where both point along the
-        ray: nodes crowd there and, in the logarithm, where the two are equal.
+        Given the times of both jumps, their sum is normal. The integrand over the two times is nearly singular where
+        both jumps point along the ray, and has a logarithm where the times are equal: nodes are dense at both places.
         """
+        # the square of both times is divided at the corner (left, left), where both jumps point along the ray
         shower, period = self.shower, self.shower.period
         sizes, weights = _composite(6, np.r_[0.0, np.exp2(np.arange(-14.0, 1.0))])
         close, crowd = _composite(8, np.array([0.0, 1.0, 3.0, 6.0, 10.0, 16.0, 32.0]))
@@ -275,6 +281,7 @@ class Density:
             spanned = np.abs(cross(one, two))
             kept = spanned > 0
             spanned = np.where(kept, spanned, 1.0)
+            # N(0, one one' + two two') at ρ·ray: exp(−½ρ² exponent)/(2π spanned)
             exponent = (cross(ray, two) ** 2 + cross(one, ray) ** 2) / spanned**2
             kept &= exponent * radii[0] ** 2 < 80
             exponents.append(exponent[kept])
@@ -283,7 +290,7 @@ class Density:
         return shower.rate**2 * shower.quiet * (decay @ np.concatenate(masses))
 
     def rays(self, angles: Array, sector: int) -> Rays:
-        """Return the density along rays at angles of one sector."""
+        """Return the density along rays whose angles lie in one sector."""
         low, high = self.sectors[sector]
         table = self._tables[sector]
         basis = chebyshev.chebvander(2 * _uneased((angles - low) / (high - low)) - 1, table.shape[1] - 1)
@@ -297,11 +304,11 @@ class Density:
 
 
 def reach(jump: float, mean: float) -> float:
-    """Return the distance that jumps of at most this standard deviation exceed with a negligible probability.
+    """Return the distance that the sum of the jumps of a period exceeds with a negligible probability.
 
     Args:
-        jump: the largest standard deviation in any direction, of one jump.
-        mean: number of jumps.
+        jump: largest standard deviation of one jump in any direction.
+        mean: mean number of jumps.
     """
     counts = range(1, int(mean + 12 * sqrt(mean) + 30))
     chances = [exp(m * log(mean) - mean - lgamma(m + 1)) for m in counts]

@@ -1,4 +1,4 @@
-"""The equations of a chain with jumps on a line."""
+"""Equations for a scalar error under Poisson jumps: quadrature over the interval of unsent errors."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import NoQuadratureError
 
 MOST_NODES = 1000
-FADED = 9.0  # standard deviations
+FADED = 9.0  # frequency times the smallest standard deviation at which the characteristic function is negligible
 
 
 @dataclass(frozen=True)
 class Line:
-    """A scalar chain.
+    """A scalar error under Poisson jumps that is sent if it exceeds a bound.
 
     Args:
-        a: growth per second.
+        a: dynamics between jumps, ė = a e, per second.
         jump: standard deviation of a jump.
-        rate: λ, per second.
-        period: τ, seconds.
-        F: per check.
-        bound: errors beyond ± this are sent.
-        Gamma: Γ.
+        rate: λ, jumps per second.
+        period: τ, seconds between two checks.
+        F: factor of the error from one check to the next, without jumps.
+        bound: an error e is sent if |e| is above it.
+        Gamma: Γ, weight of the cost of an unsent error.
     """
 
     a: float
@@ -39,35 +39,41 @@ class Line:
     Gamma: float
 
     def sums(self, fineness: float, checks: int) -> Sums:
-        """Return the equations, with numbers of nodes in proportion to ``fineness``.
+        """Return the equations; the numbers of nodes are proportional to ``fineness``.
 
-        What is added has a normal density given the times of the jumps: its narrowest normal sets all scales.
+        Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
+        the scale of all nodes.
 
         Raises:
             NoQuadratureError: too many nodes.
         """
+        # a jump grows by e^{a·left} in the time ``left`` from the jump to the check
         left, weights = gauss(60, 0.0, self.period)
         sizes = self.jump * np.exp(self.a * left)
         narrow, distance = float(sizes.min()), reach(float(sizes.max()), self.rate * self.period)
         count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
         if max(count, fineness * distance / narrow) > MOST_NODES:
             raise NoQuadratureError(
-                f"errors spread over {self.bound / narrow:.3g} standard deviations of the smallest jump, more than "
-                "this quadrature takes; check less often, or simulate"
+                f"unsent errors spread over {self.bound / narrow:.3g} standard deviations of the smallest jump, more "
+                "than this quadrature supports; check less often, or simulate"
             )
+        # Fourier series on [−distance, distance] of the density of at least one jump: its characteristic function is
+        # e^{−λτ} (exp(λ ∫ e^{−(wave·size)²/2} dt) − 1)
         waves = np.pi / distance * np.arange(1, int(FADED * distance / narrow / np.pi) + 2)
         logs = self.rate * np.exp(-np.outer(waves**2 / 2, sizes**2)) @ weights
         quiet = float(np.exp(-self.rate * self.period))
         spectrum = quiet * np.concatenate([[np.expm1(self.rate * self.period) / 2], np.expm1(logs)]) / distance
+        # all expectations are even functions of the error: half of the nodes and the even polynomials suffice
         nodes = np.cos(np.pi * (np.arange(count) + 0.5) / count) * self.bound
         starts = np.append(nodes[: count // 2] * self.F, 0.0)
         basis = chebyshev.chebvander(nodes[: count // 2] / self.bound, count - 2)[:, ::2]
-        # the density is evaluated by its own polynomial: at most places there are far more of them than waves
+        # the density is replaced by a polynomial, as it is evaluated at far more points than there are waves
         density = chebyshev.Chebyshev.interpolate(
             lambda place: np.cos(np.outer(place, np.append(0.0, waves))) @ spectrum,
             int(40 + 6 * distance / narrow), domain=[0.0, distance],
         )  # fmt: skip
         steps, sides = np.zeros((checks + 1, len(starts), count // 2)), np.zeros((2, checks + 1, len(starts)))
+        # an error ``place`` after a jump is unsent after j checks without a jump if |F^i place| ≤ bound, i = 0 … j
         for j in range(checks + 1):
             power = self.F**j
             low = np.maximum(-self.bound / max(1.0, abs(power)), starts - distance)

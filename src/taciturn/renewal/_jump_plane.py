@@ -1,4 +1,4 @@
-"""The equations of a chain with jumps in the plane: integrals over rays that break where an error leaves the set."""
+"""Equations for an error in the plane under Poisson jumps: integrals along rays, split at the edges of the set."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
-from taciturn.renewal._jump_density import SPLIT, Density, Fineness, Rays, Shower, eased, gauss
+from taciturn.renewal._jump_density import SPLIT, CompoundPoissonNoise, Density, Fineness, Rays, eased, gauss
 from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import NoQuadratureError
 
-BREAKING = 1  # checks without a jump whose sets break the integral over the angle too
-CROWDED, CROWDING = 0.7, 4.0  # slopes to an axis that break the integral over the angle: below, in steps of
-DISTINCT = 1e-10  # radians between two breaks
+BREAKING = 1  # checks without a jump whose sets split also the integral over the angle
+CROWDED, CROWDING = 0.7, 4.0  # slopes to the longer axis that split the integral over the angle: largest, and ratio
+DISTINCT = 1e-10  # least angle between two splits, radians
 MOST_NODES = 1600
-FAR = 16  # power of the distance, relative to where the set is cut, that tells how far errors come
+FAR = 16  # power of the distance (relative to the truncation), whose mean shows how far errors come
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Grid:
     """Numbers of nodes in the plane.
 
     Args:
-        along: of the longer axis of the set, even.
-        across: of the shorter axis.
-        angles: between two breaks.
-        radii: of a piece of a ray.
-        checks: without a jump that are followed one by one.
-        cut: of the longer axis, in standard deviations of what a period adds.
-        density: of its tables.
+        along: nodes along the longer axis of the set, an even number.
+        across: nodes along the shorter axis.
+        angles: angles between two splits.
+        radii: nodes on a piece of a ray.
+        checks: checks without a jump that are followed one by one.
+        cut: where the longer axis is truncated, in standard deviations of the increment of a period.
+        density: numbers of nodes in the tables of the density.
     """
 
     along: int
@@ -43,16 +43,16 @@ class Grid:
 
 
 class Plane:
-    """A chain in the plane, in coordinates where what a period adds has the identity for its covariance.
+    """A chain in the plane, in coordinates in which the increment of a period has the identity as covariance.
 
     Args:
         shower: the jumps.
-        F: (2, 2).
-        Psi: Ψ/δ, (2, 2).
-        Gamma: Γ, (2, 2).
+        F: map of the error from one check to the next, without jumps, (2, 2).
+        Psi: Ψ/δ, weight of the trigger over its threshold, (2, 2).
+        Gamma: Γ, weight of the cost, (2, 2).
     """
 
-    def __init__(self, shower: Shower, F: Array, Psi: Array, Gamma: Array) -> None:
+    def __init__(self, shower: CompoundPoissonNoise, F: Array, Psi: Array, Gamma: Array) -> None:
         root = np.linalg.cholesky(shower.covariance())
         inverse = np.linalg.inv(root)
         self.shower = replace(shower, A=inverse @ shower.A @ root, G=inverse @ shower.G)
@@ -62,7 +62,7 @@ class Plane:
         self.long, self.short = (float(1 / np.sqrt(max(value, 1e-14 * values[1]))) for value in values)
 
     def density(self, fineness: Fineness) -> Density:
-        """Return the density of what at least one jump adds, tabulated once."""
+        """Return the density of the increment with at least one jump; its tables are computed once."""
         if fineness not in self._densities:
             self._densities[fineness] = Density(self.shower, fineness)
         return self._densities[fineness]
@@ -71,18 +71,19 @@ class Plane:
         """Return the equations on a grid.
 
         Raises:
-            NoQuadratureError: too many nodes, or no density.
+            NoQuadratureError: too many nodes, or an increment without a density.
         """
         if grid.along * grid.across > 2 * MOST_NODES:
             raise NoQuadratureError(
-                f"errors spread over a set that needs {grid.along} × {grid.across} nodes, more than this quadrature "
-                "takes; the threshold is large against a period's noise: check less often, or simulate"
+                f"unsent errors spread over a set that needs {grid.along} × {grid.across} nodes, more than this "
+                "quadrature supports; the threshold is large compared with the noise of a period: check less often, or "
+                "simulate"
             )
         return _Operator(self, grid).sums()
 
 
 class _Operator:
-    """The integrals of a plane on a grid."""
+    """Computes the integrals of a chain in the plane on a grid."""
 
     def __init__(self, plane: Plane, grid: Grid) -> None:
         self.plane, self.grid = plane, grid
@@ -93,13 +94,14 @@ class _Operator:
         for _ in range(grid.checks):
             powers.append(plane.F @ powers[-1])
         self.powers = np.array(powers)
+        # set j holds the errors that are unsent after j checks without a jump: (F^j e)'Ψ(F^j e) ≤ 1, truncated
         edge = plane.axes[:, 0] / self.cut
         sides = [plane.Psi, np.outer(edge, edge)][: 2 if grid.cut < plane.long else 1]
         self.sets = np.array([[power.T @ side @ power for side in sides] for power in powers])
         self.corners = self._corners()
         self.narrow = [d for matrix in self.sets[: BREAKING + 1, 0] for d in self._narrow(matrix)]
         orders = np.add.outer(np.arange(grid.along), np.arange(grid.across))
-        self.even = orders % 2 == 0
+        self.even = orders % 2 == 0  # expectations are even functions of the error
 
     def sums(self) -> Sums:
         """Return the equations."""
@@ -121,7 +123,7 @@ class _Operator:
         )
 
     def _error(self, along: Array, across: Array) -> Array:
-        """Return the errors at coordinates in [−1, 1]²; angle and share of the chord, in which a disc is smooth."""
+        """Return the errors at coordinates in [−1, 1]²: an angle and a fraction of the chord, smooth on a disc."""
         angle = along * self.widest
         long = self.plane.long * np.sin(angle)[:, None] * self.plane.axes[:, 0]
         return long + (self.plane.short * np.cos(angle) * across)[:, None] * self.plane.axes[:, 1]
@@ -133,7 +135,7 @@ class _Operator:
         return along, np.clip(errors @ self.plane.axes[:, 1] / chord, -1, 1)
 
     def _corners(self) -> list[Array]:
-        """Return where the boundaries of two sets meet on the boundary of all of them together."""
+        """Return the points where the boundaries of two sets meet on the boundary of the intersection of all sets."""
         found = list[Array]()
         sides = self.sets.shape[1]
         matrices = self.sets[: BREAKING + 1].reshape(-1, 2, 2)
@@ -146,7 +148,7 @@ class _Operator:
         return found
 
     def _narrow(self, matrix: Array) -> list[Array]:
-        """Return directions that crowd around the longer axis of a set: chords change fast there."""
+        """Return directions close to the longer axis of a set, where the length of chords changes fast."""
         values, axes = np.linalg.eigh(matrix)
         slope = float(1 / np.sqrt(values[1])) / self.density.reach
         found = [axes[:, 0]] if slope < CROWDED else []
@@ -156,9 +158,10 @@ class _Operator:
         return found
 
     def _breaks(self, start: Array) -> Array:
-        """Return the angles, over half a turn, between which chords through a place are smooth.
+        """Return the angles, over half a turn, between which chords through a point depend smoothly on the angle.
 
-        Outside a set: its tangents. Inside: where a chord is cut in half, near which it shrinks towards the boundary.
+        From a point outside a set these are the tangents. From a point inside it is the direction of the chord that the
+        point bisects: this chord becomes short as the point approaches the boundary.
         """
         directions = [corner - start for corner in self.corners] + self.narrow
         for matrix in self.sets[: BREAKING + 1].reshape(-1, 2, 2):
@@ -176,11 +179,12 @@ class _Operator:
         return kept
 
     def _rays(self, start: Array) -> tuple[Array, Array, Rays]:
-        """Return directions and weights of rays from a place, and the density along them."""
+        """Return directions and weights of rays from a point, and the density along them."""
         breaks = self._breaks(start)
         nodes, weights = gauss(self.grid.angles)
         widths = np.diff(breaks)[:, None]
         angles = (breaks[:-1, None] + widths * eased(nodes)).ravel()
+        # 6x(1 − x) is the derivative of ``eased``
         weights = (widths * 6 * nodes * (1 - nodes) * weights).ravel()
         within = angles < self.density.sectors[0][1]
         parts = [self.density.rays(angles[within], 0), self.density.rays(angles[~within], 1)] * 2
@@ -189,16 +193,18 @@ class _Operator:
             np.concatenate([part.single for part in parts]),
             np.concatenate([part.size for part in parts]),
         )
+        # both directions along each chord: the density is even, so that opposite rays share their tables
         angles = np.concatenate([angles, angles + np.pi])
         return np.stack([np.cos(angles), np.sin(angles)], -1), np.tile(weights, 2), both
 
     def _row(self, start: Array) -> tuple[Array, ...]:
-        """Return the integrals from one place, for each number of checks without a jump."""
+        """Return the integrals from one starting point, for each number of checks without a jump."""
         directions, weights, rays = self._rays(start)
         count = len(self.sets)
         steps, sides = np.zeros((count, int(self.even.sum()))), np.zeros((3, count))
         low, high = np.zeros(len(directions)), np.full(len(directions), self.density.reach)
         for j, edges in enumerate(self.sets):
+            # an error counts at check j if it lies in all sets so far: each ray is clipped to the part [low, high]
             for side in edges:
                 low, high = _narrowed(low, high, start, directions, side)
             chosen = high > low
@@ -208,7 +214,7 @@ class _Operator:
                 low[chosen], high[chosen], directions[chosen], weights[chosen], rays.part(chosen),
             )  # fmt: skip
             count = self.grid.radii if j == 0 else self.grid.radii * 3 // 5
-            for outer in range(2):
+            for outer in range(2):  # the two radial tables meet at SPLIT, so each part of a ray is integrated by itself
                 span = SPLIT * outer, SPLIT + SPLIT * outer
                 first, last = (np.clip(np.sqrt(end / self.density.reach), *span) for end in (low, high))
                 met = last > first
@@ -221,7 +227,7 @@ class _Operator:
         return steps, *sides
 
     def _polynomials(self, errors: Array, mass: Array) -> Array:
-        """Return the integral of every polynomial."""
+        """Return the integrals of the basis polynomials."""
         along, across = self._coordinates(errors)
         seen = chebyshev.chebvander(along, self.grid.along - 1) * mass[:, None]
         return (seen.T @ chebyshev.chebvander(across, self.grid.across - 1))[self.even]
@@ -234,7 +240,8 @@ class _Operator:
     def _piece(
         self, start: Array, check: int, ends: tuple[Array, Array], directions: Array, rays: Rays, outer: int, count: int
     ) -> tuple[Array, Array]:
-        """Return errors on a piece of every ray, moved by so many checks, and the probability there, (rays, nodes)."""
+        """Return errors on a piece of every ray after a number of checks, and their probabilities, (rays, nodes)."""
+        # ρ = reach·root², so that dρ = 2·reach·root d(root)
         nodes, weights = gauss(count)
         width = (ends[1] - ends[0])[:, None]
         roots = ends[0][:, None] + width * nodes
@@ -245,7 +252,7 @@ class _Operator:
 
 
 def _null_directions(matrix: Array) -> list[Array]:
-    """Return the directions d with d'Md = 0, none or two."""
+    """Return the directions d with d'Md = 0: none, or two."""
     a, b, c = float(matrix[0, 0]), float(matrix[0, 1]), float(matrix[1, 1])
     square = b * b - a * c
     if square <= 0:
@@ -255,7 +262,8 @@ def _null_directions(matrix: Array) -> list[Array]:
 
 
 def _narrowed(low: Array, high: Array, start: Array, directions: Array, matrix: Array) -> tuple[Array, Array]:
-    """Return the part of each ray that lies in the set e'Me ≤ 1 as well."""
+    """Return the part of each ray that also lies in the set e'Me ≤ 1."""
+    # a ρ² + 2bρ + c ≤ 0; q/a and c/q are the roots without cancellation
     a = np.maximum(np.einsum("ri,ij,rj->r", directions, matrix, directions), 1e-300)
     b, c = directions @ matrix @ start, float(start @ matrix @ start) - 1
     square = b * b - a * c

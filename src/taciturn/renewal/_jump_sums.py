@@ -1,4 +1,4 @@
-"""The linear equations of a chain with jumps, and what follows from them."""
+"""The linear equations of a chain with jumps: their solution gives mean interval, mean cost and distribution."""
 
 from __future__ import annotations
 
@@ -10,26 +10,28 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn.renewal.chain import Intervals
 
-GONE = 1e-10  # survival after which a single decay stands for all later checks
-MOST = 20_000  # checks of a survival function
-STEADY = 1e-12  # change of the decay per check, relative, that counts as none
+GONE = 1e-10  # survival probability below which a single decay factor is used for all later checks
+MOST = 20_000  # checks at which a survival function is computed
+STEADY = 1e-12  # relative change of the decay factor per check below which the factor counts as constant
 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Integrals over what jumps add, for errors at nodes and, in the last row, for the error 0 after a send.
+    """Integrals over the increment of a period with a jump, from each node and, in the last row, from the error 0.
 
-    After a jump an error e is kept for j checks without one with weight e^{−λτj} while e, Fe, …, F^j e ∈ E. Any
-    expectation after a jump, v, then satisfies v = Σ_j ∫ p (a + v)(F^j e), with a = 1 for a count of checks and e'Γe
-    for costs; jumps have made it smooth, and it is a sum of few polynomials.
+    Let v(x) be the expected sum over the checks from the next jump on, times the probability that a jump occurs in the
+    next period. The error e after a jump is still unsent after j checks without a jump if e, Fe, …, F^j e ∈ E; no jump
+    occurs in these checks with probability e^{−λτj}. So v = Σ_j ∫ p (a + v)(F^j e), with the density p of e, and a = 1
+    to count checks or a = e'Γe for costs. The density of the jumps makes v smooth: few polynomials represent it.
 
     Args:
-        basis: values of the polynomials at the nodes, (nodes, nodes).
-        steps: for each j, the integral of each polynomial at F^j e, (checks, nodes + 1, nodes).
-        ones: of 1, (checks, nodes + 1).
-        costs: of the cost, (checks, nodes + 1).
+        basis: values of the basis polynomials at the nodes, (nodes, nodes).
+        steps: for each j, the integrals of the polynomials at F^j e, (checks, nodes + 1, nodes).
+        ones: for each j, the integrals of 1, (checks, nodes + 1).
+        costs: for each j, the integrals of the cost, (checks, nodes + 1).
         quiet: e^{−λτ}, the probability of no jump in a period.
-        far: of a high power of the distance, relative to where the set is cut, (checks, nodes + 1).
+        far: for each j, the integrals of a high power of the distance, relative to the distance at which the set is
+            truncated, (checks, nodes + 1).
     """
 
     basis: Array
@@ -41,19 +43,20 @@ class Sums:
 
     @cached_property
     def _last(self) -> Array:
-        """Weights of the checks; the last stands for all later ones too."""
+        """Weight of each j; the last weight includes all larger j, as a geometric series."""
         weights = np.ones(len(self.steps))
         weights[-1] = 1 / (1 - self.quiet)
         return weights
 
     @cached_property
     def _whole(self) -> tuple[Array, Array]:
-        """Return the sums over j."""
+        """Return the integrals, summed over j."""
         sides = np.stack([self._last @ part for part in (self.ones, self.costs, self.far)], -1)
         return np.tensordot(self._last, self.steps, 1), sides
 
     @cached_property
     def _cycle(self) -> Array:
+        # v at the nodes, then at the error 0; without a jump this error stays 0, which gives the factor 1/(1 − quiet)
         steps, sides = self._whole
         after = np.linalg.solve(self.basis - steps[:-1], sides[:-1])
         return (steps[-1] @ after + sides[-1] + np.array([1.0, 0.0, 0.0])) / (1 - self.quiet)
@@ -63,11 +66,13 @@ class Sums:
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on how much of the visits falls beyond where the set is cut."""
+        """Return a bound on the fraction of the checks at which the error lies beyond the truncation of the set."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:
-        """Return the distribution of the checks between sends, whose mean is known."""
+        """Return the distribution of the number of checks between sends, given its mean."""
+        # past[k]: P(no send at the next k + 1 checks, and a jump in the next period), as coefficients of the basis;
+        # origin[k]: the same from the error 0
         inverse = np.linalg.inv(self.basis)
         steps, ones = inverse @ self.steps[:, :-1], self.ones[:, :-1] @ inverse.T
         count = len(self.steps)

@@ -1,4 +1,4 @@
-"""The martingale of a lower bound by duality: φ = min(0, U) of a fitted schedule, less its conditional mean."""
+"""The martingale of a lower bound by duality: φ = min(0, U) of a fitted schedule minus its conditional mean."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import root
 from taciturn.renewal.fitted import Fitted, squares
 
-BLOCK = 2**17  # numbers worked on at once: more leave the cache, and memory is asked for anew each time
+BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and their memory is allocated anew each time
 
 
 class Martingale:
-    """The error, and the schedule that the martingale is made of: φ = min(0, U), and a bell near it.
+    """The error and the function φ = min(0, U) of a fitted schedule, as a Gaussian function of the error plus a rest.
 
-    The bell has the height and the curvature of φ at 0, and Gaussian noise turns it into another bell. So its
-    conditional mean is exact, and only that of φ less the bell is taken over noises.
+    The Gaussian function (called bell) has the height and the curvature of φ at 0. Its conditional mean under Gaussian
+    noise has a closed form, so that only the conditional mean of the rest, φ minus the bell, is sampled.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n).
-        Gamma: Γ, (n, n).
+        Gamma: Γ, weight of the cost of silence, (n, n).
         fitted: the schedule.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, fitted: Fitted) -> None:
-        """Find the bell and what noise makes of it."""
+        """Compute the bell and its mean under the noise."""
         self.F, self.half, self.Gamma, self.fitted = F, root(noise), Gamma, fitted
         self.depth = fitted.gain + fitted.height  # of φ at 0
         bent = (2 * Gamma + fitted.height * fitted.Pi) / self.depth
@@ -34,11 +34,11 @@ class Martingale:
         self.less = float(np.linalg.det(spread)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the means over the noises of φ less the bell after a check, (batches, paths).
+        """Return the means over given noises of φ minus the bell after a check, (batches, paths).
 
         Args:
-            error: (batches, paths, n).
-            w: (batches, noises, n).
+            error: errors before the check, (batches, paths, n).
+            w: noises, (batches, noises, n).
         """
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
@@ -59,13 +59,13 @@ class Martingale:
         return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
 
     def now(self, error: Array) -> tuple[Array, Array]:
-        """Return the bell at each error, and φ less the bell."""
+        """Return the bell at each error, and φ minus the bell."""
         cost, power = squares(error, self.Gamma), squares(error, self.fitted.Pi)
         bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
         return bell, self._off(cost, power)
 
     def _off(self, cost: Array, power: Array) -> Array:
-        """Return φ less the bell, written over what it is given: most of the time of a bound goes here."""
+        """Return φ minus the bell, and overwrite both arguments; most of the time of a bound is spent here."""
         power *= 0.5
         bell = power * (self.fitted.height / -self.depth)
         bell -= cost / self.depth

@@ -1,4 +1,4 @@
-"""Nodes for integrals over a region, of which only what Gaussian noise reaches matters."""
+"""Quadrature nodes for integrals over the part of a region that errors under Gaussian noise reach."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from numpy.polynomial.legendre import leggauss
 from taciturn._arrays import Array, frozen
 from taciturn.renewal._whiten import White
 
-STEEP = 4.0  # a map this much steeper than one has finer nodes at once
-SPACING = 0.8  # noise standard deviations between the nodes of an axis that does not bind
-LARGEST = 3000  # nodes of one rule, which take seconds: their time grows with the third power
-FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: this many, and so many per half-width in noise spreads
+STEEP = 4.0  # norm of a column of F from which on nodes are finer in proportion
+SPACING = 0.8  # noise standard deviations between equidistant nodes
+LARGEST = 3000  # most nodes of one rule; computing them takes seconds, with the third power of their number
+FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: a constant, and per noise deviation of the half-width
 
 
 class Region(Protocol):
-    """Errors that are kept, symmetric about 0: a chord of them above each place of the outer axes."""
+    """The errors that are not sent, symmetric about 0: one chord on the next axis for each point on the outer axes."""
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the next axis, given the outer ones.
+        """Return the ends of the chord on the next axis, given coordinates on the outer axes.
 
         Args:
-            outer: (places, outer axes).
-            low: where the window begins, (places,).
-            high: where it ends, (places,).
+            outer: coordinates on the outer axes, (places, outer axes).
+            low: start of the window on the next axis, (places,).
+            high: end of the window, (places,).
 
         Returns:
-            The ends, which need not be exact beyond the window; the same number twice where nothing is kept.
+            The ends, which need not be exact outside the window; both are the same number where the chord is empty.
         """
         ...
 
@@ -41,13 +41,13 @@ class Ellipsoid:
     """The region Σ_i m_i x_i² ≤ 1.
 
     Args:
-        m: (n,).
+        m: weights, (n,).
     """
 
     m: Array
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the next axis, exactly; infinite where nothing bounds it."""
+        """Return the exact ends of the chord on the next axis; infinite if m is 0 on this axis."""
         axis, left = outer.shape[1], np.ones(len(outer))
         for m, x in zip(self.m, outer.T, strict=False):
             left = np.maximum(left - m * x * x, 0.0)
@@ -57,22 +57,23 @@ class Ellipsoid:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Where kept errors are, axis by axis.
+    """The window of unsent errors, axis by axis.
 
     Args:
-        covariance: of kept errors, or about it: it gives each axis a mean and a deviation given the outer ones, (n, n).
-        reach: of each axis, how many of those deviations away kept errors come, (n,).
+        covariance: approximate covariance of unsent errors, (n, n). This covariance determines the conditional mean
+            and standard deviation of each axis, given the outer ones.
+        reach: half-width of the window on each axis, in conditional standard deviations, (n,).
     """
 
     covariance: Array
     reach: Array
 
     def scaled(self, factor: float) -> Window:
-        """Return the window with so many times the reach."""
+        """Return the window with the reach multiplied by a factor."""
         return Window(self.covariance, self.reach * factor)
 
     def given_outer(self, outer: Array) -> tuple[Array, float]:
-        """Return mean and standard deviation of the next axis, for each row of the outer ones."""
+        """Return conditional mean and standard deviation of the next axis, for each row of outer coordinates."""
         d, covariance = outer.shape[1], self.covariance
         slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
         return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
@@ -80,24 +81,25 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The places of nested nodes on one axis.
+    """The coordinates of nested nodes on one axis.
 
     Args:
-        x: (places,).
-        first: the first of the places that share each place of the outer axes, ascending, (outer places,).
+        x: coordinates, (places,).
+        first: for each point of the outer axes, the index of its first coordinate on this axis, ascending,
+            (outer places,).
     """
 
     x: Array
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
-        """Return Σ fall ⊗ sums over what shares an outer place; (places, points), (places, k) to (outer, points·k)."""
+        """Return Σ fall ⊗ sums for each outer point, from (places, points) and (places, k) to (outer, points·k)."""
         ends = (*self.first[1:], len(self.x))
         parts = [fall[low:high].T @ sums[low:high] for low, high in zip(self.first, ends, strict=True)]
         return np.stack(parts).reshape(len(parts), -1)
 
     def scattered(self, fall: Array, sums: Array) -> Array:
-        """Return the transpose of gathering, (outer, points·k) to (places, k)."""
+        """Return the transpose of ``gathered``, from (outer, points·k) to (places, k)."""
         ends = (*self.first[1:], len(self.x))
         cubes = sums.reshape(len(self.first), fall.shape[1], -1)
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
@@ -105,12 +107,12 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """One of every pair ±x of nodes.
+    """Quadrature nodes, one of every pair ±x.
 
     Args:
-        x: (nodes, n).
-        weight: (nodes,).
-        levels: the axes, outer ones first.
+        x: nodes, (nodes, n).
+        weight: weights, (nodes,).
+        levels: the coordinates on each axis, outer axes first.
     """
 
     x: Array
@@ -124,7 +126,7 @@ class TooManyNodes(Exception):  # noqa: N818
 
 @dataclass(frozen=True, eq=False)
 class _Span:
-    """The part of an axis that is kept, one for each node of the outer axes: a chord, cut by a window."""
+    """The chord [first, last] on an axis for each node of the outer axes, and its part [low, high] in the window."""
 
     first: Array
     last: Array
@@ -134,24 +136,25 @@ class _Span:
 
 
 def place(white: White, region: Region, window: Window, density: float, more: int, most: int) -> Nodes:
-    """Return nodes for a region, axis by axis, each on the chord that the outer ones leave.
+    """Return nodes for a region, axis by axis, each on the chord that the coordinates on the outer axes leave.
 
-    An axis whose chord no kept error reaches has equidistant nodes, the others those of Gauss; outer ones of
-    them in the angle, x = centre + c sin φ, as the inner integral ends like a square root.
+    An axis has equidistant nodes if the window ends before the chord on both sides, and Gauss–Legendre nodes otherwise.
+    An outer axis has them in the angle φ, x = centre + c sin φ, as the integral over the inner axes ends like a square
+    root.
 
     Args:
         white: the chain.
-        region: where errors are kept.
-        window: where kept errors are.
-        density: of the nodes, 1 for the usual one.
-        more: pairs of nodes on each Gaussian axis, so that a finer set is finer on all of them.
-        most: nodes.
+        region: the errors that are not sent.
+        window: the window of unsent errors.
+        density: density of the nodes, relative to the usual one.
+        more: additional pairs of nodes on each Gauss–Legendre axis, so that a finer set is finer on every axis.
+        most: largest number of nodes.
 
     Returns:
-        One of every pair ±x.
+        One node of every pair ±x.
 
     Raises:
-        TooManyNodes: more than ``most``.
+        TooManyNodes: more than ``most`` nodes are needed.
     """
     n = len(white.m)
     levels = list[Level]()
@@ -160,7 +163,7 @@ def place(white: White, region: Region, window: Window, density: float, more: in
     for axis in range(n):
         span = _span(x, region, window)
         rule = _equidistant if span.slack else _straight if axis == n - 1 else _angular
-        afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first ones are dropped
+        afforded = 2 * most if axis == 0 else most / len(weight)  # half of the first axis is dropped, by symmetry
         inner, inner_weight = rule(span, density * float(bends[axis]), more, afforded)
         if axis == 0:
             inner, inner_weight = _upper_half(inner, inner_weight)
@@ -214,13 +217,13 @@ def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[A
 
 @lru_cache(maxsize=64)
 def legendre(count: int) -> tuple[Array, Array]:
-    """Return nodes and weights of Gauss and Legendre on [−1, 1], which are the same for many integrals."""
+    """Return Gauss–Legendre nodes and weights on [−1, 1], cached, as many integrals use the same ones."""
     nodes, weights = leggauss(count)
     return frozen(nodes), frozen(weights)
 
 
 def _affordable(half: float, most: float) -> int:
-    """Return half the nodes of an axis as an integer."""
+    """Return half the number of nodes of an axis, as an integer."""
     if half > most:
         raise TooManyNodes
     return max(int(np.ceil(half)), 1)

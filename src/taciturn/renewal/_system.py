@@ -1,4 +1,4 @@
-"""The renewal equations on nodes: where kept errors are, the map of a check, rate and cost, and errors left."""
+"""The renewal equations on nodes: the window of unsent errors, the map of a check, rate, cost, and their errors."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from taciturn.renewal._nodes import Nodes, Region, TooManyNodes, Window, place
 from taciturn.renewal._whiten import White
 from taciturn.renewal.chain import NoQuadratureError
 
-MOST_NODES = 40_000  # whose equations take seconds
-DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is quicker than a grid, and up to which it is affordable
-COARSE = 0.5  # density of the nodes that tell where kept errors are
-FIRST, USUAL = 0.53, 1e-8  # density below what an accuracy needs; it goes with the root of the digits
-LARGE = 1e-6  # in three dimensions
-LOOSEST = 1e-4  # coarser nodes would not know their own error
-NARROW = 0.85  # of the windows that the coarse nodes ask for
-FINER, WIDER = 1.25, 1.1  # from one answer to the next
+MOST_NODES = 40_000  # most nodes; their equations take seconds
+DENSE, DENSEST = 1200, 6000  # nodes up to which a matrix is faster than a grid, and up to which it is affordable
+COARSE = 0.5  # density of the nodes from which the window of unsent errors is found
+FIRST, USUAL = 0.53, 1e-8  # first density for this accuracy; it is proportional to the root of the number of digits
+LARGE = 1e-6  # default accuracy in three dimensions
+LOOSEST = 1e-4  # loosest accuracy: the error of coarser nodes cannot be estimated
+NARROW = 0.85  # first window, relative to the one found with coarse nodes
+FINER, WIDER = 1.25, 1.1  # factors of density and window from one answer to the next
 RUNGS = 12
 PASSES = 12
-REACH = 8.0  # conditional standard deviations, at first
-BEYOND = 0.01  # of the accuracy: the share of checks and of cost that a window may cut off
-SAFETY = 2.0  # of what an answer moved by
-ROUNDING = 1e-14  # per check of the mean interval
-USELESS = 0.01  # relative error
+REACH = 8.0  # first reach of a window, in conditional standard deviations
+BEYOND = 0.01  # fraction of checks and of cost that a window may cut off, relative to the accuracy
+SAFETY = 2.0  # claimed error over the last change
+ROUNDING = 1e-14  # relative rounding error per check of the mean interval
+USELESS = 0.01  # relative error above which an answer is rejected
 
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The kept error on nodes: its density times weight after one check, and the map of a check.
+    """The unsent error on nodes: its distribution after one check, and the map of a check.
 
     Args:
-        x: (nodes, n).
-        share: the part of the plain density, (2π)^{-n/2} weight, (nodes,).
-        start: (nodes,).
-        check: the map.
-        cost: x'Γx, (nodes,).
+        x: nodes, (nodes, n).
+        share: weight of each node times (2π)^{-n/2}, the factor of the normal density, (nodes,).
+        start: probability of each node after the first check, (nodes,).
+        check: the map of a check.
+        cost: x'Γx at each node, (nodes,).
     """
 
     x: Array
@@ -53,15 +53,15 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Rate and excess, and the checks and the cost that are still to come from each node.
+    """Rate and excess, and the expected checks and cost from each node until the next send.
 
     Args:
-        system: what was solved.
-        checks: (nodes,).
-        costs: (nodes,).
+        system: the equations that were solved.
+        checks: expected checks until the next send, (nodes,).
+        costs: expected cost until the next send, (nodes,).
         rate: sends per check.
         excess: cost per check.
-        left: relative error of rate and excess that further iterations would take away, where a solution is iterated.
+        left: relative error of rate and excess that further policy iterations would remove.
     """
 
     system: System
@@ -73,7 +73,7 @@ class Solved:
 
     @property
     def rounding(self) -> float:
-        """Relative error that no finer nodes take away."""
+        """Relative error that finer nodes would not reduce."""
         return ROUNDING * (1 + 1 / self.rate) + self.system.check.slack
 
     def moved(self, previous: Solved) -> float:
@@ -84,13 +84,13 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A solution, a coarser one, and what that says of the error.
+    """A fine solution, a coarser one, and the error estimated from both.
 
     Args:
-        found: the finer one.
-        rate_error: absolute.
-        excess_error: absolute.
-        previous: the coarser one.
+        found: the finer solution.
+        rate_error: absolute error of the rate.
+        excess_error: absolute error of the excess.
+        previous: the coarser solution.
     """
 
     found: Solved
@@ -100,52 +100,53 @@ class Answer:
 
     @property
     def off(self) -> float:
-        """The larger relative error."""
+        """The larger of the relative errors of rate and excess."""
         excess = self.found.excess
         return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 
 
 def usual_accuracy(white: White) -> float:
-    """Return the relative accuracy that is aimed at where none is asked for."""
+    """Return the default relative accuracy."""
     return USUAL if len(white.m) < 3 else LARGE
 
 
 def afforded(step: int, dimensions: int) -> int:
-    """Return how many nodes a rung may take: the first leaves room for the next, without which it says nothing."""
-    # a chord's ends take nodes at any density
+    """Return the most nodes of an attempt; the first leaves room for a finer one, which its error estimate needs."""
+    # the exponent is n/2, not n, as part of the nodes of a chord does not depend on the density
     return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
 
 
 def most_dense(dimensions: int, accuracy: float) -> int:
-    """Return the nodes up to which the map of a check is a matrix: a grid has too few digits for a fine accuracy."""
+    """Return the most nodes for which the map of a check is a matrix; a grid is too inaccurate for a fine accuracy."""
     return DENSEST if dimensions < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
 
 def first_density(accuracy: float) -> float:
-    """Return the density of the nodes of the first rung."""
+    """Return the density of the nodes of the first attempt."""
     return FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
 
 
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
 ) -> Answer:
-    """Return the answer of ever finer nodes on ever wider windows that settles first.
+    """Solve on finer and finer nodes and wider and wider windows until rate and excess no longer change.
 
-    What it last moved by is the error claimed, twice, which is that of the coarser answer.
+    The claimed error is twice the last change, which is the error of the coarser answer.
 
     Args:
-        attempt: solves with a density of the nodes and a factor of the window, on a rung; None where that fails.
-        accuracy: relative.
-        less: what would make it easier, for the reader of a refusal.
-        instead: what else there is.
-        told: the progress; the best answer so far is the last one when it is out of time.
+        attempt: solves for a density of the nodes, a factor of the window, and a number of the attempt; returns None if
+            this fails.
+        accuracy: requested relative accuracy.
+        less: remedy in error messages, such as a smaller threshold.
+        instead: alternative in error messages, such as a simulation.
+        told: reports the progress; when time runs out, the best answer so far is returned.
 
     Returns:
-        The best answer.
+        The most accurate answer.
 
     Raises:
-        NoQuadratureError: too many nodes, or too few digits.
-        OutOfTime: before the first answer.
+        NoQuadratureError: too many nodes are needed, or the answers do not agree.
+        OutOfTime: time runs out before the first answer.
 
     Source: khashooei2017
     """
@@ -162,7 +163,7 @@ def climb(
             break
         missed += found is None
         if missed > 1 or (found is not None and found.rounding > USELESS):
-            break  # hardly ever sent: finer nodes find no more digits
+            break  # hardly ever sent: finer nodes would not be more accurate
         if previous is not None and found is not None:
             answer = _compared(found, previous)
             best = answer if best is None or answer.off <= best.off else best
@@ -173,28 +174,28 @@ def climb(
         density, factor = density * FINER, factor * WIDER
     if best is None:
         raise NoQuadratureError(
-            f"kept errors spread over too many standard deviations of the noise for {MOST_NODES} nodes, or are hardly "
-            f"ever sent; expected {less} or more noise for a quadrature; {instead}"
+            f"unsent errors spread over too many standard deviations of the noise for {MOST_NODES} nodes, or errors "
+            f"are hardly ever sent; expected {less} or more noise for a quadrature; {instead}"
         )
     if best.off > USELESS:
         raise NoQuadratureError(
-            f"within {MOST_NODES} nodes and the digits of floating point, rate and excess settle to {best.off:.1g} of "
-            f"themselves; expected {USELESS:g}; take {less}, or {instead}"
+            f"with {MOST_NODES} nodes in double precision, rate and excess have a relative error of {best.off:.1g}; "
+            f"expected at most {USELESS:g}; use {less}, or {instead}"
         )
     return best
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
-    """Return where kept errors are, as coarse nodes see it on windows that they set themselves.
+    """Return the window of unsent errors, iterated on coarse nodes.
 
     Args:
         white: the chain.
-        region: where errors are kept.
-        covariance: of kept errors, about, (n, n).
-        effort: with the accuracy of rate and excess.
+        region: the errors that are not sent.
+        covariance: approximate covariance of unsent errors, (n, n).
+        effort: budget, with the accuracy of rate and excess.
 
     Returns:
-        A window beyond which hardly any checks and costs are.
+        A window outside which the share of checks and cost is negligible.
     """
     window = Window(covariance, np.full(len(covariance), REACH))
     accuracy, rough = min(effort.accuracy, LOOSEST), replace(effort, dense=DENSE)
@@ -213,24 +214,24 @@ def find_window(white: White, region: Region, covariance: Array, effort: Effort)
         ratio = np.linalg.eigvals(np.linalg.solve(window.covariance, found)).real
         if not cut.any() and ratio.min() > 0.8 and ratio.max() < 1.1:
             return Window(window.covariance, reach)
-        # an axis that ends with its chord has no more nodes for a wider window
+        # widen only axes that the window cuts off; on others the chord ends before the window
         window = Window(found, np.where(cut, 1.5 * window.reach, window.reach))
     return window
 
 
 def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
-    """Return the map of a check on even functions: what comes to −x counts for x; a matrix for so many nodes.
+    """Return the map of a check on even functions, in which −x counts as x, as a matrix or as sums on a grid.
 
     Args:
         white: the chain.
-        nodes: in the region that is kept.
-        effort: what may be spent.
+        nodes: nodes in the region of unsent errors.
+        effort: budget; it decides between matrix and grid.
 
     Returns:
         The system.
 
     Raises:
-        TooManyNodes: more than the sums on a grid can serve.
+        TooManyNodes: the grid would be too large.
     """
     n = len(white.m)
     density = (2 * np.pi) ** (-n / 2) * nodes.weight
@@ -247,18 +248,18 @@ def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
 
 
 def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
-    """Return the solution on some nodes, or None where they are too coarse to have one.
+    """Return the solution of the renewal equations on given nodes, or None if the nodes are too coarse.
 
     Args:
         white: the chain.
-        nodes: in the region that is kept.
-        effort: what may be spent.
+        nodes: nodes in the region of unsent errors.
+        effort: budget of the solution.
 
     Returns:
         The solution.
 
     Raises:
-        TooManyNodes: more than the sums on a grid can serve.
+        TooManyNodes: the grid would be too large.
     """
     system = discretise(white, nodes, effort)
     known = np.stack([np.ones(len(system.start)), system.cost], axis=1)
@@ -270,9 +271,9 @@ def solve(white: White, nodes: Nodes, effort: Effort) -> Solved | None:
 
 
 def _reach(system: System, visits: Array, window: Window, share: float) -> tuple[Array, npt.NDArray[np.bool_]]:
-    """Return the reach of each axis beyond which no more than a share of checks and cost lies, and where there is none.
+    """Return the reach of each axis that leaves out at most a share of checks and cost, and which axes are cut off.
 
-    There the window cut off more than that.
+    An axis is cut off if more than this share lies at the edge of the window.
     """
     weight = visits / visits.sum()
     if system.cost.any():
@@ -290,7 +291,7 @@ def _reach(system: System, visits: Array, window: Window, share: float) -> tuple
 
 
 def gauss(means: Array, x: Array) -> Array:
-    """Return exp(−½|x_j − mean_i|²); differences, as large coordinates would cancel in squares."""
+    """Return exp(−½|x_j − mean_i|²), from differences, because squares of large coordinates would cancel."""
     power = np.zeros((len(means), len(x)))
     for axis in range(x.shape[1]):
         difference = means[:, axis, None] - x[:, axis]
@@ -302,7 +303,7 @@ def gauss(means: Array, x: Array) -> Array:
 
 
 def _compared(found: Solved, previous: Solved) -> Answer:
-    """Return a solution with what it moved by, which is about the error of the coarser one, and with rounding."""
+    """Return a solution with its error: the change from the coarser solution, and rounding."""
     floor = found.rounding + SAFETY * found.left
     return Answer(
         found,

@@ -1,4 +1,4 @@
-"""A chain with Gaussian noise as a quadrature sees it: no idle directions, white noise, a diagonal trigger."""
+"""Coordinates for a chain with Gaussian noise: no irrelevant directions, white noise, and a diagonal trigger."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._modes import root
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 
-CRUMB = 1e-13  # relative: a weight this much smaller than the largest is rounding
-RANK = 1e-10  # relative: a direction this much weaker than the strongest is rounding
+CRUMB = 1e-13  # weight relative to the largest, below which it counts as rounding
+RANK = 1e-10  # singular value relative to the largest, below which its direction counts as rounding
 MOST_STATES = 3
 SOFT = np.pi / 2  # exp(−SOFT m x²/2) has the mass of the interval m x² ≤ 1
-SETTLED = 1e-6
-AGES = 20_000  # checks
+SETTLED = 1e-6  # relative change below which a covariance is final
+AGES = 20_000  # most checks without a send
 
 
 @dataclass(frozen=True, eq=False)
 class White:
-    """The chain x⁺ = F x + w, w ~ N(0, I), kept where Σ_i m_i x_i² ≤ 1, at a cost x'Γx.
+    """The chain x⁺ = F x + w, w ~ N(0, I), which is not sent if Σ_i m_i x_i² ≤ 1, and then costs x'Γx.
 
     Args:
-        F: (n, n).
-        m: ascending, so the axes that bind least come first, (n,).
-        Gamma: (n, n).
-        rows: x = rows e for an error e of the chain it is made of, (n, states).
+        F: map of the error from one check to the next, (n, n).
+        m: weights of the trigger, ascending, so that the least bounded axes come first, (n,).
+        Gamma: Γ, weight of the cost, (n, n).
+        rows: map to these coordinates, x = rows e for an error e of the original chain, (n, states).
     """
 
     F: Array
@@ -37,14 +37,14 @@ class White:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """A chain with a threshold of 1.
+    """A chain scaled to the threshold 1.
 
     Args:
-        F: (n, n).
-        noise: (n, n).
+        F: map of the error from one check to the next, (n, n).
+        noise: covariance of the noise, (n, n).
         Psi: Ψ/δ, (n, n).
-        Gamma: (n, n).
-        rows: of the coordinates, in those of the chain, (n, states).
+        Gamma: Γ, weight of the cost, (n, n).
+        rows: map from the coordinates of the original chain to these, (n, states).
     """
 
     F: Array
@@ -54,7 +54,7 @@ class Data:
     rows: Array
 
     def seen_in(self, rows: Array, columns: Array) -> Data:
-        """Return the data for z = rows e, e = columns z."""
+        """Return the data in coordinates z = rows e, e = columns z."""
         return Data(
             rows @ self.F @ columns,
             symmetrised(rows @ self.noise @ rows.T),
@@ -65,42 +65,43 @@ class Data:
 
 
 def reduced(chain: Chain) -> Data:
-    """Return the chain without the directions that no noise ever reaches or nothing ever sees.
+    """Return the chain without directions that no noise ever reaches or that affect neither trigger nor cost.
 
     Args:
-        chain: with Gaussian noise.
+        chain: chain with Gaussian noise.
 
     Returns:
-        The chain in as few coordinates.
+        The chain in the least number of coordinates.
 
     Raises:
-        NoQuadratureError: jumps; nothing is ever sent.
+        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
 
     Source: khashooei2017
     """
     if isinstance(chain.noise, JumpNoise):
-        raise NoQuadratureError("the noise comes in jumps; expected Gaussian noise; ask for the quadrature of jumps")
+        raise NoQuadratureError("the noise consists of jumps; expected Gaussian noise; use solve_jumps instead")
     data = _seen(_reached(Data(chain.F, chain.noise, chain.Psi / chain.delta, chain.Gamma, np.eye(len(chain.F)))))
     if not data.Psi.any():
         raise NoQuadratureError(
-            "nothing is ever sent: the noise reaches no direction of the error that is weighed; expected some; give "
-            "the plant noise, or weigh the states that it reaches"
+            "nothing would ever be sent: the noise reaches no direction of the error that Ψ weighs; expected at least "
+            "one; give the plant noise, or weigh the states that the noise reaches"
         )
     return data
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return the chain without the directions that no noise reaches or nothing sees, its noise white, Ψ diagonal.
+    """Return the chain of ``reduced`` in coordinates with white noise and a diagonal Ψ.
 
     Args:
-        chain: with Gaussian noise.
-        otherwise: what the reader of a refusal is told to do.
+        chain: chain with Gaussian noise.
+        otherwise: the remedy in an error message.
 
     Returns:
         The chain in at most three coordinates.
 
     Raises:
-        NoQuadratureError: jumps; nothing is ever sent; more than three states; a direction without noise.
+        NoQuadratureError: the noise consists of jumps, nothing is ever sent, more than three directions remain, or one
+            of them gets no noise in a check.
 
     Source: khashooei2017
     """
@@ -108,14 +109,14 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
     n = len(data.F)
     if n > MOST_STATES:
         raise NoQuadratureError(
-            f"{n} directions of the error are reached by noise and count, and a quadrature takes at most "
-            f"{MOST_STATES} of them; {otherwise}"
+            f"{n} directions of the error are reached by noise and affect trigger or cost, and the quadrature supports "
+            f"at most {MOST_STATES}; {otherwise}"
         )
     half = root(data.noise)
     if half.shape[1] < n:
         raise NoQuadratureError(
-            f"the noise of one check fills {half.shape[1]} of the {n} directions of the error that count, and a "
-            f"quadrature needs all of them; {otherwise}"
+            f"the noise of one check excites {half.shape[1]} of the {n} directions of the error that affect trigger or "
+            f"cost, and the quadrature needs noise in all of them; {otherwise}"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
     inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
@@ -124,18 +125,19 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
 
 
 def spread(white: White) -> Array:
-    """Return about the covariance of kept errors: that of the chain kept with probability exp(−½ SOFT Σ m_i x_i²).
+    """Return the approximate covariance of unsent errors: no send occurs with probability exp(−½ SOFT Σ m_i x_i²).
 
-    Its errors stay Gaussian at every age, so their covariances and the share that gets so old are known.
+    Under this random rule, errors are Gaussian at any number of checks since the last send, so that their covariances
+    and probabilities have a closed form.
 
     Args:
         white: the chain.
 
     Returns:
-        (n, n), definite; the larger side of the truth where the trigger binds.
+        The covariance, (n, n), definite; usually too large in directions that the trigger bounds.
 
     Raises:
-        NoQuadratureError: kept errors grow without bound.
+        NoQuadratureError: unsent errors grow without bound.
 
     Source: khashooei2017
     """
@@ -158,13 +160,13 @@ def spread(white: White) -> Array:
         else:
             return total / shares
     raise NoQuadratureError(
-        "kept errors grow without bound where Ψ does not see them; expected a Ψ that sees every growing direction of "
-        "the error; simulate instead"
+        "unsent errors grow without bound in a direction that Ψ does not weigh; expected a Ψ that weighs every growing "
+        "direction of the error; simulate instead"
     )
 
 
 def _reached(data: Data) -> Data:
-    """Return the data on the span of the noises that add up over the checks."""
+    """Return the data restricted to the directions that the noise reaches within n checks."""
     half = root(data.noise)
     size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0
     blocks = [half]
@@ -172,23 +174,23 @@ def _reached(data: Data) -> Data:
         blocks.append(data.F @ blocks[-1] / size)
     reach = np.hstack(blocks)
     lengths = np.linalg.norm(reach, axis=1)
-    unit = np.where(lengths > 0, lengths, 1.0)  # the units of the states decide nothing
+    unit = np.where(lengths > 0, lengths, 1.0)  # the result must not depend on the units of the states
     left, values, _ = np.linalg.svd(reach / unit[:, None], full_matrices=False)
     basis: Array = np.asarray(left[:, values > RANK * values.max(initial=0.0)], dtype=np.float64)
     weight: Array = np.asarray(values[: basis.shape[1]], dtype=np.float64)
-    # each direction in units of what the noise does to it
+    # each direction in units of the effect of the noise on it
     return data.seen_in((basis / weight).T / unit, unit[:, None] * basis * weight)
 
 
 def _half(weight: Array) -> Array:
-    """Return H with H'H = weight but for rounding, of coordinates in units of what the noise does to them."""
+    """Return H with H'H = weight up to rounding; coordinates are in units of the effect of the noise on them."""
     values, vectors = np.linalg.eigh(weight / np.abs(weight).max())
     kept = values > CRUMB * len(weight)
     return (vectors[:, kept] * np.sqrt(values[kept])).T
 
 
 def _seen(data: Data) -> Data:
-    """Return the data without the directions that neither Ψ nor Γ sees, now or later."""
+    """Return the data without directions that affect neither trigger nor cost, now or later (unobservable ones)."""
     if not data.F.size:
         return data
     size = float(np.linalg.norm(data.F, 2)) if data.F.any() else 1.0

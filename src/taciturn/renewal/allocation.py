@@ -1,4 +1,4 @@
-"""Errors that a clock resets: what every interval costs, and the best rates of many that share one channel, exactly."""
+"""Errors that periodic control resets: exact cost of every interval, and optimal rates on a shared channel."""
 
 from __future__ import annotations
 
@@ -8,24 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import radius, stationary
 
-LONGEST = 1 << 17  # checks between two sends; what would wait longer is never sent
-FIRST = 64  # intervals that are computed at once; then twice as many
-SETTLED = 1e-15  # relative change of a cost per check, from which on it is the limit
+LONGEST = 1 << 17  # most checks between two sends; an error with a longer interval is never sent
+FIRST = 64  # intervals that are computed first; their number is doubled when needed
+SETTLED = 1e-15  # relative distance of a cost per check from its limit below which it equals the limit
 HALVINGS = 200
 
 
 class Clocked:
-    """An error e⁺ = F e (1−σ) + w that is sent after every k checks, and costs e'Γe while it is kept.
+    """An error e⁺ = F e (1−σ) + w that is sent at every k-th check, and costs e'Γe at the other checks.
 
-    Between two sends w_j = tr(Γ P_j) at the check j, P_j = F P_{j−1} F' + W from P_0 = 0: an interval of k checks costs
-    S(k) = w_1 + … + w_{k−1}. A rate 1/k < r < 1/(k−1) takes turns of both intervals, so that S is linear in between.
+    At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
+    checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
+    between.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: W, covariance of w, (n, n).
-        Gamma: Γ, (n, n), semidefinite.
+        Gamma: Γ, weight of the cost, (n, n), semidefinite.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array) -> None:
@@ -36,11 +38,11 @@ class Clocked:
         self._spread = noise
         self._weights = np.zeros(0)
         self._extend(FIRST)
-        if not self._weights.any():  # no noise reaches what silence costs
+        if not self._weights.any():  # no noise reaches the directions that Γ weighs
             self.forever = 0.0
 
     def cost(self, rate: float) -> float:
-        """Return what checks cost on average, at a rate in [0, 1] of sends per check."""
+        """Return the mean cost per check at a rate of sends per check in [0, 1]."""
         if rate * LONGEST < 1:
             return self.forever
         interval = max(1 / rate, 1.0)
@@ -50,13 +52,13 @@ class Clocked:
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
 
     def interval(self, price: float) -> float:
-        """Return the best checks between sends at a price per send: the k of the least (S(k) + price)/k, or infinity.
+        """Return the optimal interval at a price per send, the k with the least (S(k) + price)/k, or infinity.
 
-        It is the first with k w_k − S(k) ≥ price, which grows with k as w does.
+        The result is the first k with k w_k − S(k) ≥ price; the left-hand side increases with k.
         """
         while True:
             count = np.arange(1, len(self._weights) + 1)
-            with np.errstate(over="ignore", invalid="ignore"):  # what is beyond all numbers is sorted last
+            with np.errstate(over="ignore", invalid="ignore"):  # infinite values are sorted last
                 gains = count * self._weights - self._sums[: len(count)]
             found = int(np.searchsorted(gains, price))
             if found < len(gains):
@@ -66,7 +68,7 @@ class Clocked:
             self._extend(2 * len(gains))
 
     def least_rate(self, cost: float) -> float:
-        """Return the rate, one of 1/k, below which checks cost more than so much on average."""
+        """Return the rate, one of 1/k, below which the mean cost per check exceeds ``cost``."""
         while self._sums[-1] < cost * len(self._sums) and len(self._sums) < LONGEST and not self._is_settled():
             self._extend(2 * len(self._weights))
         count = np.arange(1, len(self._sums) + 1)
@@ -77,7 +79,7 @@ class Clocked:
         return bool(np.isfinite(self.forever) and self.forever - last <= SETTLED * self.forever)
 
     def _extend(self, checks: int) -> None:
-        """Compute w_k for so many checks, at most the longest interval; numbers that overflow are infinite."""
+        """Compute w_k up to a number of checks, at most LONGEST; numbers that overflow become infinite."""
         more: list[float] = []
         with np.errstate(over="ignore", invalid="ignore"):
             for _ in range(len(self._weights), min(checks, LONGEST)):
@@ -90,14 +92,14 @@ class Clocked:
                 self._sums = np.concatenate([[0.0], np.cumsum(self._weights)])  # S(1), S(2), …
 
 
-@dataclass(frozen=True, eq=False)
-class Sharer:
-    """Errors of one kind on a channel.
+@dataclass(frozen=True, eq=False, repr=False)
+class LoopClass(Displayed):
+    """A class of identical loops that share a channel.
 
     Args:
-        error: what intervals cost.
-        count: how many there are.
-        every: ticks of the channel between two checks.
+        error: the error of one loop, with the cost of its intervals.
+        count: number of loops in the class.
+        every: steps of the channel between two checks of a loop.
     """
 
     error: Clocked
@@ -105,14 +107,14 @@ class Sharer:
     every: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class Allocation:
-    """The best rates on a clock.
+@dataclass(frozen=True, eq=False, repr=False)
+class Allocation(Displayed):
+    """The optimal rates of periodic control on a shared channel.
 
     Args:
-        rates: sends per check of each kind, (kinds,).
-        price: of a send, at which each kind would choose its rate itself; 0 where all can always send.
-        costs: of one error of each kind per tick, (kinds,).
+        rates: sends per check of each class, (classes,).
+        price: price per send at which each class would choose its rate by itself; 0 if all can send at every check.
+        costs: mean cost per step of one error of each class, (classes,).
     """
 
     rates: Array
@@ -120,16 +122,16 @@ class Allocation:
     costs: Array
 
 
-def allocate(sharers: Sequence[Sharer], capacity: float) -> Allocation:
-    """Return the rates that minimise the sum of costs per tick, the sends per tick at most the capacity.
+def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
+    """Return the rates that minimise the total cost per step, with at most ``capacity`` sends per step.
 
-    The cost of a check is convex in the rate, so that one price μ per send splits the problem: every kind takes its
-    best interval, and at the price where the load crosses the capacity the time is shared between both sides of it.
-    No periodic schedule, whatever its order, costs less than that.
+    The mean cost per check is a convex function of the rate. So one price μ per send separates the problem: every class
+    uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between
+    the intervals just below and just above this price. No periodic schedule in any order has a lower cost.
 
     Args:
-        sharers: the kinds.
-        capacity: sends per tick, positive.
+        sharers: the classes of loops.
+        capacity: largest number of sends per step, positive.
 
     Source: everett1963
     """

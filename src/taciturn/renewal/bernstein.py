@@ -1,7 +1,7 @@
-"""Polynomials on pieces of time as operations: certificates of no root, and the only root where there is one.
+"""Polynomials on pieces of time, as operations of a program: proof that there is no root, and the only root.
 
-A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in Bernstein's basis. It lies within the hull of its b_j, and has no
-more roots in (0, 1) than they have changes of sign, and an odd number where that number is odd.
+A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in the Bernstein basis. Its values lie between the least and the
+largest b_j. The number of roots in (0, 1) is at most the number of sign changes of the b_j, and has the same parity.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from taciturn.program.ir import Builder
 Monomials = Sequence[int | None]  # operations that give m_0, m_1, …; None: zero
 
 NEWTON_STEPS = 5
-ROOT_WIDTH = 1e-12  # half-width, as a share of the piece, of the interval in which the sign must change
+ROOT_WIDTH = 1e-12  # half-width of the interval in which the sign must change, as a fraction of the piece
 _LONGEST = 0.25  # ‖A‖·Δ of the longest piece
-_WAITS = 4.0  # of a series that does not end, the longest piece: it decides the order, and few waits are longer
-_ORDER_ERROR = 1e-14  # of the first term of Taylor's series that is left out
+_WAITS = 4.0  # longest piece in mean waits for an infinite series: it determines the order, and few waits are longer
+_ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
 class Motion:
-    """An error with ė = A e on pieces of time short enough for Taylor's series: exact where A is nilpotent.
+    """An error with ė = A e on pieces of time short enough for a Taylor series; the series is exact if A is nilpotent.
 
     Args:
-        A: (n, n).
-        wait: seconds that a piece lasts in the mean.
-        most: times that, beyond which no piece need go.
+        A: dynamics per second, (n, n).
+        wait: mean time between jumps, seconds.
+        most: longest piece, as a multiple of ``wait``.
     """
 
     def __init__(self, A: Array, wait: float, most: float) -> None:
@@ -38,7 +38,7 @@ class Motion:
         n = len(A)
         self.A, self.longest = A, most * wait
         chains = [m for m in range(1, n + 1) if not np.linalg.matrix_power(np.abs(A), m).any()]
-        if chains:  # nilpotent whatever the rounding: the series end
+        if chains:  # nilpotent by its zero pattern: the series end
             self.order, self.form_order = chains[0] - 1, 2 * (chains[0] - 1)
             return
         scale = balancing(A)
@@ -85,7 +85,7 @@ def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
 
 
 def evaluate(b: Builder, monomials: Monomials, x: int) -> int:
-    """Return the value at x."""
+    """Return the value of a polynomial at x."""
     return _horner(b, monomials, x)[0]
 
 
@@ -105,17 +105,18 @@ def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: in
 
     Args:
         b: collects the operations.
-        monomials: of the polynomial.
-        first: its value at 0, negative.
-        last: its value at 1, not negative.
-        there: truth value, whether all that is so; where it is not, the results mean nothing.
+        monomials: coefficients of the polynomial.
+        first: its value at 0, which must be negative.
+        last: its value at 1, which must not be negative.
+        there: truth value, whether these conditions hold; if not, the results have no meaning.
 
     Returns:
-        The root, whether it is found to ``ROOT_WIDTH``, and the bracket that is left, where the polynomial is negative
-        at the lower end and not at the upper one.
+        The root, whether it is accurate to ``ROOT_WIDTH``, and the ends of the remaining bracket. The polynomial is
+        negative at the lower end of the bracket, and not negative at the upper end.
     """
     zero, one = b.constant(0.0), b.constant(1.0)
     low, high = zero, one
+    # start where the straight line from the first to the last value is 0
     x = b.emit("div", b.emit("sub", zero, first), b.emit("select", there, b.emit("sub", last, first), one))
     for _ in range(NEWTON_STEPS):
         value, slope = _horner(b, monomials, x)
@@ -136,7 +137,7 @@ def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: in
 
 
 def _narrowed(b: Builder, low: int, high: int, x: int, value: int) -> tuple[int, int]:
-    """Return the bracket with what is known at x, if x lies inside."""
+    """Return the bracket, with one end moved to x by the sign of the value there, if x lies inside."""
     zero = b.constant(0.0)
     inside = b.emit("and", b.emit("greater", x, low), b.emit("greater", high, x))
     under = b.emit("greater", zero, value)
@@ -157,7 +158,7 @@ def _horner(b: Builder, monomials: Monomials, x: int) -> tuple[int, int]:
 
 
 def _order(size: float) -> int:
-    """Return the order after which the terms size^k/k! are lost in rounding."""
+    """Return the order after which the terms size^k/k! are below rounding."""
     order = 1
     while size ** (order + 1) / factorial(order + 1) > _ORDER_ERROR:
         order += 1

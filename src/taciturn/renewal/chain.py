@@ -1,4 +1,4 @@
-"""An error that a send resets: what exact analysis is given, and what it finds."""
+"""An error that a send resets: the input and the results of its analysis."""
 
 from __future__ import annotations
 
@@ -7,32 +7,33 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, count, number
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.plant import JumpNoise
 
 
 class NoQuadratureError(ProblemError):
-    """A chain that no quadrature of this library serves: the sentence says why, and after a semicolon what to do."""
+    """Raised for a chain that no quadrature supports; the message is a reason, a semicolon, and a remedy."""
 
     @property
     def reason(self) -> str:
-        """Why, without what is expected or to be done."""
+        """The reason, without expectation and remedy."""
         return str(self).split("; ", 1)[0]
 
 
-@dataclass(frozen=True, eq=False)
-class Chain:
-    """An error that is looked at once per check.
+@dataclass(frozen=True, eq=False, repr=False)
+class Chain(Displayed):
+    """An error that is evaluated once per check, and that a send resets to 0.
 
-    Before a check e⁺ = F e + w. If e⁺'Ψe⁺ > δ it is sent, and the error is 0 after the check; else it is kept, and
-    costs e⁺'Γe⁺. The first check comes one step after an error of 0.
+    Before a check the error is e⁺ = F e + w. If e⁺'Ψe⁺ > δ, it is sent, and the error is 0 after the check. Otherwise
+    it is not sent, and costs e⁺'Γe⁺. The first check is one step after an error of 0.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w ~ N(0, ·), (n, n), semidefinite; or jumps.
-        Psi: Ψ, (n, n), semidefinite.
-        delta: δ > 0.
-        Gamma: Γ, (n, n), semidefinite.
+        Psi: Ψ, weight of the trigger, (n, n), semidefinite.
+        delta: δ > 0, threshold of the trigger.
+        Gamma: Γ, weight of the cost of an unsent error, (n, n), semidefinite.
     """
 
     F: Array
@@ -42,13 +43,13 @@ class Chain:
     Gamma: Array
 
 
-@dataclass(frozen=True, eq=False)
-class Intervals:
+@dataclass(frozen=True, eq=False, repr=False)
+class Intervals(Displayed):
     """The distribution of the number of checks from one send to the next.
 
     Args:
-        survival: P(interval > k) for k = 0, 1, …, from 1 down, (checks,).
-        decay: factor per check of the survival after the last one, in [0, 1).
+        survival: P(interval > k) for k = 0, 1, …, which begins with 1, (checks,).
+        decay: factor per check of the survival after these checks, in [0, 1).
     """
 
     survival: Array
@@ -63,22 +64,22 @@ class Intervals:
         """Return P(interval = k) for k = 1, …, checks.
 
         Raises:
-            ProblemError: no whole number of at least 1.
+            ProblemError: checks is not an integer of at least 1.
         """
         count("checks", checks)
         ticks = np.arange(checks + 1)
         return -np.diff(self.beyond(ticks.astype(np.float64)))
 
     def beyond(self, checks: ArrayLike) -> Array:
-        """Return P(interval > k) for whole numbers k ≥ 0, in the shape that they come in.
+        """Return P(interval > k) for an array of integers k ≥ 0, in the same shape.
 
         Raises:
-            ProblemError: what is no number of checks.
+            ProblemError: an entry is not an integer of at least 0.
         """
         given = np.asarray(checks)
         checks = np.asarray(given, dtype=np.float64) if given.dtype.kind in "iuf" else np.array(np.nan)
         if not (np.isfinite(checks) & (checks >= 0) & (checks == np.floor(checks))).all():
-            raise ProblemError("checks holds what is no whole number of at least 0; expected numbers of checks")
+            raise ProblemError("checks has an entry that is not an integer of at least 0; expected numbers of checks")
         last = len(self.survival) - 1
         inside = np.minimum(checks, last).astype(int)
         return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))
@@ -87,7 +88,7 @@ class Intervals:
         """Return the least k with P(interval ≤ k) ≥ share.
 
         Raises:
-            ProblemError: a share outside (0, 1).
+            ProblemError: share is outside (0, 1).
         """
         left = 1 - number("share", share, 0.0, 1.0)
         found = np.flatnonzero(self.survival <= left)
@@ -99,17 +100,17 @@ class Intervals:
         return last + int(np.ceil(np.log(left / self.survival[-1]) / np.log(self.decay)))
 
 
-@dataclass(frozen=True, eq=False)
-class Renewal:
-    """Rate and cost of a chain, with the errors that its quadrature claims.
+@dataclass(frozen=True, eq=False, repr=False)
+class Renewal(Displayed):
+    """Rate and cost of a chain, with the error estimates of the quadrature.
 
     Args:
         rate: sends per check.
-        excess: mean of what a check costs, E[(1−σ) e'Γe].
+        excess: mean cost per check, E[(1−σ) e'Γe].
         rate_error: claimed absolute error of the rate.
         excess_error: claimed absolute error of the excess.
-        intervals: between sends.
-        nodes: of the quadrature.
+        intervals: distribution of the intervals between sends.
+        nodes: number of nodes of the quadrature.
     """
 
     rate: float

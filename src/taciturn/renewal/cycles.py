@@ -1,7 +1,7 @@
 """Mean interval and cost per second of cycles between sends, by simulation, with standard errors.
 
-Every path is run until the cycle that is under way when enough are counted has ended: then the number of counted cycles
-is a stopping time, and by Wald's identity neither the durations nor the costs are biased by a last cycle cut short.
+When enough cycles are counted, every path is run until its current cycle has ended. The number of counted cycles is
+then a stopping time. By Wald's identity, durations and costs have no bias from a last cycle that is cut short.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array, array, count, instance, number
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
@@ -38,25 +39,25 @@ PATHS = 4096
 FEWEST_PATHS, CYCLES_PER_PATH = 64, 16  # few cycles are spread over fewer paths
 DEFAULT_CYCLES = 1_000_000
 FIRST_TICKS = 64
-CHUNK = 1 << 25  # attempts between two looks at what was found, and between two signs of life
+CHUNK = 1 << 25  # attempts between two evaluations of the results, and between two calls of ``alive``
 BUDGET = 10_000_000_000  # attempts of all paths together
-ENDLESS = 100_000  # attempts within which a cycle ends
+ENDLESS = 100_000  # attempts within which a cycle must end
 RECORD = 1 << 22  # attempts recorded at once
 RECORDED_PER_CYCLE = 8
 Process: TypeAlias = JumpProcess | SampledProcess
 
 
-@dataclass(frozen=True)
-class CycleEstimate:
-    """What many cycles told.
+@dataclass(frozen=True, repr=False)
+class CycleEstimate(Displayed):
+    """Estimates from many cycles.
 
     Args:
         interval: mean seconds between sends, E[θ].
         cost: mean of e'Se, E[∫_0^θ e'Se ds]/E[θ].
-        cycles: that were counted.
-        ticks: attempts at pieces that this took, of all paths.
-        undisturbed: how many of them ended below h_max though nothing had jumped since the last send: none where the
-            second property of consistency holds; None where a process is looked at every period.
+        cycles: number of counted cycles.
+        ticks: number of attempts at pieces, on all paths together.
+        undisturbed: number of cycles that ended before h_max without a jump since the last send; it is 0 if the second
+            property of consistency holds, and None for a process that is checked every period.
     """
 
     interval: Estimate
@@ -66,9 +67,9 @@ class CycleEstimate:
     undisturbed: int | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Sample:
-    """Cycles one by one: the first ones of each path, hence a sample of their law.
+@dataclass(frozen=True, eq=False, repr=False)
+class Sample(Displayed):
+    """A sample of cycles: the first ones of each path.
 
     Args:
         durations: θ, (cycles,).
@@ -94,20 +95,20 @@ def estimate_cycles(
 
     Args:
         process: the error.
-        trigger: when it is sent.
-        cycles: count at least so many; omitted, without a standard error: a million.
-        standard_error: of the mean interval, absolute, instead of a number of cycles.
-        seed: of the draws; with the number of paths and of cycles it determines the result.
-        paths: independent paths, at most.
-        threads: omitted: all processors; the result does not depend on it.
-        alive: called now and then; it may raise ``OutOfTime``.
+        trigger: when the error is sent.
+        cycles: least number of cycles to count; if neither this nor a standard error is given: a million.
+        standard_error: absolute standard error of the mean interval to reach, instead of a number of cycles.
+        seed: seed of the random numbers; seed, number of paths and number of cycles determine the result.
+        paths: largest number of independent paths.
+        threads: number of threads; omitted: all processors. The result does not depend on it.
+        alive: called regularly; it may raise ``OutOfTime``.
 
     Returns:
-        Both numbers with the standard errors of independent paths.
+        Both numbers, with standard errors from the spread over independent paths.
 
     Raises:
-        ProblemError: an effort that means nothing, or a precision beyond the budget.
-        UnstableError: a cycle that does not end.
+        ProblemError: an argument is out of range, or the requested standard error exceeds the budget of attempts.
+        UnstableError: a cycle does not end.
 
     Source: khashooei2017
     """
@@ -142,18 +143,18 @@ def sweep(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> tuple[CycleEstimate, ...]:
-    """Estimate M(c) = E[θ] of the integral trigger for many c, with the same jumps at the same times for each.
+    """Estimate M(c) = E[θ] of the integral trigger for many c, with the same jumps at the same times for every c.
 
-    With c = αC the interval depends on c alone: α = M(c) is the fixed point that belongs to C = c/M(c).
+    For c = αC the interval depends on c alone: α = M(c) is the fixed point for C = c/M(c).
 
     Args:
         process: the error.
         cs: values of c.
-        trigger: everything but c; omitted: no saturation and no limits.
-        cycles: of each c, at least.
-        seed: of the draws.
-        paths: independent paths, at most.
-        threads: omitted: all processors.
+        trigger: the trigger, whose c is replaced; omitted: no saturation and no limits of the interval.
+        cycles: least number of cycles for each c.
+        seed: seed of the random numbers.
+        paths: largest number of independent paths.
+        threads: number of threads; omitted: all processors.
 
     Returns:
         One estimate for each c.
@@ -178,15 +179,15 @@ def sample_cycles(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> Sample:
-    """Draw cycles one by one, for quantiles and histograms.
+    """Draw a sample of cycles, for quantiles and histograms.
 
     Args:
         process: the error.
-        trigger: when it is sent.
-        cycles: at least so many, and as many of each path.
-        seed: of the draws.
-        paths: independent paths, at most.
-        threads: omitted: all processors.
+        trigger: when the error is sent.
+        cycles: least number of cycles; every path contributes the same number.
+        seed: seed of the random numbers.
+        paths: largest number of independent paths.
+        threads: number of threads; omitted: all processors.
 
     Returns:
         Durations and costs, path after path.
@@ -217,7 +218,7 @@ def sample_cycles(
 
 
 class _Counting:
-    """Paths on their way, and what they have counted."""
+    """Running paths, and their sums so far."""
 
     def __init__(self, process: Process, trigger: Trigger, paths: int, seed: int, threads: int | None) -> None:
         kept = {CYCLES, DURATION, COST, UNDISTURBED}
@@ -228,7 +229,7 @@ class _Counting:
         self.paths, self.ticks = paths, 0
 
     def advance(self, ticks: int) -> None:
-        """Run so many ticks, or as many as a look at what was found should wait for."""
+        """Run a number of steps, but no more than a chunk, after which the results are evaluated."""
         ticks = max(1, min(ticks, CHUNK // self.paths))
         result = self.run(self.states, ticks, self.threads)
         self.states = result.states
@@ -237,15 +238,15 @@ class _Counting:
         self.ticks += ticks
 
     def until_counted(self, cycles: int) -> int:
-        """Return about how many ticks are missing to so many cycles."""
+        """Return about how many further steps are needed for a number of cycles."""
         counted = float(self.sums[CYCLES].sum())
         if counted >= cycles:
             return 0
         return self._more(cycles / counted if counted else 2.0)
 
     def until_precise(self, wanted: float) -> int:
-        """Return about how many ticks are missing to a standard error of the mean interval."""
-        if self.sums[CYCLES].min() < CYCLES_PER_PATH:  # a standard error of less is not to be trusted
+        """Return about how many further steps are needed for a standard error of the mean interval."""
+        if self.sums[CYCLES].min() < CYCLES_PER_PATH:  # the standard error of fewer cycles is unreliable
             return self._more(2.0)
         error = _ratio(self.sums[DURATION], self.sums[CYCLES]).standard_error
         return 0 if error <= wanted else self._more((error / wanted) ** 2)
@@ -255,12 +256,13 @@ class _Counting:
             raise _endless(self.ticks)
         if self.ticks * self.paths > BUDGET:
             raise ProblemError(
-                f"{BUDGET} attempts gave {self.sums[CYCLES].sum():.0f} cycles; expected fewer cycles, or less precision"
+                f"{BUDGET} attempts completed only {self.sums[CYCLES].sum():.0f} cycles; expected a request of fewer "
+                "cycles, or a larger standard error"
             )
         return max(FIRST_TICKS, int(self.ticks * min(factor - 1, 100.0) * 1.02) + 1)
 
     def close(self) -> CycleEstimate:
-        """Let each path end the cycle it is in, and return what was found."""
+        """Run every path to the end of its current cycle, and return the estimates."""
         opened, closing = [[s.name for s in self.program.states].index(name) for name in (OPEN, CLOSING)]
         self.states[closing] = 1.0
         last = self.ticks + ENDLESS
@@ -269,7 +271,9 @@ class _Counting:
                 raise _endless(ENDLESS)
             self.advance(FIRST_TICKS)
         if not all(np.isfinite(total).all() for total in self.sums.values()):
-            raise UnstableError("the error passes all bounds within a cycle; expected a trigger that sees what grows")
+            raise UnstableError(
+                "the error grows without bound within a cycle; expected a trigger that weighs every growing direction"
+            )
         return CycleEstimate(
             _ratio(self.sums[DURATION], self.sums[CYCLES]),
             _ratio(self.sums[COST], self.sums[DURATION]),
@@ -280,7 +284,7 @@ class _Counting:
 
 
 def _written(process: Process, trigger: Trigger) -> Program:
-    """Return the program of a process, once its data are checked."""
+    """Return the program of a process, after a check of the arguments."""
     if isinstance(process, SampledProcess):
         instance("trigger", trigger, IntegralTrigger)
         assert isinstance(trigger, IntegralTrigger)
@@ -306,5 +310,5 @@ def _ratio(above: Array, below: Array) -> Estimate:
 def _endless(ticks: int) -> UnstableError:
     return UnstableError(
         f"a cycle has not ended after {ticks} pieces of time: the trigger may never fire; expected an error that grows "
-        "until it does, a finite h_max, or, where it is looked at every period, a longer one"
+        "until the trigger fires, a finite h_max, or, for a process that is checked every period, a longer period"
     )

@@ -1,4 +1,4 @@
-"""What no scheduling of an error that a send resets can beat: a lower bound by duality, with its confidence."""
+"""Lower bound on the cost of every schedule of an error that a send resets, by duality, at a given confidence."""
 
 from __future__ import annotations
 
@@ -9,49 +9,50 @@ import numpy as np
 from scipy.special import stdtrit
 
 from taciturn._arrays import TINY, Array, Bits
+from taciturn._display import Displayed
 from taciturn._modes import root, stationary
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError, UnstableError
-from taciturn.renewal._lattice import Lattice
 from taciturn.renewal._martingale import Martingale
+from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.fitted import Fitted, squares
 
-ABREAST = 32  # batches that run side by side; their means are independent
-MOST = 16  # times as many, where that is no more
-WORK = 5_000_000  # checks of all paths
-PATHS, FEWEST = 64, 16  # of a batch: at most, and of a pilot
-NARROWER = 0.8  # of the paths that are left, before the others are dropped
-PRECISE = 5e-4  # of the bound: what the confidence should cost
-NOISES = 32  # over which a conditional mean is taken, and as many mirrored
-FREE = 2000  # paths that bound what is still to be saved
-CERTAIN = 6.0  # standard errors
-ASIDE = 2.0  # times the certain error of a pilot: how far on either side of the root its slope is taken
+ABREAST = 32  # batches that are computed together; their means are independent
+MOST = 16  # most rounds of ABREAST batches
+WORK = 5_000_000  # checks of all paths together, about, at most
+PATHS, FEWEST = 64, 16  # paths of a batch: at most, and in a pilot run
+NARROWER = 0.8  # fraction of unfinished paths below which the finished ones are removed from the arrays
+PRECISE = 5e-4  # relative margin between estimate and bound that the confidence requires, to aim at
+NOISES = 32  # noises in a conditional mean, plus as many mirrored ones
+FREE = 2000  # paths without sends, from which the largest further saving is bounded
+CERTAIN = 6.0  # standard errors that count as certain
+ASIDE = 2.0  # distance from the root at which the slope is estimated, in CERTAIN errors of the pilot
 SAFETY = 1.1
 INTERVALS = 16  # mean intervals after which a pilot ends
-LIKELY = 2.0  # prices that hardly any path still saves: where those of a pilot end
-AWAY = 1.0  # times the depth of φ: so far above its minimum a path hardly ever finds another
-HIGHEST = 1.25  # times what the fit says: no bound is sought above, nor beyond halfway to what silence costs
+LIKELY = 2.0  # further saving at which a path of a pilot ends, in prices; a larger one is unlikely
+AWAY = 1.0  # times the depth of φ: a path this far above its minimum hardly ever reaches a lower one
+HIGHEST = 1.25  # largest bound that is tried, times the fitted gain
 LONGEST = 4096  # checks of a path
 ROUNDS = 60
 
 
-@dataclass(frozen=True)
-class Sampled:
-    """What draws tell of the root g° of h(g) = λ − g + D(g), below which the least mean cost of a check is not.
+@dataclass(frozen=True, repr=False)
+class Sampled(Displayed):
+    """Monte Carlo estimate of the root g° of h(g) = λ − g + D(g), a lower bound on the mean cost per check.
 
-    h is concave, and its slope is minus a mean number of checks. So whatever the sign of h(g),
+    h is concave, and its slope is minus a mean number of checks. Therefore, for either sign of h(g),
 
         g° ≥ g + ρ h(g),   ρ = 1/|h'(g°)|.
 
     Args:
-        gain: g, about the root.
-        above: an estimate of h(g) without bias.
-        error: its standard error.
-        batches: independent ones, of which that is the mean.
-        least: what ρ is at least.
-        most: what ρ is at most; as ``least``, where it is not told, by the slope of h on either side of the root.
-        expected: about the root.
-        checks: that the longest path took.
+        gain: g, close to the root.
+        above: unbiased estimate of h(g).
+        error: standard error of ``above``.
+        batches: number of independent batches whose mean is ``above``.
+        least: lower bound on ρ, from the slope of h above the root; 0 if unknown.
+        most: upper bound on ρ, from the slope of h below the root; 1 if unknown.
+        expected: estimate of the root.
+        checks: number of checks of the longest path.
     """
 
     gain: float
@@ -65,15 +66,15 @@ class Sampled:
 
 
 def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> float:
-    """Return a lower bound of a sum of roots Σ c_i g°_i, from independent draws.
+    """Return a lower confidence bound on a sum of roots Σ c_i g°_i, from independent estimates.
 
-    Whoever is right, the ρ_i are numbers and no draws: Σ c_i ρ_i h_i is estimated without bias, and has the standard
-    error of independent terms. It is taken where it is least within the bounds of the ρ_i. No share of the confidence
-    is lost to the number of terms.
+    The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
+    and has the standard error of a sum of independent terms. The bound uses the least value over all ρ_i within their
+    bounds. The confidence does not decrease with the number of terms.
 
     Args:
-        terms: c_i ≥ 0, and what is known of each root.
-        confidence: in (0, 1), one-sided.
+        terms: c_i ≥ 0 and the estimate of g°_i, for each root.
+        confidence: confidence level of the bound, in (0, 1), one-sided.
     """
     if not terms:
         return 0.0
@@ -82,14 +83,14 @@ def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> floa
     return middle - float(stdtrit(min(one.batches for _, one in terms) - 1, confidence)) * spread
 
 
-@dataclass(frozen=True)
-class DualBound:
-    """No schedule has a mean cost per check, sends at their price included, below ``gain``.
+@dataclass(frozen=True, repr=False)
+class DualBound(Displayed):
+    """A lower bound on the mean cost per check of every schedule, with the price of its sends included.
 
     Args:
-        gain: with this confidence.
-        expected: the estimate that it is the lower end of.
-        checks: that the longest path took.
+        gain: the bound, at the requested confidence.
+        expected: the estimate of which ``gain`` is the lower confidence limit.
+        checks: number of checks of the longest path.
     """
 
     gain: float
@@ -107,20 +108,20 @@ def bound_schedules(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DualBound:
-    """Return a lower bound of min E[e'Γe(1−σ) + λσ] over all schedules σ of e⁺ = F e(1−σ) + w that look back only.
+    """Return a lower bound on min E[e'Γe(1−σ) + λσ] over all causal schedules σ of e⁺ = F e(1−σ) + w.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n).
-        Gamma: Γ, (n, n).
-        price: λ > 0.
-        fitted: a schedule that is nearly the best; the bound holds whatever it is.
-        confidence: with which the bound holds, in (0, 1), one-sided.
-        seed: of the draws.
+        Gamma: Γ, weight of the cost of silence, (n, n).
+        price: λ > 0, the price of a send.
+        fitted: a nearly optimal schedule, which makes the bound tight; the bound holds for any schedule here.
+        confidence: confidence level of the bound, in (0, 1), one-sided.
+        seed: seed of the random numbers.
         progress: called with the fraction done.
 
     Raises:
-        ProblemError: what may still be saved has no bound within the longest path.
+        ProblemError: the further saving of a schedule has no bound within the longest path.
 
     Source: brown2010, rogers2002
 
@@ -146,26 +147,26 @@ def sample_dual(
     precise: float | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
-    """Return what bounds the least mean cost of a check from below, arguments as in ``bound_schedules``.
+    """Return an estimate of a lower bound on the mean cost per check, with arguments as in ``bound_schedules``.
 
-    With the first send of a cycle at the check t, c_j = e_j'Γe_j and any martingale M_t,
+    Let t be the check of the first send in a cycle, c_j = e_j'Γe_j, and M_t any martingale. Then
 
         D(g) = E min_{t≥1} [Σ_{j<t} (c_j − g) − M_t]  ≤  inf_t E Σ_{j<t} (c_j − g),
 
-    and a g with λ − g + D(g) ≥ 0 is not above the least mean. M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
-    φ = min(0, U) of a fitted U is nearly the best. Conditional means are those of lattice points shifted at random,
-    which keeps M a martingale.
+    and any g with λ − g + D(g) ≥ 0 is a lower bound. The martingale M_t = Σ_{j≤t} φ(e_j) − E[φ(e_j)|e_{j−1}] with
+    φ = min(0, U) of a fitted U is nearly optimal. Its conditional means are averages over randomly shifted lattice
+    points; M remains a martingale with them.
 
-    A path ends where the minimum is certain: whatever it sees later, no schedule saves more than β from there on.
-    From any error a, with n_j the errors from 0 and r_t = min_a Σ_{j<t} c(F^j a + n_j) what a least-squares fit
-    of a leaves, the most that is ever saved is at most E max(max_{t≤T} (g t − r_t), g T − r_T + itself): a β at which
-    the right-hand side is below β is larger. A path that is not certain after the last check is charged β.
+    A path ends when its minimum is certain, because no schedule can save more than β from there on. To bound the
+    largest further saving S, let a be the present error, n_j the errors from 0, and r_t = min_a Σ_{j<t} c(F^j a + n_j)
+    the residual of a least-squares fit of a. Then S ≤ E max(max_{t≤T} (g t − r_t), g T − r_T + S), so any β at which
+    the right-hand side with S = β is below β is an upper bound. A path not certain after the last check is charged β.
 
-    A pilot, which need not be certain of its minima, tells about where the root is. Draws of their own tell h there
-    and, on either side, its slope.
+    A pilot run, which may end before its minima are certain, locates the root approximately. Independent draws then
+    give h near the root, and the slope of h on either side.
 
     Args:
-        precise: what the confidence should cost, in the units of the gain; omitted: 5e-4 of it.
+        precise: margin between estimate and bound to aim at, in the units of the gain; omitted: 5e-4 of the gain.
     """
     game = Martingale(F, noise, Gamma, fitted)
     draws, told = np.random.default_rng(seed), Stages(progress)
@@ -187,7 +188,8 @@ def sample_dual(
     saved = _most_saved(game, sides[2], fitted.interval, draws)
     below, here, beyond = _Duel(game, sides, saved, draws, paths, LONGEST, told.stage(0.05, 1.0)).run(batches)
     above = price - gain + float(here.least.mean())
-    before = price - sides[0] + below.end(below.least, -1) >= 0  # the root is above the first, and below the last
+    # certain that the root is above sides[0] (``before``) and below sides[2] (``after``): only then the slopes bound ρ
+    before = price - sides[0] + below.end(below.least, -1) >= 0
     after = price - sides[2] + beyond.end(beyond.least, 1) <= 0
     return Sampled(
         gain,
@@ -203,13 +205,13 @@ def sample_dual(
 
 @dataclass(frozen=True, eq=False)
 class _Outcome:
-    """What batches find at one g.
+    """The estimates of batches at one g.
 
     Args:
-        least: the mean minimum of each batch, (batches,).
-        when: the mean check it is at, which is how fast h falls with g, (batches,).
-        checks: of the longest path.
-        work: checks of all paths.
+        least: mean minimum of each batch, (batches,).
+        when: mean check at which the minimum is attained, an estimate of −h'(g), (batches,).
+        checks: number of checks of the longest path.
+        work: number of checks of all paths.
     """
 
     least: Array
@@ -219,16 +221,16 @@ class _Outcome:
 
     @property
     def slope(self) -> float:
-        """How fast h falls."""
+        """Estimate of −h'(g)."""
         return float(self.when.mean())
 
     def end(self, values: Array, side: int) -> float:
-        """Return the lower (−1) or upper (1) end of a mean, which is certain."""
+        """Return a certain lower (side −1) or upper (side 1) limit of the mean of values."""
         return float(values.mean() + side * CERTAIN * values.std(ddof=1) / np.sqrt(len(values)))
 
 
 class _Duel:
-    """Paths of which each takes its minimum at some g, in batches that share the noises of conditional means."""
+    """Computes the minimum along each path for several g, in batches that share the noises of conditional means."""
 
     def __init__(
         self,
@@ -246,7 +248,7 @@ class _Duel:
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> list[_Outcome]:
-        """Return what so many batches find at each g, a multiple of those that run side by side."""
+        """Return the outcome at each g of a number of batches, a multiple of ABREAST."""
         found, rounds = list[tuple[Array, int, int]](), batches // ABREAST
         while len(found) < rounds:
             found.append(self._side_by_side())
@@ -256,7 +258,7 @@ class _Duel:
         return [_Outcome(sums[0, k], sums[1, k], longest, work) for k in range(len(self.gains))]
 
     def _side_by_side(self) -> tuple[Array, int, int]:
-        """Return the sums of minima and of their checks, (2, gains, batches), and the checks of the longest and all."""
+        """Return sums of minima and of their checks, (2, gains, batches), and the checks of the longest and of all."""
         game, n = self.game, len(self.game.F)
         error: Array = np.zeros((ABREAST, self.paths, n))
         going: Bits = np.ones((ABREAST, self.paths), dtype=np.bool_)
@@ -267,6 +269,8 @@ class _Duel:
         for check in range(1, self.longest + 1):
             self.told.tick()
             work += going.size
+            # φ enters the martingale only on paths that may still reach a new minimum; this choice depends on the past
+            # alone, so that M remains a martingale
             nearly: Bits = np.asarray(total - (check - 1) * self.gains < least + self.away, dtype=np.bool_)
             near: Bits = np.asarray(going & nearly.any(axis=0), dtype=np.bool_)
             expected = game.bell_after(error) + self._off(error, near)
@@ -278,6 +282,7 @@ class _Duel:
             lower = sent < least
             least, when = np.where(lower, sent, least), np.where(lower, check, when)
             total = total + squares(error, game.Gamma)
+            # the minimum is certain if even the largest further saving does not lower it
             saves = total - check * self.gains - self.saved
             if check == self.longest:
                 least, when = np.minimum(least, saves), np.where(saves < least, check + 1, when)
@@ -288,7 +293,7 @@ class _Duel:
             width = int(going.sum(axis=1).max())
             if not width:
                 return sums, check, work
-            if width < NARROWER * going.shape[1]:
+            if width < NARROWER * going.shape[1]:  # remove finished paths from the arrays
                 first = np.argsort(~going, axis=1, kind="stable")[:, :width]
                 going, total = np.take_along_axis(going, first, 1), np.take_along_axis(total, first, 1)
                 least, when = np.take_along_axis(least, first[None], 2), np.take_along_axis(when, first[None], 2)
@@ -296,7 +301,7 @@ class _Duel:
         raise AssertionError
 
     def _off(self, error: Array, near: Bits) -> Array:
-        """Return the conditional mean of φ less the bell for the errors that are near, (batches, paths), else 0."""
+        """Return the conditional mean of φ minus its Gaussian part where ``near``, else 0, (batches, paths)."""
         expected, width = np.zeros(near.shape), int(near.sum(axis=1).max())
         if width:
             live: Bits = np.asarray(near.any(axis=1), dtype=np.bool_)
@@ -310,19 +315,19 @@ class _Duel:
 
 
 def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
-    """Return the highest bound to seek about a fitted gain; β grows without limit as it nears what silence costs."""
+    """Return the largest bound to try, at most halfway to the cost of silence, near which β grows without limit."""
     try:
         silent = float(np.sum(Gamma * stationary(F, noise)))
-    except UnstableError:  # or so near it that silence costs more than can be told
+    except UnstableError:  # also so close to instability that the cost of silence cannot be computed
         return HIGHEST * gain
     return min(HIGHEST * gain, (gain + silent) / 2)
 
 
 def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random.Generator) -> float:
-    """Return β, which no schedule saves more than, from any error on.
+    """Return β, an upper bound on the further saving of any schedule, from any error.
 
     Raises:
-        ProblemError: within the longest path there is none.
+        ProblemError: no bound is found within the longest path.
     """
     looks = max(16, int(4 * interval))
     while looks <= LONGEST:
@@ -336,13 +341,13 @@ def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random
             saved = max(SAFETY * float(more.mean()), 1.1 * saved)
         looks *= 2
     raise ProblemError(
-        f"an error may be kept for more than {LONGEST} checks before silence is sure to cost; expected a lower price "
-        "or a higher rate for a lower bound"
+        f"an error may stay unsent for more than {LONGEST} checks before silence certainly costs more than it saves; "
+        "expected a lower price, or a higher rate, for a lower bound"
     )
 
 
 def _left_over(game: Martingale, gain: float, looks: int, draws: np.random.Generator) -> tuple[Array, Array]:
-    """Return max_{t≤T} (g t − r_t) and g T − r_T of free paths, the maximum over whole strides of checks from above."""
+    """Return an upper bound of max_{t≤T} (g t − r_t), and g T − r_T, of paths without sends."""
     n, weigh = len(game.F), root(game.Gamma).T
     stride = max(1, looks // 64)
     entries, error = len(weigh), np.zeros((FREE, n))
@@ -358,7 +363,8 @@ def _left_over(game: Martingale, gain: float, looks: int, draws: np.random.Gener
             basis = basis[:, np.abs(np.diag(triangle)) > 0]
             along = basis.T @ seen[:end]
             left = np.maximum(squares - (along * along).sum(axis=0), before)
-            best = np.maximum(best, gain * check - before)  # r grows with t
+            # r increases with t: its value at the start of a stride bounds it within the stride
+            best = np.maximum(best, gain * check - before)
             before = left
         power = game.F @ power
         error = error @ game.F.T + draws.standard_normal((FREE, game.half.shape[1])) @ game.half.T

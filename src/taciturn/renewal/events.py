@@ -1,18 +1,18 @@
-"""Cycles of an error under Poisson jumps from one send to the next, with event times that no grid blurs.
+"""Cycles of an error under Poisson jumps, from one send to the next, with exact event times.
 
-Between jumps the trigger is a polynomial of time, in Bernstein's form on a piece. One tick of the program is one
-attempt at one piece of each path:
+Between jumps the trigger function is a polynomial of time. This function is evaluated on short pieces of time, in
+the Bernstein basis. One step of the program is one attempt at one piece, on each path:
 
 1. All coefficients are negative: no send on the piece. The path advances over it, and jumps where it ended at a jump.
-2. The coefficients change sign once: one crossing. Newton's method finds it, and the cycle ends there. Where the sign
-   is not seen to change within 1e-12 of what it found, the path advances to the lower end of the bracket instead.
-3. Otherwise half the piece is tried at the next tick; so the left half comes first, and the first crossing is found.
+2. The coefficients change sign once: one crossing. Newton's method finds it, and the cycle ends there. If the sign does
+   not change within 1e-12 around the result, the path advances to the lower end of the bracket instead.
+3. Otherwise the next step tries the left half of the piece, so that the first crossing is found.
 
-A piece that is at its shortest and still undecided is where the sign cannot be told from rounding: there the trigger
-fires. So a trigger that touches its threshold from below fires where the value is not negative, to rounding.
+If a piece of the shortest length is still undecided, its sign is a matter of rounding, and the trigger fires. So a
+trigger function that touches its threshold from below fires if its value is not negative, to rounding.
 
-The draws are used up by jumps alone: the k-th jump of a path comes at the same time and has the same size whatever the
-trigger, which makes comparisons of triggers sharp.
+Only jumps consume random numbers. Therefore the k-th jump of a path has the same time and size under every trigger,
+which makes comparisons of triggers precise.
 """
 
 from __future__ import annotations
@@ -25,6 +25,7 @@ from math import inf
 import numpy as np
 
 from taciturn._arrays import Array, array, instance, number, semidefinite, square
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
@@ -35,21 +36,21 @@ from taciturn.program.ops import State
 from taciturn.renewal.bernstein import Motion, bernstein, evaluate, integral, only_root
 
 ENDED, CYCLES, DURATION, COST = "ended", "cycles", "duration", "cost"
-UNDISTURBED = "undisturbed"  # cycles that count and ended below h_max though nothing had jumped since the last send
+UNDISTURBED = "undisturbed"  # counted cycles that ended before h_max without a jump since the last send
 ERROR, INTEGRAL, TIME, WAIT, PIECE = "error", "integral", "time", "wait", "piece"  # states
-JUMPED = "jumped"  # state: whether anything has jumped since the last send
+JUMPED = "jumped"  # state: whether a jump has occurred since the last send
 OPEN, CLOSING = "open", "closing"  # states: whether cycles count, and whether the next end is the last that counts
-SHORTEST = 1e-13  # of a piece, relative to the time since the last send plus a mean wait
-LONGEST_WAIT = 64.0  # in mean waits; none that is drawn is longer: 53 bits
+SHORTEST = 1e-13  # shortest piece, relative to the time since the last send plus the mean time between jumps
+LONGEST_WAIT = 64.0  # bound on a drawn time between jumps, in mean times: a uniform number has 53 bits
 
 
-@dataclass(frozen=True, eq=False)
-class JumpProcess:
+@dataclass(frozen=True, eq=False, repr=False)
+class JumpProcess(Displayed):
     """An error with ė = A e between Poisson jumps, 0 after each send, and its cost e'Se per second.
 
     Args:
         A: dynamics per second, (n, n).
-        jumps: rate, covariance and law of a jump.
+        jumps: rate, covariance and distribution of the jumps.
         S: weight of the cost, (n, n), semidefinite.
 
     Raises:
@@ -69,14 +70,14 @@ class JumpProcess:
         array("jumps.covariance", self.jumps.covariance, (n, n), "(states, states)")
 
 
-@dataclass(frozen=True)
-class IntegralTrigger:
-    """Send when the cost since the last send reaches c·min(β, ε), β seconds after it.
+@dataclass(frozen=True, repr=False)
+class IntegralTrigger(Displayed):
+    """A trigger that sends when the cost since the last send reaches c·min(β, ε), β seconds after that send.
 
     Args:
         c: cost per second, positive.
-        saturation: ε > 0 after which the threshold rises no more.
-        h_min: shortest interval, h_min ≥ 0; the trigger is looked at from then on, then included.
+        saturation: ε > 0, the time after which the threshold stays constant.
+        h_min: shortest interval, h_min ≥ 0; the trigger is evaluated from then on, at h_min too.
         h_max: longest interval, h_max > h_min.
 
     Raises:
@@ -98,9 +99,9 @@ class IntegralTrigger:
         _time("h_max", self.h_max, self.h_min)
 
 
-@dataclass(frozen=True, eq=False)
-class LevelTrigger:
-    """Send when e'Ψe ≥ Y².
+@dataclass(frozen=True, eq=False, repr=False)
+class LevelTrigger(Displayed):
+    """A trigger that sends when e'Ψe ≥ Y².
 
     Args:
         Psi: Ψ, (n, n), semidefinite.
@@ -127,19 +128,19 @@ Trigger = IntegralTrigger | LevelTrigger
 
 
 def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
-    """Return one attempt at one piece of a path as a program.
+    """Return the program of one attempt at one piece of a path.
 
     Args:
         process: the error.
-        trigger: when it is sent.
+        trigger: when the error is sent.
 
     Returns:
-        The program, with the sums ``cycles``, ``duration`` and ``cost`` of the cycles that count, how many of them
-        ended ``undisturbed``, and, as outputs, whether a cycle ``ended`` in the tick, with its ``duration`` and
-        ``cost``.
+        The program. Its sums over counted cycles are ``cycles``, ``duration``, ``cost``, and ``undisturbed``, the
+        number of cycles that ended without a jump. Its outputs are whether a cycle ``ended`` in the step, and the
+        ``duration`` and ``cost`` of that cycle.
 
     Raises:
-        ProblemError: the trigger has another number of states.
+        ProblemError: the trigger and the process have different numbers of states.
     """
     if isinstance(trigger, LevelTrigger):
         array("Psi", trigger.Psi, process.A.shape, "(states, states)")
@@ -147,7 +148,7 @@ def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
 
 
 def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
-    """Return the states of paths that were reset just now; path i of a seed is the same however many there are."""
+    """Return the states of paths just after a send; path i of a seed does not depend on the number of paths."""
     words = seed_generators(seed + (1 << 64), paths)[0].view(np.uint64) >> np.uint64(11)
     values = {
         GENERATOR: seed_generators(seed, paths),
@@ -159,7 +160,7 @@ def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Arra
 
 
 def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
-    """Return the states of a program, (states, paths): those that are named, and 0."""
+    """Return initial states of a program, (states, paths): the named values, and 0 for all other states."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:
@@ -170,15 +171,15 @@ def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
 ) -> tuple[int, dict[str, int], dict[str, int]]:
-    """Return whether cycles still count after this tick, the sums of those that do, and the outputs of every one.
+    """Return whether cycles still count after this step, sums over counted cycles, and outputs of every cycle.
 
     Args:
         b: collects the operations.
-        ended: truth value, whether a cycle ends in this tick.
-        duration: of that cycle.
-        cost: of that cycle.
-        opened: 1 while cycles count.
-        closing: 1 where the next end is the last that counts.
+        ended: truth value, whether a cycle ends in this step.
+        duration: duration of that cycle.
+        cost: cost of that cycle.
+        opened: 1 while cycles count, else 0.
+        closing: 1 if the next cycle to end is the last one that counts, else 0.
     """
     zero, half = b.constant(0.0), b.constant(0.5)
     last = b.emit("and", ended, b.emit("greater", closing, half))
@@ -191,7 +192,7 @@ def count_cycle(
 
 
 def _time(name: str, value: object, low: float) -> None:
-    """Refuse a time that is not above ``low``; infinity is one."""
+    """Reject a time that is not above ``low``; infinity is accepted."""
     if value != value:
         raise ProblemError(f"{name} is {value}; expected a number above {low:g}, or inf")
     if value != inf:
@@ -204,7 +205,7 @@ def _motion(process: JumpProcess) -> Motion:
 
 @dataclass(frozen=True)
 class _Verdict:
-    """What an attempt found, as operations: truth values, and the share of the piece that is gone through."""
+    """The result of an attempt, as operations: truth values, the fraction of the piece to advance, the next length."""
 
     safe: int
     crossed: int
@@ -213,7 +214,7 @@ class _Verdict:
 
 
 class _Attempt:
-    """Writes the program; every method appends operations."""
+    """Builds the program of an attempt; every method appends operations."""
 
     def __init__(self, process: JumpProcess, trigger: Trigger) -> None:
         self.process, self.trigger, self.motion = process, trigger, _motion(process)
@@ -237,7 +238,7 @@ class _Attempt:
         advance = b.emit("mul", verdict.share, length)
         time, rest = b.emit("add", self.time, advance), b.emit("sub", self.wait, advance)
         gone = b.emit("add", self.gone, evaluate(b, cost, verdict.share))
-        # after a send the error stays 0 until the next jump: the new cycle begins there, unless h_max comes first
+        # after a send the error stays 0 until the next jump, so the path skips to it, unless h_max comes first
         idles = b.emit("and", ended, b.emit("greater", b.constant(self.trigger.h_max), rest))
         jumped = b.emit("and", verdict.safe, b.emit("less_equal", self.wait, length))
         fresh = self._either(idles, b.emit("and", jumped, b.emit("not", ended)))
@@ -254,7 +255,7 @@ class _Attempt:
         return self._finish(following, ended, undisturbed, duration, gone)
 
     def _moved(self, advance: int, ended: int, fresh: int, rest: int) -> dict[tuple[str, int], int]:
-        """Return the next error, with a jump where it is fresh, the wait after that, and the generator's words."""
+        """Return the next error (with a jump if ``fresh``), the time to the next jump, and the generator's words."""
         b, following = self.b, dict[tuple[str, int], int]()
         supplied, words = self._draws()
         moved = self.motion.advance(b, self.error, advance)
@@ -279,7 +280,7 @@ class _Attempt:
         return self.b.finish([following[state.name, state.index] for state in self.b.states], sums, outputs)
 
     def _length(self) -> tuple[int, int]:
-        """Return the length of the piece, which ends at the latest where something happens, and if that is h_max."""
+        """Return the length of the piece, which ends no later than the next event, and whether that event is h_max."""
         b, length = self.b, self._least(self.piece, self.wait)
         limit = b.emit("sub", b.constant(self.trigger.h_max), self.time)
         if isinstance(self.trigger, IntegralTrigger):
@@ -292,7 +293,7 @@ class _Attempt:
         return length, b.emit("less_equal", limit, length)
 
     def _polynomial(self, cost: Sequence[int | None], length: int) -> list[int | None]:
-        """Return what is negative until the trigger fires, as monomials on the piece."""
+        """Return the trigger function on the piece, as monomials; it is negative until the trigger fires."""
         b, trigger = self.b, self.trigger
         if isinstance(trigger, LevelTrigger):
             first, *others = self.motion.form(b, trigger.Psi, self.error, length)
@@ -330,19 +331,19 @@ class _Attempt:
         """Return whether the piece has no crossing, whether it has exactly one, and whether it starts with one."""
         b, trigger = self.b, self.trigger
         negative = [b.emit("greater", self.zero, row) for row in rows]
-        if isinstance(trigger, IntegralTrigger):  # just after a send both sides of the trigger are 0
+        if isinstance(trigger, IntegralTrigger):  # just after a send, cost and threshold are both 0
             negative[0] = self._either(negative[0], b.emit("less_equal", self.time, self.zero))
         falls = [b.emit("and", b.emit("not", x), y) for x, y in pairwise(negative)]
         once = self._all([negative[0], b.emit("not", negative[-1]), *(b.emit("not", fall) for fall in falls)])
         safe, now = self._all(negative), b.emit("not", negative[0])
-        if isinstance(trigger, IntegralTrigger) and trigger.h_min > 0:  # before it, nothing is looked at
+        if isinstance(trigger, IntegralTrigger) and trigger.h_min > 0:  # the trigger is not evaluated before h_min
             early = b.emit("greater", b.constant(trigger.h_min), self.time)
             due = b.emit("not", early)
             return self._either(safe, early), b.emit("and", once, due), b.emit("and", now, due)
         return safe, once, now
 
     def _draws(self) -> tuple[dict[str, int], list[int]]:
-        """Return what is drawn for a jump and for the wait after it, by name, and the generator's next words."""
+        """Return the random numbers of a jump and of the time after it, by name, and the generator's next words."""
         supplied: dict[str, int] = {}
         return supplied, draw(self.b, [f"{UNIFORM} 0", *self.drawn], supplied)
 
@@ -356,7 +357,7 @@ class _Attempt:
         return self.b.emit("mul", self.b.constant(0.5 / self.process.jumps.rate), minus_two_log(self.b, uniform))
 
     def _state(self, name: str, index: int = 0, *, word: bool = False) -> int:
-        """Return a state; its key is its own, so that states may start anywhere."""
+        """Return a state with a start key of its own, so that its initial value is free and it is never merged."""
         return self.b.state(State(name, index, start=(name, index), word=word))
 
     def _least(self, x: int, y: int) -> int:
@@ -373,10 +374,10 @@ class _Attempt:
 
 
 def check(process: object, trigger: object) -> None:
-    """Refuse what is neither a process nor a trigger.
+    """Reject an argument that is not a process, or not a trigger.
 
     Raises:
-        ProblemError: it is not.
+        ProblemError: an argument has the wrong type.
     """
     instance("process", process, JumpProcess)
     if not isinstance(trigger, IntegralTrigger | LevelTrigger):

@@ -1,4 +1,4 @@
-"""The best scheduling of an error that a send resets, nearly: its value as the exponential of a quadratic."""
+"""Near-optimal schedule of an error that a send resets: its value function is the exponential of a quadratic form."""
 
 from __future__ import annotations
 
@@ -9,38 +9,39 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, Bits, frozen, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import radius, root
 from taciturn.errors import ProblemError
-from taciturn.renewal._lattice import Lattice
-from taciturn.renewal.rare import bound_rate
+from taciturn.renewal._quasi_monte_carlo import Lattice
+from taciturn.renewal.rare_sends import bound_rate
 
 PATHS = 1000
-SNAPSHOTS = 100  # of the paths, whose kept errors are fitted to
-LONGEST = 20_000  # checks in which every path should have been sent a few times
-SENDS = 4  # those
+SNAPSHOTS = 100  # checks at which unsent errors of all paths are collected for the fit
+LONGEST = 20_000  # checks within which every path should have SENDS sends
+SENDS = 4
 RAREST = SENDS / LONGEST  # sends per check
-SETTLE = 12  # time constants after which errors that decay have settled by themselves
-POINTS = 1200  # at which the value is fitted, from near 0 to beyond the farthest
-NEAREST, FARTHEST = 0.3, 1.5
-SHARERS = 8  # errors over whose noises a mean is taken
-NOISES = 128  # over which the value after a check is averaged, and as many mirrored
-RANK = 1e-9  # relative standard deviation of a direction that no noise reaches
-DIRECTIONS = 24  # of errors to which a value is fitted: its terms, some 300, take a gigabyte and half a minute
-ITERATIONS, SETTLED = 100, 1e-7  # in many directions a fit may move forever within its own noise
+SETTLE = 12  # time constants after which decaying errors are stationary even without sends
+POINTS = 1200  # errors at which the value is fitted
+NEAREST, FARTHEST = 0.3, 1.5  # these errors are simulated ones times a random factor in this range
+SHARERS = 8  # errors that share the noises of their means
+NOISES = 128  # noises over which the value after a check is averaged, plus as many mirrored ones
+RANK = 1e-9  # relative standard deviation below which a direction counts as one that no noise reaches
+DIRECTIONS = 24  # most directions of the error in a fit: its 300 or so terms take a gigabyte and half a minute
+ITERATIONS, SETTLED = 100, 1e-7  # in many dimensions the iterates may keep varying within the sampling noise
 DAMPING = 0.5
-FULL = 1e-8  # relative entry of a triangle, above which its columns are independent
-FLOOR = 1e-9  # of the price, below which a value is no longer told from 0
+FULL = 1e-8  # relative diagonal entry of the QR factor above which the columns count as independent
+FLOOR = 1e-9  # times the price: values below count as 0
 
 
-@dataclass(frozen=True, eq=False)
-class Fitted:
-    """Send iff e'Γe − height·exp(−½e'Πe) > gain.
+@dataclass(frozen=True, eq=False, repr=False)
+class Fitted(Displayed):
+    """A schedule that sends if and only if e'Γe − height·exp(−½e'Πe) > gain.
 
     Args:
-        gain: about the least mean of what a check costs, sends at their price included.
-        height: what it saves at most to keep an error, on average.
+        gain: approximation of the least mean cost per check, including the price of the sends.
+        height: largest mean saving from not sending an error.
         Pi: Π, (n, n), semidefinite.
-        interval: mean checks between sends of the threshold policy whose errors it was fitted to.
+        interval: mean number of checks between sends of the threshold policy whose errors were used for the fit.
     """
 
     gain: float
@@ -49,28 +50,28 @@ class Fitted:
     interval: float
 
     def sends(self, error: Array, Gamma: Array) -> Bits:
-        """Tell which errors are sent, (errors, n) to (errors,)."""
+        """Return for each error whether it is sent, (errors, n) to (errors,)."""
         bell = self.height * np.exp(-0.5 * np.maximum(squares(error, self.Pi), 0.0))
         return squares(error, Gamma) - bell > self.gain
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return nearly the best schedule of e⁺ = F e(1−σ) + w where silence costs e'Γe and a send λ.
+    """Return a near-optimal schedule of e⁺ = F e(1−σ) + w, where silence costs e'Γe and a send costs λ.
 
-    The best sends iff U(e) = e'Γe − g + V(e) > 0 with V(e) = E min(0, U(F e + w)), and g such that λ − g + V(0) = 0.
-    V is −exp(a − ½e'Πe) here: value iteration, each time fitted in least squares of log(−V), weighed with |V|, at
-    errors that a threshold keeps.
+    The optimal schedule sends if and only if U(e) = e'Γe − g + V(e) > 0. Here V(e) = E min(0, U(F e + w)), and g solves
+    λ − g + V(0) = 0. This function approximates V by −exp(a − ½e'Πe). In each value iteration, a and Π minimise the
+    squared errors of log(−V), weighted with |V|, at errors that a threshold policy does not send.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n).
-        Gamma: Γ, (n, n), semidefinite.
-        price: λ > 0, of a send.
-        seed: of the errors it is fitted to.
-        points: how many those are.
+        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
+        price: λ > 0, the price of a send.
+        seed: seed of the simulated errors at which V is fitted.
+        points: number of these errors.
 
     Raises:
-        ProblemError: at this price hardly anything is ever sent, or at none.
+        ProblemError: hardly anything is ever sent at this price, or nothing at any price.
 
     Source: cogill2007
 
@@ -83,35 +84,35 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
 
 
 class Fitting:
-    """Fits schedules to many prices: those of half an octave share the errors, and what stands there.
+    """Fits schedules for many prices; all prices within half an octave use the same simulated errors.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n).
-        Gamma: Γ, (n, n), semidefinite.
-        seed: of the errors it is fitted to.
-        points: how many those are.
+        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
+        seed: seed of the simulated errors at which the value function is fitted.
+        points: number of these errors.
     """
 
     def __init__(self, F: Array, noise: Array, Gamma: Array, seed: int = 0, points: int = POINTS) -> None:
-        """Fit none yet."""
+        """Start without a fit."""
         self._given = F, noise, Gamma, seed, points
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return nearly the best schedule at a price λ > 0, as ``fit_schedule``.
+        """Return a near-optimal schedule at a price λ > 0, as ``fit_schedule``.
 
         Raises:
-            ProblemError: at this price hardly anything is ever sent, or at none.
+            ProblemError: hardly anything is ever sent at this price, or nothing at any price.
         """
         F, noise, Gamma, _, _ = self._given
         half = root(noise)
         if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
             raise ProblemError(
-                "nothing is ever sent: the noise reaches no direction of the error that silence costs; expected some; "
-                "give the plant noise, or weigh the states that it reaches"
+                "nothing would ever be sent: the noise reaches no direction of the error that Γ weighs; expected at "
+                "least one; give the plant noise, or weigh the states that the noise reaches"
             )
-        # the same errors for all prices of half an octave, so that what is found changes smoothly with the price
+        # all prices within half an octave use the same errors, so that the result changes smoothly with the price
         scale = float(np.sum(Gamma * noise)) or price
         about = scale * 2.0 ** (round(2 * math.log2(price / scale)) / 2)
         if self._grounds is None or self._grounds[0] != about:
@@ -121,15 +122,15 @@ class Fitting:
 
 @dataclass(frozen=True, eq=False)
 class _Ground:
-    """Where a value is fitted: errors, and those a check later, over noises that a block of errors shares.
+    """The errors at which a value function is fitted, and samples of the errors one check later.
 
     Args:
-        here: terms of the quadratic at the errors, (errors, terms).
-        mean: of the errors after the check, (blocks, errors of one, size).
-        noise: half of the noises, the others are mirrored, (blocks, noises, size).
-        cost: of the errors after the check, (2, blocks, errors of one, noises).
-        into: coordinates in which kept errors have about the covariance 1, (size, n).
-        interval: mean checks between sends of the threshold that keeps them.
+        here: terms of the quadratic form at the errors, (errors, terms).
+        mean: mean of each error one check later, (blocks, errors per block, size).
+        noise: half of the noises that the errors of a block share; the others are mirrored, (blocks, noises, size).
+        cost: cost of the errors one check later, (2, blocks, errors per block, noises).
+        into: map to coordinates in which unsent errors have about unit covariance, (size, n).
+        interval: mean number of checks between sends of the threshold policy that gave the errors.
     """
 
     here: Array
@@ -158,7 +159,7 @@ class _Ground:
         return Fitted(float(gain), float(np.exp(fit[0])), frozen(symmetrised(Pi)), self.interval)
 
     def _saved(self, price: float, gain: float, fit: Array) -> Array:
-        """Return the mean over the noises of min(0, U) a check after each error, (errors,)."""
+        """Return the mean over the noises of min(0, U) one check after each error, (errors,)."""
         bell = spread(self.mean, self.noise, _weight(fit[1:], len(self.into)))
         bell += fit[0]
         np.exp(np.minimum(bell, np.log(price), out=bell), out=bell)
@@ -168,7 +169,7 @@ class _Ground:
 
 
 def spread(mean: Array, noise: Array, weight: Array) -> Array:
-    """Return (m ± w)'M(m ± w), the plus first, of errors and of the noises that they share.
+    """Return (m + w)'M(m + w) and (m − w)'M(m − w) for errors m and the noises w that they share.
 
     Args:
         mean: m, (blocks, errors, n).
@@ -176,7 +177,7 @@ def spread(mean: Array, noise: Array, weight: Array) -> Array:
         weight: M, (n, n), symmetric.
 
     Returns:
-        (2, blocks, errors, noises).
+        Both forms, (2, blocks, errors, noises).
     """
     crossed = 2 * (mean @ weight) @ np.swapaxes(noise, 1, 2)
     apart = squares(mean, weight)[:, :, None] + squares(noise, weight)[:, None]
@@ -184,7 +185,7 @@ def spread(mean: Array, noise: Array, weight: Array) -> Array:
 
 
 def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points: int) -> _Ground:
-    """Return errors that a threshold keeps, and what stands there."""
+    """Return errors that the threshold policy e'Γe > about does not send, and samples one check later."""
     half = root(noise)
     if bound_rate(F, noise, Gamma, about) < RAREST:
         raise _too_rare()
@@ -195,8 +196,8 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     into = (right[seen] / deviations[seen, None]) / units
     if len(into) > DIRECTIONS:
         raise ProblemError(
-            f"the error moves in {len(into)} directions, and the value of keeping one is fitted in at most "
-            f"{DIRECTIONS}; expected a plant with fewer states, or policy 'excess'"
+            f"the error has {len(into)} directions, and its value function is fitted in at most {DIRECTIONS}; "
+            "expected a plant with fewer states, or policy 'excess'"
         )
     draws = np.random.default_rng(seed)
     blocks = -(-(points + 1) // SHARERS)
@@ -208,7 +209,7 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
 
 
 def _least_squares(rows: Array, values: Array) -> Array:
-    """Return the shortest x that is nearest to rows·x = values."""
+    """Return the least-squares solution of rows·x = values of minimum norm."""
     triangle: Array = np.asarray(np.linalg.qr(np.column_stack([rows, values]), mode="r"), dtype=np.float64)
     turned, upper = triangle[: rows.shape[1], -1], triangle[: rows.shape[1], :-1]
     diagonal = np.abs(np.diag(upper))
@@ -225,14 +226,14 @@ def squares(x: Array, weight: Array) -> Array:
 
 
 def _terms(z: Array) -> Array:
-    """Return 1, the squares and the products of the coordinates, (points, terms)."""
+    """Return 1, the squares of the coordinates, and their products, (points, terms)."""
     d = z.shape[1]
     products = [z[:, i] * z[:, j] for i in range(d) for j in range(i)]
     return np.stack([np.ones(len(z)), *(z * z).T, *products], axis=1)
 
 
 def _weight(terms: Array, d: int) -> Array:
-    """Return M with z'Mz = Σ terms · (squares, products)."""
+    """Return the matrix M with z'Mz = Σ terms · (squares, products)."""
     M = np.diag(terms[:d])
     pairs = [(i, j) for i in range(d) for j in range(i)]
     for (i, j), value in zip(pairs, terms[d:], strict=True):
@@ -241,19 +242,20 @@ def _weight(terms: Array, d: int) -> Array:
 
 
 def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: int = 0) -> tuple[Array, float]:
-    """Return errors that a rule keeps, once every path was sent a few times, and the mean checks between sends.
+    """Return errors that a rule does not send, collected after every path had a few sends, and the mean interval.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n).
-        sends: tells which of some errors are sent, (errors, n) to (errors,).
-        seed: of the draws.
+        sends: returns for each error whether it is sent, (errors, n) to (errors,).
+        seed: seed of the random numbers.
 
     Returns:
-        Errors, (any, n), all of those that occur if none is ever kept; and the interval, to a few per cent.
+        Unsent errors, (any, n), or draws of w if all errors are sent; and the mean number of checks between sends, to a
+        few per cent.
 
     Raises:
-        ProblemError: hardly any is ever sent.
+        ProblemError: hardly any error is ever sent.
     """
     draws, half = np.random.default_rng(seed), root(noise)
     error, sent_ever, counted, checks = np.zeros((PATHS, len(F))), 0, 0, 0
@@ -282,5 +284,5 @@ def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: in
 
 def _too_rare() -> ProblemError:
     return ProblemError(
-        f"an error is sent less than once in {LONGEST // SENDS} checks; expected a lower price or threshold"
+        f"errors are sent less than once in {LONGEST // SENDS} checks; expected a lower price or threshold"
     )

@@ -1,4 +1,4 @@
-"""Rate and cost of a chain with Gaussian noise: renewal equations by quadrature, with the error that is left."""
+"""Rate and cost of a chain with Gaussian noise: renewal equations by quadrature, with an error estimate."""
 
 from __future__ import annotations
 
@@ -31,38 +31,39 @@ from taciturn.renewal._whiten import spread, whiten
 from taciturn.renewal.chain import Chain, Renewal
 from taciturn.renewal.rates import least_interval
 
-PASSES = 3  # that tell where kept errors are
-TIGHT = 1e-4  # accuracy from which on one more rung is needed
-REACH = 0.85  # of what a normal law would need
-ENTRY = 16.0  # operations for an entry of a matrix
-SOLVING = 0.05  # times the third power of the nodes: the solver does many at once
-READ = (80.0, 50.0)  # operations for a point that a value on a grid is read from: at all, and per check of an interval
-LONG = 13.0  # checks of an interval beyond which iterations do not get more
-LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations of the easiest chains, by dimension
+PASSES = 3  # passes in which the window of unsent errors is found
+TIGHT = 1e-4  # accuracy below which one more refinement is needed
+REACH = 0.85  # window relative to the one that a normal distribution would need
+ENTRY = 16.0  # operations per entry of a matrix
+SOLVING = 0.05  # operations of the linear solver over the third power of the nodes; it is vectorised
+READ = (80.0, 50.0)  # operations per point in an interpolation on a grid: once, and per check of an interval
+LONG = 13.0  # checks of an interval beyond which the number of iterations does not increase
+LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations for the easiest chains, by dimension
 
 
 def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
     """Return rate and cost of a chain with Gaussian noise.
 
-    With k the density of the next error, E = {e: e'Ψe ≤ δ}: T = 1 + ∫_E k T and C = e'Γe + ∫_E k C are the checks
-    and the cost still to come in an interval; the rate is 1/T₀, the excess C₀/T₀, both from an error of 0.
+    Let k be the density of the next error and E = {e: e'Ψe ≤ δ}. The expected checks T and the expected cost C until
+    the next send satisfy T = 1 + ∫_E k T and C = e'Γe + ∫_E k C. The rate is 1/T₀ and the excess is C₀/T₀, both from an
+    error of 0.
 
-    The coordinates make the noise white and Ψ diagonal. Nodes stand on nested chords of E, as far as kept errors
-    get. Resolution and window grow together until both numbers settle; what they last moved by is the error
-    claimed, twice, which is that of the coarser answer.
+    In the coordinates of the quadrature the noise is white and Ψ is diagonal. Nodes lie on nested chords of E, within a
+    window of the errors that occur. Resolution and window increase together until rate and excess no longer change. The
+    claimed error is twice the last change, which is the error of the coarser answer.
 
     Args:
-        chain: with Gaussian noise.
-        accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained. Omitted:
-            1e-8, in three dimensions 1e-6.
+        chain: chain with Gaussian noise.
+        accuracy: relative accuracy of rate and excess; if it is not reached, the claimed errors are larger. Omitted:
+            1e-8, or 1e-6 in three dimensions.
         progress: called with the fraction done.
 
     Returns:
         Rate, excess, their errors and the distribution of the intervals.
 
     Raises:
-        NoQuadratureError: more than three directions count, a direction gets no noise in a check, nothing is
-            ever sent, or more nodes are needed than can be afforded.
+        NoQuadratureError: more than three directions of the error matter, a direction gets no noise in a check, nothing
+            is ever sent, or too many nodes are needed.
 
     Source: khashooei2017
 
@@ -77,13 +78,13 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
 
 class Quadrature:
-    """The renewal equations of a chain with Gaussian noise: what solving them would take, and their solution.
+    """The renewal equations of a chain with Gaussian noise: the effort to solve them, and their solution.
 
     Args:
-        chain: with Gaussian noise.
+        chain: chain with Gaussian noise.
 
     Raises:
-        NoQuadratureError: as ``solve_gaussian``, before any node is placed.
+        NoQuadratureError: as ``solve_gaussian``, if it can be found before any node is placed.
 
     Source: khashooei2017
 
@@ -95,32 +96,32 @@ class Quadrature:
     """
 
     def __init__(self, chain: Chain) -> None:
-        """Find coordinates, and about the covariance of kept errors."""
+        """Find coordinates, and the approximate covariance of unsent errors."""
         self.chain, self.white = chain, whiten(chain)
         self.region, self.covariance = Ellipsoid(self.white.m), spread(self.white)
 
     @property
     def dimensions(self) -> int:
-        """How many directions count."""
+        """Number of directions of the error that matter."""
         return len(self.white.m)
 
     @property
     def usual(self) -> float:
-        """The relative accuracy that is aimed at where none is asked for."""
+        """The default relative accuracy."""
         return usual_accuracy(self.white)
 
     @property
     def least(self) -> float:
-        """Operations that it takes at least."""
+        """Least number of arithmetic operations that a solution of the renewal equations needs."""
         return LEAST[self.dimensions]
 
     @property
     def rough_excess(self) -> float:
-        """About the excess, or more: what errors cost that are kept with a Gaussian probability."""
+        """Approximation of the excess, usually too large: the mean cost of errors with the approximate covariance."""
         return float(np.sum(self.white.Gamma * self.covariance))
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-        """Return what ``solve_gaussian`` does."""
+        """Return rate and cost, as ``solve_gaussian``."""
         white, region = self.white, self.region
         accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
@@ -139,9 +140,9 @@ class Quadrature:
         )
 
     def predict(self, accuracy: float) -> float:
-        """Return about how many operations a relative accuracy takes: nodes are counted, and nothing is solved.
+        """Return about how many operations a relative accuracy requires, from the number of nodes, without solving.
 
-        It is infinite where the nodes are too many.
+        The result is infinite if too many nodes are needed.
         """
         n, looked = self.dimensions, min(accuracy, LOOSEST)
         window = Window(self.covariance, np.full(n, REACH * np.sqrt(-2 * np.log(BEYOND * looked))))
@@ -168,5 +169,5 @@ class Quadrature:
 
     @cached_property
     def _interval(self) -> float:
-        """About the checks of an interval, on which iterations depend, up to where there are no more of them."""
+        """Approximate checks of an interval, up to LONG; the number of iterations depends on it."""
         return min(least_interval(self.chain), LONG)

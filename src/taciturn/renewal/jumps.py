@@ -1,4 +1,4 @@
-"""Rate and cost of a chain whose error is moved by normal jumps at Poisson times, by quadrature."""
+"""Rate and cost of a chain with normal jumps at Poisson times, by quadrature."""
 
 from __future__ import annotations
 
@@ -9,35 +9,35 @@ import numpy as np
 from taciturn._arrays import Array, number, symmetrised
 from taciturn._modes import root
 from taciturn._progress import OutOfTime, Progress, Stages
-from taciturn.renewal._jump_density import Fineness, Shower
+from taciturn.renewal._jump_density import CompoundPoissonNoise, Fineness
 from taciturn.renewal._jump_line import Line
 from taciturn.renewal._jump_plane import Grid, Plane
 from taciturn.renewal._jump_sums import Sums
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError, Renewal
 
 RANK = 1e-10  # relative: a smaller singular value is rounding
-SAFETY = 16.0  # a claimed error over the change at the last refinement: in the plane the levels share some of theirs
-USELESS = 0.01  # relative error claimed
-FLOOR = 1e-11  # relative error that rounding leaves
-FORGOTTEN = 1e-12  # probability of a run of checks without a jump that is followed no further
+SAFETY = 16.0  # claimed error over the change at the last refinement; in the plane the levels share part of it
+USELESS = 0.01  # claimed relative error above which a result is rejected
+FLOOR = 1e-11  # relative error due to rounding
+FORGOTTEN = 1e-12  # probability below which a longer run of checks without a jump is not followed
 LONGEST = {1: 400, 2: 80}  # checks without a jump that are followed one by one, by dimension
-RARE = 1e-3  # probability of more checks without a jump than that, above which too much hangs on the rest
-FAR = 1e-6  # bound on the share of the visits beyond where the set of errors that are kept is cut
-CUTS = 14  # times the cut is moved outwards
+RARE = 1e-3  # largest probability of more checks without a jump than LONGEST
+FAR = 1e-6  # largest fraction of the checks with an error beyond the truncation of the set
+CUTS = 14  # how many times the truncation is moved outwards
 FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200))
 
 
 def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None = None) -> Renewal:
-    """Return rate and excess of a chain with jumps.
+    """Return the rate of sends and the excess cost of a chain with jumps.
 
-    Between two jumps an error moves without chance, so after e^{−λτ} of the checks e⁺ = F e exactly, and an expectation
-    over what is to come breaks wherever F^j e leaves the set of errors that are kept. After a jump it is smooth. The
-    equations are written for what is expected after a jump, as polynomials, and every integral breaks at those edges.
+    Between two jumps the error moves deterministically: after a fraction e^{−λτ} of the checks, e⁺ = F e exactly. So an
+    expectation over later checks is discontinuous wherever F^j e leaves the set of unsent errors. After a jump it is
+    smooth. The equations are therefore written for expectations after a jump, represented by polynomials, and every
+    integral is split at these discontinuities.
 
     Args:
-        chain: with jumps of the normal law for its noise, of at most two dimensions that noise reaches and that Ψ
-            or Γ sees.
-        accuracy: relative error to try for; what is reached stands in the result.
+        chain: chain with normal jumps as noise, in at most two dimensions that the jumps reach and that Ψ or Γ weighs.
+        accuracy: requested relative error; the result contains the error that was reached.
         progress: called with the fraction done.
 
     Returns:
@@ -45,9 +45,9 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
         five digits take seconds, six up to a minute.
 
     Raises:
-        NoQuadratureError: more dimensions, another law, jumps that turn by half a turn within a period or are nearly
-            flat or rare, an error that is never sent, a threshold too large against the noise, or digits that do not
-            settle.
+        NoQuadratureError: more than two dimensions, another distribution, jumps that turn by half a turn within a
+            period or are nearly flat or rare, an error that is never sent, a threshold too large for the noise, or
+            refinements that do not agree.
         ProblemError: an accuracy that is not positive.
 
     Source: khashooei2017
@@ -55,18 +55,23 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):
-        raise NoQuadratureError("the noise is no jumps, and this quadrature takes jumps alone")
+        raise NoQuadratureError(
+            "the noise of the chain does not consist of jumps, and this quadrature supports jumps only"
+        )
     if noise.jumps.distribution != "normal":
         raise NoQuadratureError(
-            f"jumps of the law '{noise.jumps.distribution}' have no smooth density; expected 'normal'; simulate instead"
+            f"jumps with the distribution '{noise.jumps.distribution}' have no smooth density; expected 'normal'; "
+            "simulate instead"
         )
     A, G, F, Psi, Gamma = _reduced(noise.A, root(noise.jumps.covariance), chain)
     if not Psi.size or not (np.abs(Psi) > 0).any():
-        raise NoQuadratureError("Ψ sees no error that the jumps reach, so nothing is ever sent")
+        raise NoQuadratureError(
+            "Ψ weighs no direction of the error that the jumps reach, so nothing would ever be sent"
+        )
     if len(A) > 2:
         raise NoQuadratureError(
-            f"the jumps move errors in {len(A)} dimensions that Ψ or Γ see, and this quadrature takes two; "
-            "simulate instead"
+            f"the jumps move the error in {len(A)} dimensions that Ψ or Γ weighs, and this quadrature supports at most "
+            "two; simulate instead"
         )
     rate, period, told = noise.jumps.rate, noise.period, Stages(progress)
     checks = _followed(rate * period, LONGEST[len(A)])
@@ -76,12 +81,12 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
         line = Line(float(A[0, 0]), jump, rate, period, float(F[0, 0]), bound, float(Gamma[0, 0]))
         levels = zip((1.0, 1.5, 2.0, 3.0), (0.7, 0.8, 0.9, 1.0), strict=True)
         return _refined((line.sums(fineness, _share(checks, share)) for fineness, share in levels), accuracy, told)
-    plane = Plane(Shower(A, G, rate, period), F, Psi / chain.delta, Gamma)
+    plane = Plane(CompoundPoissonNoise(A, G, rate, period), F, Psi / chain.delta, Gamma)
     return _refined(_planes(plane, checks), accuracy, told)
 
 
 def _followed(mean: float, most: int) -> int:
-    """Return how many checks without a jump are followed, of so many jumps per period on average."""
+    """Return the number of checks without a jump that are followed, given the mean number of jumps per period."""
     if np.exp(-mean * most) > RARE:
         raise NoQuadratureError(
             f"{mean:.3g} jumps per period on average are too rare for this quadrature; check less often, or simulate"
@@ -94,7 +99,7 @@ def _share(checks: int, share: float) -> int:
 
 
 def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
-    """Yield the equations in the plane, finer and finer; errors so far out that hardly any comes there are cut off."""
+    """Yield the equations in the plane on finer and finer grids, truncated where hardly any error comes."""
 
     def grid(level: int, cut: float) -> Grid:
         more = 1 + 0.25 * level
@@ -110,14 +115,14 @@ def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
             break
         cut *= 1.5
     else:
-        raise NoQuadratureError("errors that are kept spread too far for this quadrature; simulate instead")
+        raise NoQuadratureError("unsent errors spread too far for this quadrature; simulate instead")
     yield coarse
     for level in range(1, len(FINENESS)):
         yield plane.sums(grid(level, cut * (1 + 0.15 * level)))
 
 
 def _refined(levels: Iterator[Sums], accuracy: float, told: Stages) -> Renewal:
-    """Return what the first level says that differs from the one before by no more than the accuracy, or the last."""
+    """Return the result of the first level that agrees with the previous one to the accuracy, or of the last level."""
     found = np.full(2, np.nan)
     change = np.full(2, np.inf)
     sums = None
@@ -138,15 +143,15 @@ def _refined(levels: Iterator[Sums], accuracy: float, told: Stages) -> Renewal:
     off = float((change / np.abs(found)).max())
     if off > USELESS:
         raise NoQuadratureError(
-            f"rate and excess settle to {off:.1g} of themselves; expected {USELESS:g}; take a smaller δ, or simulate "
-            "instead"
+            f"rate and excess have a relative error of {off:.1g}; expected at most {USELESS:g}; take a smaller δ, or "
+            "simulate instead"
         )
     rate, excess = (float(value) for value in found)
     return Renewal(rate, excess, float(change[0]), float(change[1]), sums.intervals(1 / rate), sums.basis.shape[0])
 
 
 def _reduced(A: Array, G: Array, chain: Chain) -> tuple[Array, Array, Array, Array, Array]:
-    """Return A, G, F, Ψ and Γ on the directions that jumps reach and that Ψ or Γ see."""
+    """Return A, G, F, Ψ and Γ restricted to the directions that jumps reach and that Ψ or Γ weighs."""
     reached = _span(A, G)
     A, G, F = reached.T @ A @ reached, reached.T @ G, reached.T @ chain.F @ reached
     Psi, Gamma = symmetrised(reached.T @ chain.Psi @ reached), symmetrised(reached.T @ chain.Gamma @ reached)
@@ -156,7 +161,7 @@ def _reduced(A: Array, G: Array, chain: Chain) -> tuple[Array, Array, Array, Arr
 
 
 def _span(A: Array, start: Array) -> Array:
-    """Return an orthonormal basis of the least space that holds ``start`` and that A maps into itself."""
+    """Return an orthonormal basis of the smallest A-invariant subspace that contains the columns of ``start``."""
     basis, fresh = np.zeros((len(A), 0)), start
     while fresh.shape[1]:
         fresh = fresh - basis @ (basis.T @ fresh)

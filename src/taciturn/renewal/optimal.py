@@ -1,4 +1,4 @@
-"""The best a scheduler can do at a price per send: policy iteration on the renewal equations, with a free boundary."""
+"""Optimal scheduler at a price per send: policy iteration on the renewal equations, with a free boundary."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
 from taciturn._progress import Progress, Stages
 from taciturn.renewal._check import Effort
+from taciturn.renewal._continuation import ContinuationRegion, holes, improve
 from taciturn.renewal._intervals import intervals
 from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place
-from taciturn.renewal._quiet import Quiet, holes, improve
 from taciturn.renewal._system import (
     COARSE,
     LOOSEST,
@@ -27,46 +27,46 @@ from taciturn.renewal._system import (
 from taciturn.renewal._whiten import AGES, White, spread, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
-ROUGHLY = 1e-4  # what coarse nodes settle to
+ROUGHLY = 1e-4  # relative accuracy to which the policy is iterated on coarse nodes
 ROUNDS = 12  # of policy iteration on one set of nodes; it converges like Newton's method
-LITTLE = 0.1  # of the accuracy: what may be left to iterate
-BOUNDARY = 2.5  # times the error of the nodes: that of the boundary, which between two answers may hide it
-START = 2.0  # times the cost of the best period: about where the boundary is in a few dimensions
-SPLIT = 1e-3  # of the cost: what a region may lose by having no holes
-OTHERWISE = "ask for the policy 'near-optimal', which serves any number, and simulate it"
+LITTLE = 0.1  # remaining error of the policy iteration, as a fraction of the accuracy
+BOUNDARY = 2.5  # factor on the error of the nodes: two answers may share part of the error of the boundary
+START = 2.0  # first boundary, times the cost of the best period: about right in a few dimensions
+SPLIT = 1e-3  # relative loss in cost that is accepted because the region has no holes
+OTHERWISE = "use the policy 'near-optimal', which supports any number of states, and simulate it"
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """The best scheduler at a price per send, with the errors that its quadrature claims.
+    """The optimal scheduler at a price per send, with the error estimates of its quadrature.
 
     Args:
-        cost: g = excess + price · rate, the least there is.
-        cost_error: claimed absolute error of it.
-        price: λ.
-        iterations: of the policy.
-        region: in coordinates with white noise, in units of the price.
+        cost: g = excess + price · rate, the least mean cost per check.
+        cost_error: claimed absolute error of the cost.
+        price: λ, the price of a send.
+        iterations: number of policy iterations.
+        region: the errors that are not sent, in coordinates with white noise and in units of the price.
     """
 
     cost: float
     cost_error: float
     price: float
     iterations: int
-    region: Quiet
+    region: ContinuationRegion
 
     def value(self, e: ArrayLike) -> Array:
-        """Return U(e), what silence costs more than a send, for errors before the decision.
+        """Return U(e), the cost of silence minus that of a send, for errors before the decision.
 
-        Where hardly any error ever comes (beyond the window of the quadrature) it is e'Γe − g.
+        Beyond the window of the quadrature, where errors hardly ever occur, U(e) = e'Γe − g is returned.
 
         Args:
-            e: (…, n).
+            e: errors, (…, n).
 
         Returns:
-            (…,), in the units of the price.
+            U(e) in the units of the price, (…,).
 
         Raises:
-            ProblemError: no numbers, or another size.
+            ProblemError: e does not contain finite numbers, or has another size.
         """
         states = self.region.white.rows.shape[1]
         given = np.asarray(e)
@@ -77,13 +77,13 @@ class Optimum(Renewal):
         """Return whether errors before the decision are sent: U(e) > 0.
 
         Args:
-            e: (…, n).
+            e: errors, (…, n).
 
         Returns:
-            (…,).
+            Whether each error is sent, (…,).
 
         Raises:
-            ProblemError: no numbers, or another size.
+            ProblemError: e does not contain finite numbers, or has another size.
         """
         return self.value(e) > 0
 
@@ -96,33 +96,33 @@ def solve_optimal(
     accuracy: float | None = None,
     progress: Progress | None = None,
 ) -> Optimum:
-    """Return the scheduler that minimises the mean of e'Γe over silence and of a price over sends.
+    """Return the scheduler that minimises the mean cost per check: e'Γe during silence, plus a price for each send.
 
-    Before a check e⁺ = F e + w; then it is sent, and the error is 0, or kept, and costs e⁺'Γe⁺. Optimal is
+    The error before a check is e⁺ = F e + w. A send resets it to 0; an unsent error costs e⁺'Γe⁺. The optimal rule is
 
         send iff U(e) > 0,  U(e) = e'Γe − g + E min(0, U(F e + w)),  g such that λ − g + E min(0, U(w)) = 0.
 
-    Policy iteration: the renewal equations of a region give T(e) and C(e), the checks and the cost to come until the
-    next send, g = (C₀ + λ)/T₀ and U, whose negative part is the next region. Four or five regions converge. The rest
-    is as under a threshold: nodes on nested chords, resolution and window growing together until rate and
-    excess settle.
+    The rule is found by policy iteration. The renewal equations of a region give T(e) and C(e), the expected checks and
+    cost until the next send. From these follow g = (C₀ + λ)/T₀ and U, and the errors with U < 0 form the next region.
+    Four or five iterations converge. The quadrature is the same as for a threshold: nodes on nested chords, with a
+    resolution and a window that are increased together until rate and excess no longer change.
 
     Args:
-        F: (n, n), any.
+        F: map of the error from one check to the next, any (n, n) matrix.
         noise: covariance of w ~ N(0, ·), (n, n), semidefinite.
-        Gamma: Γ, (n, n), semidefinite.
-        price: λ > 0, of a send.
-        accuracy: relative, of rate and excess; where it is out of reach the errors say what was attained. Omitted:
-            1e-8, in three dimensions 1e-6.
+        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
+        price: λ > 0, the price of a send.
+        accuracy: relative accuracy of rate and excess; if it is not reached, the claimed errors are larger. Omitted:
+            1e-8, or 1e-6 in three dimensions.
         progress: called with the fraction done.
 
     Returns:
         Cost, rate and excess per check, their errors, the distribution of the intervals, and the scheduler.
 
     Raises:
-        ProblemError: wrong shapes, no covariances, a price or an accuracy out of range.
-        NoQuadratureError: more than three directions count, a direction gets no noise in a check, silence costs
-            nothing, hardly anything is sent, or the region is not one piece along an axis.
+        ProblemError: a matrix has the wrong shape or is not semidefinite, or price or accuracy is out of range.
+        NoQuadratureError: more than three directions of the error matter, a direction gets no noise in a check, silence
+            costs nothing, hardly anything is sent, or the region has several pieces along an axis.
 
     Source: khashooei2017
 
@@ -161,21 +161,21 @@ def solve_optimal(
 def optimal_curve(
     F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, prices: ArrayLike, accuracy: float | None = None
 ) -> tuple[Optimum, ...]:
-    """Return the best scheduler at each of some prices: the curve of rate and excess that no scheduler gets below.
+    """Return the optimal scheduler at several prices: the lower boundary of all pairs of rate and excess.
 
     Args:
-        F: (n, n), any.
+        F: map of the error from one check to the next, any (n, n) matrix.
         noise: covariance of w ~ N(0, ·), (n, n), semidefinite.
-        Gamma: Γ, (n, n), semidefinite.
-        prices: λ > 0, (prices,).
-        accuracy: relative, of rates and excesses.
+        Gamma: Γ, weight of the cost of silence, (n, n), semidefinite.
+        prices: λ > 0, the prices of a send, (prices,).
+        accuracy: relative accuracy of rates and excesses.
 
     Returns:
-        One for each price.
+        One scheduler for each price.
 
     Raises:
-        ProblemError: as of one price.
-        NoQuadratureError: as of one price.
+        ProblemError: as ``solve_optimal``.
+        NoQuadratureError: as ``solve_optimal``.
 
     Source: khashooei2017
 
@@ -188,12 +188,12 @@ def optimal_curve(
 
 
 class _Iteration:
-    """Policy iteration: the region that is kept, on nodes that change under it.
+    """Policy iteration on the region of unsent errors; the nodes are placed anew in every iteration.
 
     Args:
         white: the chain, in units of the price.
-        accuracy: relative.
-        told: the progress.
+        accuracy: relative accuracy of rate and excess.
+        told: reports the progress.
     """
 
     def __init__(self, white: White, accuracy: float, told: Stages) -> None:
@@ -212,10 +212,10 @@ class _Iteration:
         self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
-        """Return the optimum on nodes of a density and a window of so many times the reach."""
+        """Return the optimum on nodes of a given density, in a window whose reach is multiplied by a factor."""
         found = self._iterate(density, factor, step, MOST_NODES, self.settled)
         if found is not None and step == 1:
-            _gaps(found, ROUGHLY)  # refused before many nodes are spent on it
+            _gaps(found, ROUGHLY)  # rejects a region with holes before many nodes are used
         return found
 
     def _iterate(self, density: float, factor: float, step: int, most: int, settled: float) -> Solved | None:
@@ -227,7 +227,8 @@ class _Iteration:
                 return None
             self.count += 1
             moved = 1.0 if self.found is None else found.moved(self.found)
-            # a change shrinks at least as it last did; the first one is one of nodes too, and may be left as a whole
+            # the next change is smaller by at least the last ratio; the first change is also due to the new nodes, so
+            # that all of it counts as the remaining error
             found = replace(found, left=moved * min(1.0, moved / before))
             self.region, self.found, before = improve(self.white, found, window), found, max(moved, TINY)
             if found.left <= settled:
@@ -236,18 +237,18 @@ class _Iteration:
 
 
 def _gaps(solved: Solved, negligible: float) -> tuple[float, float, float]:
-    """Return what rate, excess and cost lack because the region is taken without holes; refuse where that is much."""
+    """Return the errors of rate, excess and cost from ignoring holes in the region; reject a large error."""
     gaps = holes(solved, negligible)
     if gaps[2] > SPLIT * (solved.excess + solved.rate):
         raise NoQuadratureError(
-            f"errors that should be sent lie between errors that should be kept, and keeping them costs {gaps[2]:.1g} "
-            f"prices per check; expected a region in one piece along every axis; {OTHERWISE}"
+            f"errors that should be sent lie between errors that should not be sent, and ignoring this costs "
+            f"{gaps[2]:.1g} prices per check; expected a region in one piece along every axis; {OTHERWISE}"
         )
     return gaps
 
 
 def _periodic(white: White) -> float:
-    """Return the cost of the best period, in units of the price: one send after so many checks without a look."""
+    """Return the cost of the best periodic schedule, in units of the price."""
     spreads, total, best = np.zeros_like(white.F), 1.0, 1.0
     for checks in range(1, AGES):
         spreads = white.F @ spreads @ white.F.T + np.eye(len(white.m))

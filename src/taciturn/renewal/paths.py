@@ -1,4 +1,4 @@
-"""Rate and cost of a chain with Gaussian noise in any dimension: never-die paths and randomised quasi-Monte Carlo."""
+"""Rate and cost of a chain with Gaussian noise in any dimension, by conditional sampling and quasi-Monte Carlo."""
 
 from __future__ import annotations
 
@@ -7,39 +7,40 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, count, frozen, number
+from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.estimate import Estimate
-from taciturn.renewal._walk import Course, Walk, follow
+from taciturn.renewal._randomisation import Course, Walk, follow
 from taciturn.renewal._whiten import reduced
 from taciturn.renewal.chain import Chain, Intervals
 from taciturn.renewal.rates import least_interval
 
-RANDOMISATIONS = 16  # at a time: their spread is known to a fifth
-FIRST, LARGEST = 1 << 10, 1 << 16  # paths of each
-CUT = 0.01  # of the accuracy: what the geometric tail may be of an interval
-USUAL = 50_000_000
-SHORT = 2.5  # checks
-SPARED, PLAIN = 0.75, 0.5  # powers of the paths with which an error falls, where intervals are short and elsewhere
-DRAW = 150.0  # operations for a draw that is conditional
-START = 3e7  # operations, to scramble points
-LASTING = 6.0  # times the checks of an interval: those that few paths take, each of which costs more than of many
-LOOKED = 16  # checks that tell about how long intervals are
+RANDOMISATIONS = 16  # computed at a time; the relative error of their spread is a fifth
+FIRST, LARGEST = 1 << 10, 1 << 16  # paths of each randomisation
+CUT = 0.01  # largest share of an interval in its geometric tail, times the accuracy
+USUAL = 50_000_000  # default limit of paths times checks
+SHORT = 2.5  # checks: intervals up to here count as short
+SPARED, PLAIN = 0.75, 0.5  # the error falls with this power of the number of paths, for short intervals and others
+DRAW = 150.0  # operations for a conditional draw
+START = 3e7  # operations to scramble the Sobol points
+LASTING = 6.0  # effort of the fewest paths, as a multiple of the mean interval (per path it exceeds that of many paths)
+LOOKED = 16  # checks from which the mean interval is estimated roughly
 
 
-@dataclass(frozen=True, eq=False)
-class PathAnswer:
-    """Rate and cost of a chain as never-die paths find them.
+@dataclass(frozen=True, eq=False, repr=False)
+class PathAnswer(Displayed):
+    """Rate and cost of a chain, from conditional sampling.
 
     Args:
         rate: sends per check.
-        excess: mean of what a check costs, E[(1−σ) e'Γe].
-        covariance: of these two, (2, 2).
-        intervals: between sends.
-        survival_error: standard errors of their survival, (checks,).
-        randomisations: independent ones, whose spread the standard errors tell.
-        paths: of each.
-        steps: paths times checks that it took.
-        reached: whether both standard errors are the ones asked for.
+        excess: mean cost per check, E[(1−σ) e'Γe].
+        covariance: covariance of both estimates, (2, 2).
+        intervals: distribution of the intervals between sends.
+        survival_error: standard errors of the survival of the intervals, (checks,).
+        randomisations: number of independent randomisations, from whose spread the standard errors follow.
+        paths: number of paths of each randomisation.
+        steps: number of paths times checks that were computed.
+        reached: whether both standard errors are at most the requested one.
     """
 
     rate: Estimate
@@ -61,29 +62,30 @@ def solve_paths(
     steps: int = USUAL,
     progress: Progress | None = None,
 ) -> PathAnswer:
-    """Return rate and cost of a chain with Gaussian noise in any dimension, of any rank.
+    """Return rate and cost of a chain with Gaussian noise of any rank, in any dimension, by conditional sampling.
 
-    An interval has T = Σ_j P(kept at the checks 1 … j) checks in the mean and costs C = Σ_j E[e_j'Γe_j, kept so far];
-    the rate is 1/T, the excess C/T. Paths never die: in each check one coordinate of the noise after the other is
-    drawn such that the error can still be kept, and the probability of that is multiplied to the path's weight, as in
-    the simulator of Geweke, Hajivassiliou and Keane. The draws come from scrambled Sobol points, in independent
-    randomisations, over whose spread the standard errors of the ratios are had. There are more points, then more
-    randomisations, until those are small. What is left to a geometric tail is at most a hundredth of the error asked
-    for, and what its ratio is in doubt by counts.
+    The mean interval is T = Σ_j P(no send at the checks 1 … j), and its mean cost is C = Σ_j E[e_j'Γe_j, no send so
+    far]. The rate is 1/T, and the excess is C/T. Sampling is conditional on silence: at each check, the coordinates of
+    the noise are drawn one after the other such that the error can still remain unsent, and the weight of the path is
+    multiplied by the probability of this. This is the simulator of Geweke, Hajivassiliou and Keane. The draws come from
+    scrambled Sobol points in independent randomisations, whose spread gives the standard errors of the ratios. First
+    the number of points, then the number of randomisations is increased until the standard errors are small enough. The
+    remainder of an interval, which is assumed to be geometric, is at most a hundredth of the requested error; the
+    uncertainty of its ratio is part of the standard errors.
 
     Args:
-        chain: with Gaussian noise, which need not fill all directions in one check.
-        standard_error: relative, of rate and excess.
-        seed: of the draws, at least 0.
-        steps: paths times checks at which it stops asking for more; where this was too few, the errors say so.
-        progress: called with the fraction done; the best answer so far is the last one when it is out of time.
+        chain: chain with Gaussian noise, which need not reach all directions in one check.
+        standard_error: requested relative standard error of rate and excess.
+        seed: seed of the random numbers, at least 0.
+        steps: limit of paths times checks; if it is too low, the standard errors are larger than requested.
+        progress: called with the fraction done; when time runs out, the best answer so far is returned.
 
     Returns:
         Rate and excess with standard errors, and the distribution of the intervals.
 
     Raises:
-        NoQuadratureError: nothing is ever sent, or hardly ever; the cost has no end.
-        ProblemError: an accuracy outside (0, 1), a seed or a number of steps that is none.
+        NoQuadratureError: nothing, or hardly anything, is ever sent, or the cost is infinite.
+        ProblemError: an accuracy outside (0, 1), or a seed or a number of steps out of range.
 
     Source: hajivassiliou1996, lecuyer2018
 
@@ -120,7 +122,7 @@ def solve_paths(
             break
         told.at = max(told.at, work / steps, min(standard_error / off, 1.0) ** 2)
         if paths < LARGEST:
-            # fewer than what a spread that falls as one over the points asks for, and no more than what is left
+            # the spread falls at most as one over the number of points, and the work is limited to what remains
             more = min(max(off / standard_error, 2.0), LARGEST / paths, max((steps - work) / spent, 2.0))
             paths, courses = paths << int(np.log2(more)), []
     assert found is not None
@@ -132,17 +134,17 @@ def solve_paths(
 
 
 def _off(*found: Estimate) -> float:
-    """Return the largest of some relative standard errors."""
+    """Return the largest relative standard error of the estimates."""
     return max(each.standard_error / abs(each.value) if each.value else 0.0 for each in found)
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return about how many operations ``solve_paths`` takes, from an answer to a coarser accuracy; 0 if that will do.
+    """Return about how many operations ``solve_paths`` needs, given a coarser answer; 0 if that one is accurate enough.
 
     Args:
-        chain: with Gaussian noise.
-        known: what fewer paths found.
-        standard_error: relative, of the excess.
+        chain: chain with Gaussian noise.
+        known: answer from fewer paths.
+        standard_error: requested relative standard error of the excess.
     """
     off = known.excess.standard_error / known.excess.value if known.excess.value else 0.0
     if off <= standard_error:
@@ -152,10 +154,10 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
 
 
 def predict_fewest(chain: Chain) -> float:
-    """Return about how many operations the fewest paths take, from a lower bound on the mean interval.
+    """Return about how many operations the fewest paths need, from a lower bound on the mean interval.
 
     Args:
-        chain: with Gaussian noise.
+        chain: chain with Gaussian noise.
 
     Raises:
         NoQuadratureError: nothing is ever sent, or jumps.
@@ -164,7 +166,7 @@ def predict_fewest(chain: Chain) -> float:
 
 
 def least_work(chain: Chain) -> float:
-    """Return how many operations the fewest paths take, at least: those of intervals of one check."""
+    """Return a lower bound on the operations of the fewest paths: those for intervals of one check."""
     return _fewest(chain, 1.0)
 
 
@@ -173,13 +175,13 @@ def _fewest(chain: Chain, interval: float) -> float:
 
 
 def expect_quicker(chain: Chain) -> bool:
-    """Say whether never-die paths are expected to beat a plain simulation: whether intervals are short.
+    """Predict whether conditional sampling is faster than a plain simulation: whether intervals are short.
 
-    Only where few checks make an interval do points that fill space evenly help: ``benchmarks/paths.py`` measures up
-    to which. Intervals are at least as long as those of independent checks (:func:`least_interval`), and about that.
+    Quasi-random points help only if intervals have few checks; ``benchmarks/paths.py`` measures the limit. The mean
+    interval is at least that of independent checks (:func:`least_interval`), and usually close to it.
 
     Args:
-        chain: with Gaussian noise.
+        chain: chain with Gaussian noise.
 
     Raises:
         NoQuadratureError: nothing is ever sent, or jumps.
@@ -195,9 +197,9 @@ def expect_quicker(chain: Chain) -> bool:
 
 
 def _ratios(courses: list[Course]) -> tuple[Estimate, Estimate, Array]:
-    """Return rate, excess and their covariance: ratios of means, to first order in what these are off by.
+    """Return rate, excess and their covariance, as ratios of means, to first order in the errors of the means.
 
-    The doubt about what follows the last check counts in full, as it may be the same in all randomisations.
+    The uncertainty about the checks after the last one counts in full, as it may be common to all randomisations.
     """
     sums = np.array([course.sums for course in courses])
     checks, cost = sums.mean(axis=0)
@@ -215,7 +217,7 @@ def _ratios(courses: list[Course]) -> tuple[Estimate, Estimate, Array]:
 
 
 def _intervals(courses: list[Course], rate: float) -> tuple[Intervals, Array]:
-    """Return the mean survival with its errors, as far as all have one, and the decay with which it sums to 1/rate."""
+    """Return mean and standard errors of the survival that all courses have, with a decay that sums to 1/rate."""
     known = min(len(course.survival) for course in courses)
     each = np.array([course.survival[:known] for course in courses])
     survival, errors = each.mean(axis=0), each.std(axis=0, ddof=1) / np.sqrt(len(each))

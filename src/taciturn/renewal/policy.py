@@ -1,10 +1,11 @@
-"""Policies that are analysed and not run: watched between ticks, or decided by a boundary that is no quadratic."""
+"""Policies that are analysed but cannot run on nodes: triggers in continuous time, and the optimal schedule."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
@@ -13,26 +14,27 @@ from taciturn.model.policy import Policy
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 
 
-@dataclass(frozen=True, eq=False)
-class EventPolicy:
-    """Both ends predict the state; the sensor sends it when the cost of the prediction's error reaches what is allowed.
+@dataclass(frozen=True, eq=False, repr=False)
+class EventPolicy(Displayed):
+    """A policy in continuous time: both ends predict the state, and an integral trigger sends the state.
 
-    It is analysed as a renewal process. A loop of nodes that exchange packets has ticks: give the policy a period.
+    The sensor sends the state when the cost of the prediction error since the last send reaches the allowed value. The
+    policy is analysed as a renewal process. To run it on nodes that exchange packets, give it a period.
 
     Args:
         kind: name in the catalogue.
-        plant: the plant it was designed for.
-        cost: the cost it was designed for.
+        plant: the plant for which it was designed.
+        cost: the cost for which it was designed.
         process: the error between sends.
-        trigger: when it is sent.
-        cost_all_time: cost per second of a state that is always known, tr(PλW).
-        alpha: α, with c = αC; with a standard error where it was computed.
+        trigger: when the state is sent.
+        cost_all_time: cost per second if the state is always known, tr(PλW).
+        alpha: α, with c = αC; it has a standard error if it was estimated.
         statement: the theorem in one line, or None.
         source: key in ``docs/sources.bib``.
-        notes: what a reader of its numbers must know.
+        notes: remarks that are shown with its results.
 
     Raises:
-        ProblemError: the plant has what only a simulation uses: limits of the input, or an initial state.
+        ProblemError: the plant has data that only a simulation uses: limits of the input, or an initial state.
     """
 
     kind: str
@@ -50,14 +52,31 @@ class EventPolicy:
         """Check the plant."""
         self.refuse(_only_simulated(self.plant))
 
+    def summary(self) -> Mapping[str, object]:
+        """Return kind, cost, guarantee and trigger of the policy."""
+        bound = self.bound()
+        return {
+            "kind": self.kind,
+            "cost_all_time": self.cost_all_time,
+            "guarantee": None if self.statement is None or bound is None else f"{self.statement}: at most {bound:.6g}",
+            "plant": self.plant.short(),
+            "alpha": self.alpha,
+            "trigger": self.trigger,
+            "notes": self.notes,
+        }
+
+    def short(self) -> str:
+        """Return the kind of the policy."""
+        return self.kind
+
     def refuse(self, given: Mapping[str, bool]) -> None:
-        """Refuse what this policy would ignore, by name, where it is given."""
+        """Reject given arguments, by name, that this policy does not use."""
         _refuse(f"{self.kind} without a period", given, "policy.period")
 
     def bound(self, interval: float = 0.0) -> float | None:
-        """Return what the cost cannot exceed at a mean interval between sends; at 0: at any.
+        """Return an upper bound on the cost at a mean interval between sends; at 0, the bound for any interval.
 
-        None where a shortest interval lets the cost of an interval pass what is allowed.
+        The result is None if a shortest interval allows the cost of an interval to exceed the threshold.
         """
         if self.trigger.h_min > 0:
             return None
@@ -65,19 +84,19 @@ class EventPolicy:
         return self.cost_all_time + self.trigger.c * share
 
 
-@dataclass(frozen=True, eq=False)
-class OptimalPolicy:
-    """The best schedule of an error that a send resets, at a price per send.
+@dataclass(frozen=True, eq=False, repr=False)
+class OptimalPolicy(Displayed):
+    """The optimal schedule of an error that a send resets, at a price per send.
 
-    Its boundary is found by quadrature and is no quadratic, so that no node runs it.
+    Its boundary is computed by quadrature and is not a quadratic form, so that no node can run it.
 
     Args:
         kind: name in the catalogue.
-        looked_at: a policy of the same nodes, with another trigger: what is known of the loop is read from it.
-        price: λ, of a send, in the units of the cost times those of time.
+        looked_at: a policy with the same nodes and another trigger, which supplies the properties of the loop.
+        price: λ, the price of a send, in units of the cost times units of time.
 
     Raises:
-        ProblemError: the plant has what only a simulation uses: limits of the input, or an initial state.
+        ProblemError: the plant has data that only a simulation uses: limits of the input, or an initial state.
     """
 
     kind: str
@@ -88,13 +107,22 @@ class OptimalPolicy:
         """Check the plant."""
         self.refuse(_only_simulated(self.looked_at.model))
 
+    def summary(self) -> Mapping[str, object]:
+        """Return kind, price, and the cost of sending every sample."""
+        plant = self.looked_at.model.short()
+        return {"kind": self.kind, "price": self.price, "cost_all_time": self.cost_all_time, "plant": plant}
+
+    def short(self) -> str:
+        """Return the kind of the policy."""
+        return self.kind
+
     def refuse(self, given: Mapping[str, bool]) -> None:
-        """Refuse what this policy would ignore, by name, where it is given."""
+        """Reject given arguments, by name, that this policy does not use."""
         _refuse(self.kind, given, "near-optimal")
 
     @property
     def cost_all_time(self) -> float:
-        """Cost of sending at every tick, in the units of the cost."""
+        """Cost of sending at every step, in the units of the cost."""
         return self.looked_at.cost_all_time
 
 
@@ -108,4 +136,4 @@ def _only_simulated(plant: Plant | ContinuousPlant) -> Mapping[str, bool]:
 
 def _refuse(what: str, given: Mapping[str, bool], instead: str) -> None:
     for name in (name for name, is_given in given.items() if is_given):
-        raise ProblemError(f"{name} is given, which {what} does not use; expected {instead}, or none")
+        raise ProblemError(f"{name} is given, which {what} does not use; expected {instead}, or no {name}")

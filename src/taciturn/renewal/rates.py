@@ -1,4 +1,4 @@
-"""Bounds on how often an error-reset chain sends that need neither a quadrature nor a simulation, in any dimension."""
+"""Certified bounds on the rate of sends of an error-reset chain, without quadrature or simulation, in any dimension."""
 
 from __future__ import annotations
 
@@ -8,30 +8,31 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taciturn._arrays import Array, count, number
+from taciturn._display import Displayed
 from taciturn._modes import radius, root, summed
-from taciturn.renewal._chi import enclosed
+from taciturn.renewal._chi_square import enclosed
 from taciturn.renewal._whiten import Data, reduced
 from taciturn.renewal.chain import Chain
 
-MOST_CHECKS = 2048  # that are looked at one by one
-SETTLED = 1e-10  # relative: what twice the checks may change
-SLACK = 1e-13  # of the largest standard deviation: what rounding may move any of them by
-STABLE = 1 - 1e-9
-FEW = 64  # checks, which tell whether intervals are short
-NEVER = 1e-300
-LARGE = 1e100  # standard deviations
-SPARE = 1e-12  # relative: what a covariance is made larger by, to be above others for certain
-TINY = 1e-16
-ROUNDED = 1e-12  # absolute, of a probability that Fourier transforms convolve
+MOST_CHECKS = 2048  # checks that are computed one by one
+SETTLED = 1e-10  # relative change from twice the checks below which the bounds are final
+SLACK = 1e-13  # bound on the rounding error of a standard deviation, relative to the largest one
+STABLE = 1 - 1e-9  # spectral radius from which on a map does not count as stable
+FEW = 64  # checks that suffice to find whether intervals are short
+NEVER = 1e-300  # survival probability that counts as 0
+LARGE = 1e100  # standard deviation above which nothing remains unsent
+SPARE = 1e-12  # relative increase of a covariance, so that it is certainly above others
+TINY = 1e-16  # least 1 − p, against division by 0
+ROUNDED = 1e-12  # absolute error of a probability that is convolved by Fourier transforms
 
 
-@dataclass(frozen=True, eq=False)
-class WindowBound:
-    """How often a window of checks sees a send, at most.
+@dataclass(frozen=True, eq=False, repr=False)
+class WindowBound(Displayed):
+    """Upper bounds on the number of sends in a window of checks.
 
     Args:
-        mean: the number of sends is no more in the mean.
-        most: nor above this, with the confidence that was asked for.
+        mean: upper bound on the mean number of sends.
+        most: upper bound on the number of sends that holds with the requested confidence.
     """
 
     mean: float
@@ -41,26 +42,29 @@ class WindowBound:
 def rate_bounds(chain: Chain) -> tuple[float, float]:
     """Return certified bounds on the rate of sends per check of a chain with Gaussian noise, in any dimension.
 
-    Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error that is never reset, E = {e: e'Ψe ≤ δ}, which is
-    convex and symmetric, p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E) the survival of an interval. The rate is
+    Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error without sends, and E = {e: e'Ψe ≤ δ}, a convex and
+    symmetric set. Let p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E), the survival of an interval. The rate is
     1/Σ_j a_j.
 
-    Above: a_j ≥ p_1 ⋯ p_j by the Gaussian correlation inequality (Royen). What is cut off such a sum is positive.
+    Upper bound: a_j ≥ p_1 ⋯ p_j by the Gaussian correlation inequality (Royen). The omitted terms of this sum are
+        positive.
 
-    Below: a_j ≤ min_k a_{j−k} p_k. For given the error e after check j − k, the one at check j, were it not reset, is
-    F^k e + n, n distributed as n_k, which is in E most probably if e = 0 (Anderson); then average over the e that were
-    kept so far. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is no less than a_j. For any k the sum of the a_j after
-    check J is no more than (p_k + p_k² + …)(u_{J−k+1} + … + u_J), which is finite as some p_k < 1.
+    Lower bound: a_j ≤ min_k a_{j−k} p_k. Given the error e after check j − k, the error at check j without a send is
+    F^k e + n, where n is distributed as n_k. This error lies in E with the largest probability if e = 0
+    (Anderson). The average
+    over the unsent errors e gives the inequality. So u_0 = 1, u_j = min_{k ≤ j} u_{j−k} p_k is an upper bound of a_j.
+    For any k, the sum of the a_j after check J is at most (p_k + p_k² + …)(u_{J−k+1} + … + u_J). This is finite, since
+    some p_k < 1.
 
     Args:
-        chain: with Gaussian noise.
+        chain: chain with Gaussian noise.
 
     Returns:
-        A lower and an upper bound of the rate, in (0, 1]. Where kept errors are wide beside the noise of one check,
-        the upper one is well above the rate and the lower one well below.
+        A lower and an upper bound of the rate, in (0, 1]. If unsent errors are large compared with the noise of one
+        check, the upper bound is well above the rate and the lower bound is well below it.
 
     Raises:
-        NoQuadratureError: jumps; nothing is ever sent, so that the rate is 0.
+        NoQuadratureError: the noise consists of jumps, or nothing is ever sent, so that the rate is 0.
 
     Source: royen2014, anderson1955
 
@@ -96,15 +100,15 @@ def rate_bounds(chain: Chain) -> tuple[float, float]:
 def least_interval(chain: Chain, checks: int = FEW) -> float:
     """Return a lower bound on the mean interval in checks, 1 + Σ_j p_1 ⋯ p_j over some of them.
 
-    It is what :func:`rate_bounds` has above the rate, where so many checks say all there is to say.
+    Its inverse is the upper bound of :func:`rate_bounds` if this number of checks suffices.
 
     Args:
-        chain: with Gaussian noise.
-        checks: that are summed over.
+        chain: chain with Gaussian noise.
+        checks: number of terms of the sum.
 
     Raises:
-        NoQuadratureError: jumps; nothing is ever sent.
-        ProblemError: checks is no whole number of at least 1.
+        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
+        ProblemError: checks is not an integer of at least 1.
 
     Source: royen2014
 
@@ -117,25 +121,26 @@ def least_interval(chain: Chain, checks: int = FEW) -> float:
 
 
 def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound:
-    """Return bounds on the number of sends in any window of so many checks.
+    """Return upper bounds on the number of sends in any window of a given number of checks.
 
-    Intervals are independent and alike, with a survival P(X > j) ≥ q_j = p_1 ⋯ p_j (:func:`rate_bounds`). So on one
-    probability space each is at least as long as an X' whose survival is q. The first send of a window may come at its
-    first check, and every later one ends an interval. So the number of sends in k checks is at most 1 + N'(k − 1), N'
-    counting the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean solves U_m = Σ_{j ≤ m} f_j (1 + U_{m−j}),
-    and P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1), which is convolved.
+    Intervals are independent and identically distributed, with a survival P(X > j) ≥ q_j = p_1 ⋯ p_j
+    (:func:`rate_bounds`). So on one probability space, each interval is at least as long as an X' with survival q. The
+    first send of a window may come at its first check, and every later send ends an interval. So the number of sends in
+    k checks is at most 1 + N'(k − 1), where N' counts the renewals with intervals X'. With f_j = q_{j−1} − q_j its mean
+    solves U_m = Σ_{j ≤ m} f_j (1 + U_{m−j}). Its distribution follows by convolution from
+    P(1 + N'(k − 1) > m) = P(X'_1 + … + X'_m ≤ k − 1).
 
     Args:
-        chain: with Gaussian noise, after any past.
-        checks: k ≥ 1.
-        confidence: probability with which no more than ``most`` are sent, in (0, 1 − 10⁻¹⁰).
+        chain: chain with Gaussian noise; its past is arbitrary.
+        checks: k ≥ 1, the length of the window.
+        confidence: probability that at most ``most`` errors are sent, in (0, 1 − 10⁻¹⁰).
 
     Returns:
-        The bound on the mean, and the least one at this confidence that follows.
+        The bound on the mean, and the least bound on the number at this confidence.
 
     Raises:
-        NoQuadratureError: jumps; nothing is ever sent.
-        ProblemError: checks or confidence out of range.
+        NoQuadratureError: the noise consists of jumps, or nothing is ever sent.
+        ProblemError: checks or confidence is out of range.
 
     Source: royen2014
 
@@ -155,7 +160,8 @@ def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound
 
 
 def _least(arrives: Array, risk: float) -> int:
-    """Return the least m for which m intervals fill the window but for some risk, by doubling and then by halves."""
+    """Return the least m for which m intervals are shorter than the window with at most the probability ``risk``."""
+    # binary search: distributions of 1, 2, 4, … intervals by doubling, then the largest m from the longest down
     powers = [arrives]
     while powers[-1].sum() > risk - ROUNDED:
         powers.append(_convolved(powers[-1], powers[-1]))
@@ -168,7 +174,7 @@ def _least(arrives: Array, risk: float) -> int:
 
 
 def _convolved(one: Array, other: Array) -> Array:
-    """Return the distribution of a sum, as far as the window goes."""
+    """Return the distribution of the sum of two independent times, up to the length of the window."""
     size = 1 << (2 * len(one) - 1).bit_length()
     product = np.fft.irfft(np.fft.rfft(one, size) * np.fft.rfft(other, size), size)
     return np.maximum(product[: len(one)], 0.0)
@@ -181,17 +187,17 @@ def _survival(chain: Chain, checks: int) -> Array:
     for j, (low, _) in zip(range(1, checks + 1), _kept(_seen(chain)), strict=False):
         survival[j] = survival[j - 1] * low
         if survival[j] < NEVER:
-            break  # zeros are safe
+            break  # zeros are lower bounds too
     return survival
 
 
 def _seen(chain: Chain) -> Data:
-    """Return the chain in the directions that decide."""
+    """Return the chain restricted to the directions on which the trigger depends."""
     return reduced(replace(chain, Gamma=chain.Psi))
 
 
 def _kept(data: Data) -> Iterator[tuple[float, float]]:
-    """Yield bounds on p_1, p_2, …; a factor of S_j is carried on, which has twice the digits of S_j."""
+    """Yield bounds on p_1, p_2, …, from a factor of S_j, which has twice as many accurate digits as S_j."""
     noise, seen = root(data.noise), root(data.Psi).T
     factor: Array = noise
     while True:
@@ -199,7 +205,7 @@ def _kept(data: Data) -> Iterator[tuple[float, float]]:
         slack = SLACK * float(deviations[0])
         low, _ = enclosed(np.square(deviations + slack), 1.0)
         _, high = enclosed(np.square(np.maximum(deviations - slack, 0.0)), 1.0)
-        large = float(deviations[0]) > LARGE  # beyond, nothing is kept any more, and p_j falls
+        large = float(deviations[0]) > LARGE  # nothing remains unsent from here on, and p_j decreases
         yield 0.0 if large else low, high
         if not large:
             _, upper = np.linalg.qr(np.hstack([data.F @ factor, noise]).T)
@@ -207,13 +213,13 @@ def _kept(data: Data) -> Iterator[tuple[float, float]]:
 
 
 def _rest(above: Array, highs: Array) -> float:
-    """Return a bound on Σ a_j over all later checks: the best k that Σ over the last k extends to."""
+    """Return a bound on Σ a_j over all later checks: the least over k of the extrapolation from the last k checks."""
     ends = np.cumsum(above[::-1])
     return float((ends * highs / np.maximum(1 - highs, TINY)).min())
 
 
 def _onward(data: Data) -> float:
-    """Return Σ_i p^i, p ≤ every p_j: of a covariance X ≥ F X F' + noise, above every S_j; 0 where there is none."""
+    """Return Σ_i p^i, where p ≤ p_j for all j follows from a covariance X ≥ F X F' + noise; 0 if there is no such X."""
     if radius(data.F) >= STABLE:
         return 0.0
     size = float(np.linalg.norm(summed(data.F, data.noise), 2))

@@ -1,9 +1,10 @@
-"""Cycles of an error that is looked at every τ seconds, under the integral trigger: jumps or Wiener noise alike.
+"""Cycles of an error that is checked every τ seconds, under the integral trigger, with jumps or Wiener noise.
 
-What an interval has cost is counted in expectation given the errors seen: e'Γ(τ)e for a period that begins with the
-error e, and what the noise of a period costs on average. So E[cost]/E[θ] is that of the loop exactly. At each look the
-cost of the period to come is known, and the state is sent before it passes what is allowed: at the first time t at
-which cost + e'Γe + noise > c min(t + τ, ε), never before h_min, and no later than the last look before h_max.
+The cost of an interval is its conditional expectation given the errors at the checks: e'Γ(τ)e for a period that begins
+with the error e, plus the mean cost of the noise of a period. So E[cost]/E[θ] equals the value of the loop exactly. At
+each check the expected cost of the next period is available, and the state is sent before the cost exceeds the allowed
+value: at the first time t with cost + e'Γe + noise > c min(t + τ, ε), never before h_min, and no later than the last
+check before h_max.
 """
 
 from __future__ import annotations
@@ -13,28 +14,29 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.model.plant import JumpNoise
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Builder, Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.program.ops import State
 from taciturn.renewal.events import CLOSING, ERROR, INTEGRAL, OPEN, TIME, IntegralTrigger, count_cycle, filled
 
-LATE = 1 + 1e-12  # of a limit that is a whole number of periods
+LATE = 1 + 1e-12  # tolerance for limits that are a whole number of periods
 
 
-@dataclass(frozen=True, eq=False)
-class SampledProcess:
-    """An error that moves by e⁺ = F e + w from look to look.
+@dataclass(frozen=True, eq=False, repr=False)
+class SampledProcess(Displayed):
+    """An error that obeys e⁺ = F e + w from one check to the next.
 
     Args:
-        F: (n, n).
+        F: map of the error from one check to the next, (n, n).
         noise: covariance of w, (n, n), or jumps.
-        Gamma: Γ(τ), (n, n).
+        Gamma: Γ(τ), weight of the cost of a period, (n, n).
         running: mean cost of the noise of one period, τ g(τ).
-        period: τ, seconds.
+        period: τ, seconds between checks.
     """
 
     F: Array
@@ -45,9 +47,9 @@ class SampledProcess:
 
 
 def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Program:
-    """Return the program of one period and the look at its end, with the sums and outputs of ``cycle_program``."""
+    """Return the program of one period and of the check at its end, with the sums and outputs of ``cycle_program``."""
     n = len(process.F)
-    tick = Tick(Builder(), {}, {}, ())
+    tick = TimeStep(Builder(), {}, {}, ())
     b = tick.builder
     zero, period = b.constant(0.0), b.constant(process.period)
     state = {name: b.state(State(name, 0, start=(name, 0))) for name in (INTEGRAL, TIME, OPEN, CLOSING)}
@@ -60,6 +62,7 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
     moved = [tick.value(b.combine([float(entry) for entry in row], error)) for row in process.F]
     moved = [b.emit("add", x, w) for x, w in zip(moved, _noise(tick, process.noise), strict=True)]
     spent, time = b.emit("add", state[INTEGRAL], ahead(error)), b.emit("add", state[TIME], period)
+    # the threshold c min(t + τ, ε) is that of the end of the next period, whose expected cost is ``ahead``
     after = b.emit("add", time, period)
     allowed = after
     if np.isfinite(trigger.saturation):
@@ -83,11 +86,11 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
 
 
 def sampled_start(program: Program, paths: int, seed: int) -> Array:
-    """Return the states of paths that were reset just now."""
+    """Return the states of paths just after a send."""
     return filled(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
 
 
-def _noise(tick: Tick, noise: Array | JumpNoise) -> list[int]:
+def _noise(tick: TimeStep, noise: Array | JumpNoise) -> list[int]:
     if isinstance(noise, JumpNoise):
         return add_jumps(tick, noise)
     spread, b = factor(noise), tick.builder

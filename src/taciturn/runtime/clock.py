@@ -1,25 +1,26 @@
-"""When a tick begins: absolute deadlines, and the phase of a clock that is heard in packets.
+"""The beginning of steps in real time: the phase of the steps is estimated from arriving packets.
 
-Nodes do not agree on the time of day. Who measures begins a tick when the measurement comes; who listens takes the
-phase of the ticks from the packets that arrive, so that a clock which is set, or which drifts, does not matter.
+The wall clocks of nodes are not synchronised. The node with the sensor begins a step when the measurement arrives. The
+other nodes estimate the phase of the steps from the packets that arrive. Drift or adjustment of a wall clock therefore
+has no effect.
 """
 
 from __future__ import annotations
 
-DRIFT = 1e-3  # by which two clocks may differ in speed
-JUMPED = 16.0  # ticks by which the phase is off where one of the clocks has jumped
-AGREED = 8  # packets in a row that say so before it is believed
+DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
+JUMPED = 16.0  # offset in steps beyond which a wall clock has jumped
+AGREED = 8  # consecutive packets that must show a jump before it is accepted
 
 
 class Phase:
-    """The time at which tick 0 began, as a listener hears it.
+    """An estimate of the time at which step 0 began, from the arrival times of packets.
 
-    A packet may be late and never early: the earliest says when its tick began at the latest. What is later moves the
-    phase by no more than clocks may drift. What is off by many ticks is a jump, and is followed where so many packets
-    in a row agree: before, one of a tick that cannot have begun is not believed.
+    A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
+    the phase by at most the possible drift. An offset of many steps is a jump. The estimate follows a jump after
+    several consecutive packets agree. Until then, a packet of a step that cannot have begun is ignored.
 
     Args:
-        tick: seconds per tick.
+        tick: seconds per step.
 
     Example:
         >>> phase = Phase(0.01)
@@ -30,18 +31,18 @@ class Phase:
     """
 
     def __init__(self, tick: float) -> None:
-        """Nothing has been heard."""
+        """Start without packets."""
         self.tick, self.zero = tick, float("nan")
         self._last, self._jump, self._agreed = 0, float("nan"), 0
         self.jumps = 0
 
     @property
     def known(self) -> bool:
-        """Whether anything has been heard."""
+        """Whether any packet has arrived."""
         return self.zero == self.zero
 
     def hear(self, tick: int, now: float) -> bool:
-        """Note that a packet of a tick has come now; return whether that tick can have begun."""
+        """Update the estimate with a packet of a step received now; return whether that step can have begun."""
         found = now - tick * self.tick
         if not self.known:
             self.zero, self._last = found, tick
@@ -64,9 +65,9 @@ class Phase:
         return True
 
     def begins(self, tick: int) -> float:
-        """Return when a tick begins."""
+        """Return the time at which a step begins."""
         return self.zero + tick * self.tick
 
     def now(self, time: float) -> int:
-        """Return the tick that a time is in."""
+        """Return the number of the step at a given time."""
         return int((time - self.zero) // self.tick)

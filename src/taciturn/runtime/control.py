@@ -1,4 +1,4 @@
-"""Plants, policies and loops as systems of python-control, and plants from them."""
+"""Conversion of plants, policies and loops to systems of python-control, and of systems to plants."""
 
 from __future__ import annotations
 
@@ -16,44 +16,46 @@ from taciturn.model.dynamics import Dynamics
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant, plant_from
 from taciturn.model.policy import Policy
-from taciturn.runtime.nodes import Nodes, Turns, Values
+from taciturn.runtime.nodes import Nodes, StepFunction, Values
 
 
 def to_control(
     thing: Plant | ContinuousPlant | Policy | Loop, network: Network | None = None, seed: int = 0, sent: bool = True
 ) -> Any:
-    """Make a system of python-control of a plant, a policy or a loop.
+    """Convert a plant, a policy or a loop to a system of python-control.
 
-    | of | a | from | to | dt |
+    | converted object | result | inputs | outputs | dt |
     |---|---|---|---|---|
-    | a plant | `StateSpace` | u | y | its own, True where it has none; 0 of a continuous one |
-    | one that is not linear | `NonlinearIOSystem` | u | y | the same |
-    | a policy | `NonlinearIOSystem` | y | u, sent | that of the plant it was designed for, as sampled |
-    | a loop | `NonlinearIOSystem` | w, v | y, u, sent | that of its plant, as sampled |
+    | linear plant | `StateSpace` | u | y | dt of the plant; True if unspecified; 0 for a continuous plant |
+    | nonlinear plant | `NonlinearIOSystem` | u | y | the same |
+    | policy | `NonlinearIOSystem` | y | u, sent | dt of the (sampled) plant of the design |
+    | loop | `NonlinearIOSystem` | w, v | y, u, sent | dt of its (sampled) plant |
 
-    Signals are named ``u[0]``, ``y[0]``, …, and ``sent_actuator`` or ``sent_sensor``: 1 in a tick in which a packet is
-    sent on the link, for each link whose rate the policy decides. In a loop x⁺ = A x + B u + w, or f(x, u, w), and
-    y = C x + v.
+    Signals are named ``u[0]``, ``y[0]``, and so on. For each link whose rate the policy decides, ``sent_actuator`` or
+    ``sent_sensor`` is 1 in each step in which a packet is sent on the link. In a loop, x⁺ = A x + B u + w or
+    x⁺ = f(x, u, w), and y = C x + v.
 
-    A plant's noise, initial state and input limit are not in its system; the u of a policy or loop is clipped.
-    Where an actuator predicts between ticks, u is the state of its model when the tick begins, as in ``policy.model``.
+    The system of a plant excludes its noise, initial state and input limit. The output u of a policy or loop is
+    clipped. If an actuator predicts between steps, u is the state of its model at the beginning of the step, as in
+    ``policy.model``.
 
-    The state of a policy is what its nodes remember and, last, the number of the tick. Where that is 0 nothing is
-    remembered yet, so that the initial state 0, which is python-control's own, is always the right one. That of a loop
-    begins with the state x of the plant: ``X0=[loop.problem.plant.mean, 0]`` starts it there, and the rest at 0.
+    The state of a policy consists of the stored values of its nodes and, as last entry, the number of the step. At
+    step 0 the stored values are replaced by their correct start values, so the default initial state 0 of
+    python-control is always valid. The state of a loop begins with the plant state x; ``X0=[loop.problem.plant.mean,
+    0]`` starts the plant at its mean.
 
     Args:
-        thing: the plant, policy or loop; the plant of a loop may be continuous, and is sampled then.
-        network: between the nodes of a policy; omitted: that of the design.
-        seed: of what is lost and of a policy's draws: those of a tick depend on it and the tick alone.
-        sent: whether what is sent is put out, beside the input.
+        thing: plant, policy or loop; a continuous plant of a loop is sampled.
+        network: network between the nodes of a policy; default: the network of the design.
+        seed: seed of packet drops and of a policy's random draws; the draws of a step depend only on seed and step.
+        sent: whether the system has the outputs ``sent_…`` in addition to the input.
 
     Returns:
-        The system, named after the policy's kind, or ``plant`` or ``loop``.
+        The system, named ``plant``, ``loop``, or by the kind of the policy.
 
     Raises:
-        InformationError: a node of the policy uses what it cannot know over the network.
-        ProblemError: python-control is missing, the thing is none of these, or a network is given for no policy.
+        InformationError: a node of the policy uses a value that is not available to it over the network.
+        ProblemError: python-control is missing, ``thing`` has another type, or a network is given without a policy.
 
     Example:
         >>> import taciturn
@@ -65,7 +67,7 @@ def to_control(
     if network is not None and not isinstance(thing, Policy):
         raise ProblemError(
             f"network is given for a {type(thing).__name__}; expected it for a Policy only: "
-            "a loop has its own, from close"
+            "pass the network of a loop to `close`"
         )
     if isinstance(thing, ContinuousPlant):
         return state_space(thing.A, thing.B, thing.C, 0, "plant")
@@ -77,7 +79,7 @@ def to_control(
         plant, (turns, links) = thing.model, (Nodes(thing, network, seed).turns, thing.scheduled)
         return _system(turns, {"y": plant.outputs}, {"applied": plant.inputs}, links if sent else (), plant, thing.kind)
     plant, links = thing.problem.plant, thing.policy.scheduled
-    turns = Turns(replace(thing, precision="float64").open_program(), thing.network, seed)
+    turns = StepFunction(replace(thing, precision="float64").open_program(), thing.network, seed)
     taken, shown = {"w": plant.states, "v": plant.outputs}, {"y": plant.outputs, "applied": plant.inputs}
     return _system(turns, taken, shown, links if sent else (), plant, "loop", given=plant.states)
 
@@ -90,24 +92,24 @@ def from_control(
     covariance: ArrayLike | None = None,
     input_limit: ArrayLike | None = None,
 ) -> Plant | ContinuousPlant:
-    """Make a plant of a linear system of python-control; ``plant_from`` takes those of scipy as well.
+    """Convert a linear system of python-control to a plant; ``plant_from`` also accepts systems of scipy.
 
-    With dt = 0 it is a ContinuousPlant, with the seconds of a step or True a Plant, whose ``dt`` is then None.
+    The result is a ContinuousPlant if dt = 0, and otherwise a Plant. If dt is True, the ``dt`` of the plant is None.
 
     Args:
-        system: a `control.StateSpace`, or a `control.TransferFunction`, which is realised.
+        system: a `control.StateSpace`, or a `control.TransferFunction`, for which a realisation is computed.
         W: process noise, (n, n): covariance per step, or intensity per second.
-        V: measurement-noise covariance, (p, p); omitted: exact measurement.
-        mean: initial mean, (n,); omitted: 0.
-        covariance: initial covariance, (n, n); omitted: 0.
-        input_limit: symmetric clip of each input, (m,), positive; omitted: none.
+        V: measurement-noise covariance, (p, p); default: exact measurement.
+        mean: initial mean, (n,); default: 0.
+        covariance: initial covariance, (n, n); default: 0.
+        input_limit: symmetric limit of each input, (m,), positive; default: no limit.
 
     Returns:
         The plant.
 
     Raises:
-        ProblemError: python-control is missing, the system is of another kind, D ≠ 0, dt is None, or the plant is
-            none that can be controlled.
+        ProblemError: python-control is missing, the system has another type, D ≠ 0, dt is None, or the plant cannot be
+            controlled.
 
     Example:
         >>> import control
@@ -117,13 +119,13 @@ def from_control(
     if not is_linear(system):
         raise ProblemError(
             f"system is a {type(system).__name__}; expected a control.StateSpace or a control.TransferFunction: "
-            "linearise a nonlinear one first, as with control.linearize, or use plant_from for one of scipy"
+            "linearise a nonlinear system first, e.g. with control.linearize, or use plant_from for a system of scipy"
         )
     return plant_from(system, W, V, mean, covariance, input_limit)
 
 
 def _system(
-    turns: Turns,
+    turns: StepFunction,
     taken: Mapping[str, int],
     shown: Mapping[str, int],
     links: Sequence[str],
@@ -131,9 +133,9 @@ def _system(
     name: str,
     given: int = 0,
 ) -> Any:
-    """Return the system of the ticks of a program, which takes and shows signals of so many entries.
+    """Return the system of a program, with input and output signals of the given sizes.
 
-    So many of its states are given also at the first tick, where the others are what they start from.
+    The first ``given`` states are taken from the initial state; the others begin with their start values.
     """
     inputs = _entries(taken)
     places = [turns.outputs[output] for output in (*_entries(shown), *(f"{SENT} {link}" for link in links))]
@@ -157,7 +159,7 @@ def _system(
 
 
 def _moving(plant: Plant, function: Dynamics) -> Any:
-    """Return the system of a plant that is not linear, without its noise."""
+    """Return the system of a nonlinear plant, without its noise."""
     n, names = plant.states, _labels({"x": plant.states})
 
     def update(t: float, x: Array, u: Array, params: object) -> Array:
@@ -171,15 +173,15 @@ def _moving(plant: Plant, function: Dynamics) -> Any:
 
 
 def _step(plant: Plant) -> float | bool:
-    """Return the seconds of a step as python-control has them: True where nobody has said."""
+    """Return the seconds per step in python-control's convention: True if unspecified."""
     return True if plant.dt is None else plant.dt
 
 
 def _entries(signals: Mapping[str, int]) -> list[str]:
-    """Return the names of the entries of signals as programs have them."""
+    """Return the names of the entries of signals in programs, such as ``y 0``."""
     return [f"{name} {i}" for name, size in signals.items() for i in range(size)]
 
 
 def _labels(signals: Mapping[str, int]) -> list[str]:
-    """Return them as python-control has them."""
+    """Return the names of the entries of signals in python-control, such as ``y[0]``."""
     return [f"{name}[{i}]" for name, size in signals.items() for i in range(size)]

@@ -1,17 +1,17 @@
-"""What becomes of packets that arrive at a node: every case is defined, and counted once.
+"""The handling of packets that arrive at a node: every case is defined, and counted once.
 
-| a packet | |
+| packet | counter and handling |
 |---|---|
-| of the tick that wants it | `used`: this is the theory |
-| of a later tick | waits for it; more than `AHEAD` ticks early it is dropped: `ahead` |
-| of an earlier tick | `late`: a network that loses packets has lost it, as the theory has it; on an ideal one the newest such packet is used in the next tick |
-| that has come before | `duplicate`, dropped |
-| of an earlier epoch, or far behind the newest | `replayed`, dropped |
-| of another loop or link | `misdirected`, dropped |
-| older than another of its tick | `superseded`, dropped |
-| that is a mark: its sender lives, and has finished a tick | `marks` |
+| belongs to the step that reads it | `used`: the case that the theory assumes |
+| belongs to a later step | waits for its step; dropped as `ahead` if it is more than `AHEAD` steps early |
+| belongs to an earlier step | `late`: with packet drops, it is treated as dropped; on an ideal network, the next step uses it if it is newer than every packet that a step has read |
+| has arrived before | `duplicate`, dropped |
+| belongs to an earlier epoch, or is far behind the newest packet | `replayed`, dropped |
+| belongs to another loop or link | `misdirected`, dropped |
+| is older than another packet of the same step | `superseded`, dropped |
+| is a mark: its sender is running and has finished a step | `marks` |
 
-So `received` is the sum of all the others and of what waits.
+The counter `received` is the sum of all other counters and the number of waiting packets.
 """  # noqa: E501
 
 from __future__ import annotations
@@ -19,23 +19,31 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
+from taciturn._display import Displayed
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.window import Window
 
-AHEAD = 64  # ticks that a packet may be early
+AHEAD = 64  # largest number of steps by which a packet may be early
+Handling: TypeAlias = Literal["misdirected", "duplicate", "replayed", "ahead", "marks", "waiting", "late"]
+USABLE: frozenset[Handling] = frozenset({"marks", "waiting", "late"})  # the packet shows that its sender is running
 
 
-@dataclass
-class Stream:
-    """Packets of one kind on one link.
+@dataclass(repr=False)
+class Stream(Displayed):
+    """The packets of one kind on one link.
 
     Args:
-        lag: how many ticks older than the tick that reads it its packet is.
-        at: where its values stand among the inputs of a node: whether one arrived, and then the payload.
-        size: of the payload.
-        part: of the tick that reads it.
+        lag: number of steps between the step of a packet and the step that reads it.
+        at: index of the first of its inputs of the node: whether a packet arrived, followed by the payload.
+        size: number of entries of the payload.
+        part: part of the step that reads the packets.
+        window: window over the sequence numbers received.
+        waiting: packets that wait for their step, by step.
+        behind: newest late packet, or None.
+        missing: number of missing sequence numbers when the packets were last read.
+        newest: step of the newest packet that a step has read; older packets are never used.
     """
 
     lag: int
@@ -44,19 +52,20 @@ class Stream:
     part: int
     window: Window = field(default_factory=Window)
     waiting: dict[int, Packet] = field(default_factory=dict[int, Packet])
-    behind: Packet | None = None  # the newest that came too late
-    missing: int = 0  # sequence numbers that were missing when it was read last
+    behind: Packet | None = None
+    missing: int = 0
+    newest: int = -1
 
 
 class Inbox:
-    """The packets that have come to a node.
+    """The received packets of a node.
 
     Args:
-        streams: by kind and link.
-        loop: of the node.
-        lossless: whether the policy's theory takes every packet to arrive.
-        counters: where each packet is counted.
-        degrade: called where something happens that the theory does not know.
+        streams: packets by kind and link.
+        loop: number of the node's loop.
+        lossless: whether the policy's theory assumes that every packet arrives.
+        counters: counters of the packets, to be updated.
+        degrade: function called after an event that violates an assumption of the theory.
     """
 
     def __init__(
@@ -67,48 +76,49 @@ class Inbox:
         counters: Counter[str],
         degrade: Callable[[str], None],
     ) -> None:
-        """Nothing has come."""
+        """Start with an empty inbox."""
         self.streams, self.loop, self._lossless = streams, loop, lossless
         self.counters, self._degrade = counters, degrade
         self.marks = {link: Window() for _, link in streams}
-        self.marked = {link: -1 for _, link in streams}  # the last tick that its sender has finished
+        self.marked = {link: -1 for _, link in streams}  # last step that the sender has finished
 
     @property
     def waiting(self) -> int:
-        """Packets that wait for their tick."""
+        """Number of packets that wait for their step."""
         return sum(len(stream.waiting) for stream in self.streams.values())
 
-    def take(self, packet: Packet, past: int) -> bool:
-        """Take a packet in after the tick ``past``; return whether it is new, and not far too early."""
+    def take(self, packet: Packet, past: int) -> Handling:
+        """Store a packet after the step ``past``, and return how it was handled."""
         self.counters["received"] += 1
         stream = self.streams.get((packet.kind, packet.link))
         mark = packet.kind == "mark" and packet.link in self.marks
         if packet.loop != self.loop or not (mark or stream):
             self.counters["misdirected"] += 1
-            return False
+            return "misdirected"
         window = self.marks[packet.link] if stream is None else stream.window
         news = window.admit(packet.epoch, packet.sequence)
         if news != "new":
             self.counters[news] += 1
-            return False
+            return news
         if packet.tick > past + AHEAD and past >= 0:
             self.counters["ahead"] += 1
-            return False
+            return "ahead"
         if stream is None:
             self.counters["marks"] += 1
             self.marked[packet.link] = max(self.marked[packet.link], packet.tick)
-        elif packet.tick > past - stream.lag:
+            return "marks"
+        if packet.tick > past - stream.lag:
             self._wait(stream, packet)
-        else:
-            self._miss(stream, packet)
-        return True
+            return "waiting"
+        self._miss(stream, packet)
+        return "late"
 
     def settled(self, link: str, tick: int) -> bool:
-        """Tell whether the packet of a tick has come, or will not."""
+        """Return whether the packet of a step has arrived or will not be sent."""
         return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
     def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
-        """Put the packets that a part of a tick wants among its inputs; return those that came in time."""
+        """Copy the packets that a part of a step reads to the inputs; return the packets that arrived in time."""
         found: list[Packet] = []
         for stream in self.streams.values():
             if stream.part != part:
@@ -123,6 +133,8 @@ class Inbox:
             elif stream.behind is not None:
                 packet = stream.behind
             stream.behind = None
+            if packet is not None:
+                stream.newest = max(stream.newest, packet.tick)
             if self._lossless and stream.window.missing > stream.missing:
                 self._degrade("lost")
             stream.missing = stream.window.missing
@@ -131,13 +143,14 @@ class Inbox:
         return found
 
     def save(self) -> dict[str, Any]:
-        """Return all that is remembered, as JSON holds it."""
+        """Return the state of the inbox as values that JSON can represent."""
         streams = {
             " ".join(name): {
                 "window": stream.window.save(),
                 "waiting": [list(packet) for packet in stream.waiting.values()],
                 "behind": stream.behind and list(stream.behind),
                 "missing": stream.missing,
+                "newest": stream.newest,
             }
             for name, stream in self.streams.items()
         }
@@ -145,13 +158,13 @@ class Inbox:
         return {"channels": streams, "marks": marks, "marked": dict(self.marked)}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what was saved."""
+        """Continue from a saved state."""
         for name, stream in self.streams.items():
             kept = saved["channels"][" ".join(name)]
             stream.window.restore(kept["window"])
             stream.waiting = {packet.tick: packet for packet in map(packet_of, kept["waiting"])}
             stream.behind = None if kept["behind"] is None else packet_of(kept["behind"])
-            stream.missing = kept["missing"]
+            stream.missing, stream.newest = kept["missing"], kept["newest"]
         for link, window in self.marks.items():
             window.restore(saved["marks"][link])
             self.marked[link] = saved["marked"][link]
@@ -161,7 +174,7 @@ class Inbox:
         self.counters["superseded"] += known is not None
         if known is None or (packet.epoch, packet.sequence) > (known.epoch, known.sequence):
             stream.waiting[packet.tick] = packet
-        if len(stream.waiting) > 2 * AHEAD:  # of a node that has not begun
+        if len(stream.waiting) > 2 * AHEAD:  # only before the first step of the node
             self._miss(stream, stream.waiting.pop(min(stream.waiting)))
 
     def _miss(self, stream: Stream, packet: Packet) -> None:
@@ -170,11 +183,11 @@ class Inbox:
             self._degrade("late acknowledgement")
         elif self._lossless:
             self._degrade("late")
-            if stream.behind is None or packet.tick > stream.behind.tick:
+            if packet.tick > (stream.newest if stream.behind is None else stream.behind.tick):
                 stream.behind = packet
 
 
 def packet_of(saved: Sequence[Any]) -> Packet:
-    """Return a packet of its saved fields."""
+    """Return the packet with the given saved fields."""
     kind, link, tick, sequence, values, epoch, loop = saved
     return Packet(kind, link, tick, sequence, tuple(values), epoch, loop)

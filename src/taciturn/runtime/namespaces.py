@@ -1,8 +1,8 @@
-"""A test bed in which the kernel loses packets: nodes in network namespaces of their own, joined by veth pairs.
+"""A test bed in which the kernel drops packets: each node runs in a network namespace, and veth pairs connect them.
 
-Every node and the plant have a namespace each, and a wire to every other. Where a link ends, nftables drops its data by
-a hash of their sequence number, so that what arrives can be told before (``predict_drops``). Marks, acknowledgements
-and what plant and nodes tell each other pass. Nothing is changed outside these namespaces.
+The plant has a namespace too, and every two namespaces are connected. At the receiver of a link, nftables drops data
+packets by a hash of the sequence number, so that drops can be predicted (``predict_drops``). Marks, acknowledgements
+and packets between plant and nodes are not dropped. Nothing is changed outside these namespaces.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import ctypes
 import json
 import os
 import re
+import shutil
 import signal
 import struct
 import subprocess
@@ -28,32 +29,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taciturn._arrays import count
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.places import role_at, roles
 from taciturn.model.policy import ENDS, LinkName, Policy
 from taciturn.model.wire import HEADER, KINDS, LINKS
 
-NETWORK, PORT = "10.77.0", 9000  # of every node; no other machine sees them
+NETWORK, PORT = "10.77.0", 9000  # network and port of every node, invisible to other machines
 NEEDED = (
     "expected the rights of root, the programs ip and nft, and nft_hash in the kernel: "
-    "become root, and install Debian's packages iproute2 and nftables"
+    "run as root, and install the Debian packages iproute2 and nftables"
 )
-_FOLDER = Path("/var/run/netns")  # where ip keeps the names of namespaces
+_FOLDER = Path("/var/run/netns")  # folder in which ip lists the namespaces
 _CLONE_NEWNET = 0x40000000
 _UDP_HEADER = 8  # bytes
 _numbers = counting()
 
 
-@dataclass(frozen=True)
-class KernelLoss:
-    """Which packets of a link the kernel drops.
+@dataclass(frozen=True, repr=False)
+class KernelLoss(Displayed):
+    """The packet loss that the kernel applies to a link.
 
     Args:
-        seed: of the hash, 32 bits.
-        permille: so many of a thousand, 0 to 1000.
+        seed: seed of the hash, 32 bits.
+        permille: packets dropped per thousand, 0 to 1000.
 
     Raises:
-        ProblemError: a number out of its range.
+        ProblemError: a number is out of range.
     """
 
     seed: int = 0
@@ -67,11 +69,11 @@ class KernelLoss:
 
 
 class Counted(NamedTuple):
-    """What nftables has counted on a link; a packet that is sent again counts again.
+    """The counters of nftables for a link; they count a retransmitted packet again.
 
     Args:
-        seen: data that came.
-        dropped: of them.
+        seen: data packets received.
+        dropped: number of them that the kernel dropped.
     """
 
     seen: int
@@ -79,21 +81,21 @@ class Counted(NamedTuple):
 
 
 def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[np.integer]) -> NDArray[np.bool_]:
-    """Tell which packets the kernel drops: those with ⌊1000·jhash(sequence, seed)/2³²⌋ < permille.
+    """Predict which packets the kernel drops: those with ⌊1000·jhash(sequence, seed)/2³²⌋ < permille.
 
-    The hash is that of Linux (``include/linux/jhash.h``) over the four bytes of the sequence as they stand in the
-    datagram, as nftables takes it in ``jhash … mod 1000 seed …``.
+    The hash is the Linux function jhash (``include/linux/jhash.h``) of the four bytes of the sequence number in the
+    datagram, as in the nftables expression ``jhash … mod 1000 seed …``.
 
     Args:
-        seed: of the hash, 32 bits.
-        permille: so many of a thousand, 0 to 1000.
-        sequences: numbers of packets, 0 to 2³²−1, (k,).
+        seed: seed of the hash, 32 bits.
+        permille: packets dropped per thousand, 0 to 1000.
+        sequences: sequence numbers of packets, 0 to 2³²−1, (k,).
 
     Returns:
-        Whether each is dropped, (k,).
+        Whether each packet is dropped, (k,).
 
     Raises:
-        ProblemError: a number out of its range.
+        ProblemError: a number is out of range.
 
     Example:
         >>> predict_drops(seed=1, permille=250, sequences=range(12)).nonzero()[0]
@@ -104,8 +106,8 @@ def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[n
     if numbers.size and not 0 <= numbers.min() <= numbers.max() <= 0xFFFFFFFF:
         raise ProblemError(f"sequences go from {numbers.min()} to {numbers.max()}; expected 0 to {0xFFFFFFFF}")
     b = np.full(numbers.shape, (0xDEADBEEF + 4 + seed) & 0xFFFFFFFF, dtype=np.uint32)
-    a = b + numbers.astype(np.uint32).byteswap()  # the hash reads the big-endian word as a little-endian one
-    c = -_rotated(b, 14)  # c ^= b gives 0, for both are the seed's
+    a = b + numbers.astype(np.uint32).byteswap()  # the hash reads the big-endian word in little-endian order
+    c = -_rotated(b, 14)  # jhash starts with c = b, so that c ^= b is 0
     a = (a ^ c) - _rotated(c, 11)
     b = (b ^ a) - _rotated(a, 25)
     c = (c ^ b) - _rotated(b, 16)
@@ -116,28 +118,32 @@ def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[n
 
 
 class Namespaces:
-    """Namespaces for the nodes of a policy and its plant, there as long as the ``with`` block runs.
+    """Network namespaces for the nodes of a policy and its plant, which exist while the ``with`` block runs.
 
-    They are named after this process; those of processes that were killed are removed, with what still runs in them.
+    Their names contain the process id. On entry, namespaces of killed processes are removed, and processes that still
+    run in them are ended.
 
     Args:
-        policy: whose nodes they are for.
-        losses: of each link; omitted links lose nothing.
-        places: further ones, beside the nodes and the plant.
+        policy: policy whose nodes run in the namespaces.
+        losses: packet loss of each link; a link without an entry drops no packets.
+        places: names of further namespaces.
 
     Raises:
-        ProblemError: when entered: rights, a program or a part of the kernel are missing.
+        ProblemError: root rights, a program or a kernel module are missing (raised on entry).
     """
 
     def __init__(self, policy: Policy, losses: Mapping[LinkName, KernelLoss], places: Sequence[str] = ()) -> None:
-        """Give everybody a name and an address."""
+        """Choose the name and address of each namespace."""
         self.policy, self.losses = policy, losses
         owner = f"taciturn-{os.getpid()}-{_born(os.getpid())}-{next(_numbers)}"
         self.names = {place: f"{owner}-{place}" for place in (*roles(policy), *places, "plant")}
         self.addresses = {place: f"{NETWORK}.{i}:{PORT}" for i, place in enumerate(self.names, start=1)}
 
     def __enter__(self) -> Namespaces:
-        """Make them, or leave nothing behind."""
+        """Create the namespaces; after an error, remove those already created."""
+        for program in ("ip", "nft"):
+            if shutil.which(program) is None:
+                raise ProblemError(f"the program {program} is missing; {NEEDED}")
         for path in _FOLDER.glob("taciturn-*"):
             found = re.match(r"taciturn-(\d+)-(\d+)-", path.name)
             if found and _born(int(found[1])) != found[2]:
@@ -145,25 +151,25 @@ class Namespaces:
         try:
             self._make()
         except BaseException:
-            with suppress(ProblemError):  # the first failure is the one to tell
+            with suppress(ProblemError):  # the first error is the one to report
                 self._clear()
             raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """Remove them."""
+        """Remove the namespaces."""
         self._clear()
 
     def before(self, place: str) -> list[str]:
-        """Return the command that runs another one at a place."""
+        """Return the prefix of a command that runs it in the namespace of a place."""
         return ["ip", "netns", "exec", self.names[place]]
 
     @contextmanager
     def visit(self, place: str) -> Generator[None]:
-        """Let this thread open sockets at a place; they stay there.
+        """Enter the namespace of a place with this thread; sockets opened inside the block remain in the namespace.
 
         Raises:
-            ProblemError: it may not be entered.
+            ProblemError: the namespace cannot be entered.
         """
         with open("/proc/thread-self/ns/net", "rb") as home, open(_FOLDER / self.names[place], "rb") as there:
             _enter(there.fileno())
@@ -173,7 +179,7 @@ class Namespaces:
                 _enter(home.fileno())
 
     def counted(self, link: LinkName) -> Counted:
-        """Return what the kernel has counted on a link."""
+        """Return the counters of the kernel for a link."""
         found = json.loads(_run(*self.before(role_at(self.policy, ENDS[link])), "nft", "-j", "list", "counters"))[
             "nftables"
         ]
@@ -204,11 +210,11 @@ class Namespaces:
 
 
 def _rules(link: LinkName, loss: KernelLoss) -> str:
-    """Return a table of nftables that counts the data of a link and drops some."""
+    """Return an nftables table that counts the data packets of a link and drops some of them."""
     chosen = {"kind": KINDS.index("data"), "link": LINKS.index(link)}
     data = " ".join(f"{_field(name)} {value}" for name, value in chosen.items())
     share = f"jhash {_field('sequence')} mod 1000 seed {loss.seed} < {loss.permille}"
-    share = "" if loss.permille == 1000 else share  # nftables refuses what is always true
+    share = "" if loss.permille == 1000 else share  # nftables rejects a condition that is always true
     drop = f"{share} counter name {link}_dropped drop" if loss.permille else ""
     return f"""table inet taciturn_{link} {{
         counter {link}_seen {{ }}
@@ -221,7 +227,7 @@ def _rules(link: LinkName, loss: KernelLoss) -> str:
 
 
 def _field(name: str) -> str:
-    """Return where a field of the header stands, in bits after the beginning of UDP's own, as nftables says it."""
+    """Return the nftables expression for a packet field: its offset from the UDP header and its length in bits."""
     names = [field.name for field in HEADER]
     before = struct.calcsize("!" + "".join(field.code for field in HEADER[: names.index(name)]))
     return f"@th,{8 * (_UDP_HEADER + before)},{8 * struct.calcsize(HEADER[names.index(name)].code)}"
@@ -232,7 +238,7 @@ def _rotated(word: NDArray[np.uint32], bits: int) -> NDArray[np.uint32]:
 
 
 def _born(pid: int) -> str | None:
-    """Return when a process began, in ticks since the machine did: with its number, its name for good."""
+    """Return the start time of a process since boot; together with the process id it identifies the process."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
     return None
@@ -244,10 +250,10 @@ def _enter(descriptor: int) -> None:
 
 
 def _remove(name: str) -> None:
-    """Remove a namespace, and end what still runs in it; another process may be removing it, too."""
+    """Remove a namespace and end its processes; another process may remove the namespace at the same time."""
     try:
         for pid in map(int, _run("ip", "netns", "pids", name).split()):
-            assert sys.platform != "win32"  # there is an ip
+            assert sys.platform != "win32"  # the program ip exists on Linux only
             with suppress(ProcessLookupError):
                 os.kill(pid, signal.SIGKILL)
         _run("ip", "netns", "delete", name)
@@ -259,8 +265,6 @@ def _remove(name: str) -> None:
 def _run(*command: str, given: str = "") -> str:
     try:
         return subprocess.run(command, input=given, capture_output=True, encoding="utf-8", check=True).stdout
-    except FileNotFoundError:
-        raise ProblemError(f"the program {command[0]} is missing; {NEEDED}") from None
     except subprocess.CalledProcessError as error:
         said = (error.stderr.strip().splitlines() or ["no reason given"])[0]
         raise ProblemError(f"`{' '.join(command)}` has failed ({said}); {NEEDED}") from None

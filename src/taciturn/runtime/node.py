@@ -1,8 +1,8 @@
-"""A node of a policy as a state machine: packets in, packets and the plant's input out; no socket, no clock, no thread.
+"""A node of a policy as a state machine: it receives packets, and returns packets and the plant input.
 
-Packets may be late, doubled, reordered or replayed: ``taciturn.runtime.inbox`` says what becomes of each. Where
-something happens that the theory of the policy does not know, the node is *degraded* for as long as the loop takes to
-forget it; ``Node.reasons`` counts what it was.
+The state machine uses no socket, no time and no thread. Packets may be late, duplicated, reordered or replayed;
+``taciturn.runtime.inbox`` defines how each case is handled. After an event that violates an assumption of the policy's
+theory, the node is *degraded* until the loop no longer depends on the event. ``Node.reasons`` counts these events.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from taciturn.program.draws import seed_generators
 from taciturn.program.layout import lay_out
 from taciturn.program.node import lower_node
 from taciturn.program.python import compile_python
-from taciturn.runtime.inbox import Inbox, Stream
+from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
 from taciturn.runtime.packet import Packet
 
-CAUGHT_UP = 10_000  # ticks that a node which has slept makes up for
-FORMAT = 1  # of a saved state
+CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
+FORMAT = 2  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
 
 class Stepped(NamedTuple):
-    """What a node does in a tick.
+    """The outputs of a node in a step.
 
     Args:
-        packets: to be sent.
-        input: of the plant, where the node has the actuator; else None.
+        packets: packets to send.
+        input: plant input if the node contains the actuator, else None.
     """
 
     packets: tuple[Packet, ...]
@@ -46,25 +46,27 @@ class Stepped(NamedTuple):
 
 
 class Node:
-    """One place of a policy: sensor, controller or actuator, or those of them that share it.
+    """A node of a policy: the sensor, the controller, the actuator, or several of them at the same site.
 
     Args:
-        policy: whose node this is.
-        role: ``"sensor"``, ``"controller"`` or ``"actuator"``; a place that the controller shares is the controller's.
-        network: omitted: that of the design.
-        epoch: larger than at any earlier start of this node without its state, as the seconds of a clock.
-        seed: of the policy's draws.
-        loop: which of many loops.
-        watchdog: ticks without a packet or a mark after which the input is the safe one; omitted: never.
-        safe: the safe input: ``"hold"`` (the last one), ``"zero"``, or numbers.
+        policy: policy that contains the node.
+        role: ``"sensor"``, ``"controller"`` or ``"actuator"``; use ``"controller"`` for a node that contains the
+            controller and another role.
+        network: network between the nodes; default: the network of the design.
+        epoch: number that must increase with every start of this node without its state, e.g. Unix time in seconds.
+        seed: seed of the policy's random draws.
+        loop: number of this loop among loops that share the network.
+        watchdog: number of steps without a usable packet or mark after which the node is silent: it is degraded, and
+            an actuator applies the safe input; default: no watchdog.
+        safe: safe input: ``"hold"`` (the last input), ``"zero"``, or numbers; None: the input of the policy.
 
     Raises:
-        ProblemError: a role that shares the controller's place, nodes that cannot be separated, a watchdog where
-            nothing arrives or no input leaves, or a safe input of another size.
+        ProblemError: the role is at the same site as the controller, the nodes cannot be separated, the node has a
+            watchdog but receives no packets, or the safe input has the wrong size.
 
     Example:
         >>> from taciturn import load
-        >>> policy = load("two-mass").design()
+        >>> policy = load("two-mass-lqg").design()
         >>> controller, actuator = Node(policy, "controller"), Node(policy, "actuator")
         >>> packets, _ = controller.step(0, measurement=[0.5, 0.5])
         >>> len(packets), actuator.step(0, packets=packets).input == packets[0].values
@@ -81,9 +83,9 @@ class Node:
         seed: int = 0,
         loop: int = 0,
         watchdog: int | None = None,
-        safe: Safe = "hold",
+        safe: Safe | None = "hold",
     ) -> None:
-        """Lower the node and start before its first tick."""
+        """Compile the program of the node, and set the state before its first step."""
         instance("policy", policy, Policy)
         self.policy, self.role = policy, role
         self.network = policy.network if network is None else network
@@ -100,16 +102,15 @@ class Node:
         self._inputs = [0.0] * len(layout.inputs)
         streams = {(one.kind, one.link): Stream(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
         self.inbox = Inbox(streams, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
-        # of each link, which tick its sender must have finished before tick k may begin: k less this
+        # step k may begin when the sender on a link has finished step k minus this lag
         self.listens: dict[str, int] = {link: stream.lag for (_, link), stream in self.inbox.streams.items()}
-        self._watchdog = None if watchdog is None else count("watchdog", watchdog)
-        if watchdog is not None and (layout.applied is None or not program.hears):
+        self.watchdog = None if watchdog is None else count("watchdog", watchdog)
+        if watchdog is not None and not program.hears:
             raise ProblemError(
-                f"a watchdog is given for the {role}, which "
-                f"{'has no input to make safe' if layout.applied is None else 'listens to no link'}; "
-                "expected it at an actuator that packets reach"
+                f"a watchdog is given for the {role}, which receives no packets; expected a node that receives packets"
             )
-        self._safe = _safe_input(safe, policy.model.inputs)
+        self._safe = None if safe is None else _safe_input(safe, policy.model.inputs)
+        self._follows = safe is None  # the input of the policy, also while the node is silent
         self.acknowledges = tuple(one.link for one in layout.arrivals if one.acknowledged)
         self.tick = -1
         self._memory: Sequence[Any] = [state.start for state in program.parts[0].states]
@@ -118,21 +119,23 @@ class Node:
         self._sequences: Counter[str] = Counter()
         self._input: Values = (0.0,) * policy.model.inputs
         self._heard_at, self._degraded_until = -1, -1
+        self._unheard = False  # whether the watchdog expired before the first step
+        self._sent_at: dict[str, int] = {}  # last step with a packet, by link
         self.options: dict[str, float] = {}
 
     @property
     def measures(self) -> bool:
-        """Whether the node has the sensor, and a step wants a measurement."""
+        """Whether the node contains the sensor, so that each step requires a measurement."""
         return "sensor" in self.program.site
 
     @property
     def actuates(self) -> bool:
-        """Whether the node has the actuator, and a step gives the input of the plant."""
+        """Whether the node contains the actuator, so that each step returns the plant input."""
         return self._layout.applied is not None
 
     @property
     def memory(self) -> dict[str, list[float]]:
-        """What the node remembers, by the names that the policy's steps give it."""
+        """The stored values of the node, by signal name of the policy."""
         found: dict[str, list[float]] = {}
         for state, value in zip(self.program.parts[0].states, self._memory, strict=True):
             if not state.word:
@@ -141,13 +144,13 @@ class Node:
 
     @property
     def degraded(self) -> bool:
-        """Whether something has happened that the theory of the policy does not know, and is not forgotten yet."""
+        """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
         return self.tick < self._degraded_until
 
     @property
     def silent(self) -> bool:
-        """Whether nothing has been heard for so long that the input is the safe one."""
-        return self._watchdog is not None and self.tick - self._heard_at >= self._watchdog
+        """Whether the watchdog has expired: no usable packet arrived for so many steps."""
+        return self._unheard or (self.watchdog is not None and self.tick - self._heard_at >= self.watchdog)
 
     def step(
         self,
@@ -156,26 +159,27 @@ class Node:
         packets: Iterable[Packet] = (),
         draws: Sequence[float] | None = None,
     ) -> Stepped:
-        """Go through one tick.
+        """Execute one step.
 
-        A tick that is not later than the last one is not gone through again. Ticks that were left out are made up for
-        without packets and input, and by a node that measures left out: then the node is degraded.
+        If the step is not later than the last one, the node does not execute it again. If steps were missed, a node
+        without a sensor first executes them without packets, a node with a sensor skips them, and the node is degraded.
 
         Args:
-            tick: its number, from 0.
-            measurement: y, (p,), where the node has the sensor.
-            packets: that have come since the last step, in any order.
-            draws: uniform numbers for the draws of the policy; omitted: the node's own.
+            tick: number of the step, from 0.
+            measurement: measurement y, (p,), if the node contains the sensor.
+            packets: packets received since the last step, in any order.
+            draws: uniform random numbers for the policy; default: numbers from the node's own generator.
 
         Returns:
-            The packets to send, and the input where the node has the actuator.
+            The packets to send, and the plant input if the node contains the actuator.
 
         Raises:
-            ProblemError: a measurement is missing, has another size, or is no finite number.
+            ProblemError: the measurement is missing, has the wrong size, or is not finite.
         """
         y = self._measured(measurement)
-        if self.sort_in(packets):
-            self._heard_at = max(tick, self.tick)
+        for packet in packets:
+            if self.sort_in(packet) in USABLE:
+                self._heard_at = max(tick, self.tick)
         if tick <= self.tick:
             self.counters["repeated"] += 1
             return Stepped((), self._output())
@@ -199,56 +203,70 @@ class Node:
         """Whether the node sends packets."""
         return bool(self._layout.departures or self.acknowledges)
 
-    def mark(self) -> tuple[Packet, ...]:
-        """Return the packets that tell those who listen that this node lives and has finished the tick."""
-        links = (*(one.link for one in self._layout.departures), *self.acknowledges)
-        return tuple(self._packet("mark", link) for link in links)
+    def mark(self, every: int = 0) -> tuple[Packet, ...]:
+        """Return the marks, which report to all receivers that this node is running and has finished the step.
 
-    def sort_in(self, packets: Iterable[Packet]) -> bool:
-        """Take packets for the ticks to come, and tell whether any is new; ``step`` does so with its own."""
-        news = [self.inbox.take(packet, self.tick) for packet in packets]
-        if any(news):
-            self._heard_at = self.tick + 1
-        return any(news)
+        Args:
+            every: number of steps without a packet on a link after which a mark is sent; 0: in every step.
+        """
+        links = (*(one.link for one in self._layout.departures), *self.acknowledges)
+        due = [link for link in links if self.tick - self._sent_at.get(link, -every) >= every]
+        return tuple(self._packet("mark", link) for link in due)
+
+    def sort_in(self, packet: Packet) -> Handling:
+        """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
+        handling = self.inbox.take(packet, self.tick)
+        if handling in USABLE:
+            self._heard_at, self._unheard = self.tick + 1, False
+        return handling
+
+    def expire(self) -> Values | None:
+        """Record that the watchdog has expired before the first step; return the safe input, or None without one."""
+        if not self._unheard:
+            self._unheard = True
+            self._degrade("silent")
+        return None if self._follows else self._output()
 
     def save(self) -> dict[str, Any]:
-        """Return all that the node remembers, as JSON holds it."""
+        """Return the complete state of the node as values that JSON can represent."""
         return {
             "format": FORMAT, "fingerprint": f"{self.fingerprint:016x}", "role": self.role, "loop": self.loop,
             "epoch": self.epoch, "tick": self.tick, "memory": list(self._memory), "generator": list(self._generator),
             "inputs": list(self._inputs), "places": list(self._places), "inbox": self.inbox.save(),
             "sequences": dict(self._sequences), "input": list(self._input), "heard_at": self._heard_at,
             "degraded_until": self._degraded_until, "counters": dict(self.counters), "reasons": dict(self.reasons),
+            "sent_at": dict(self._sent_at),
         }  # fmt: skip
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Go on from what was saved.
+        """Continue from a saved state.
 
         Raises:
-            ProblemError: it is no saved state, or that of another policy, role or loop.
+            ProblemError: this is not a saved state, or it belongs to another policy, role or loop.
         """
         try:
             known = {"role": self.role, "loop": self.loop, "fingerprint": f"{self.fingerprint:016x}", "format": FORMAT}
             for name, expected in known.items():
                 if saved[name] != expected:
                     raise ProblemError(
-                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}: that of this node"
+                        f"the saved state has the {name} {saved[name]!r}; expected {expected!r}, as for this node"
                     )
             if len(saved["memory"]) != len(self._memory) or len(saved["inputs"]) != len(self._inputs):
-                raise ValueError("it remembers another number of things")
+                raise ValueError("wrong number of stored values")
             self.inbox.restore(saved["inbox"])
             self.epoch, self.tick = saved["epoch"], saved["tick"]
             self._memory, self._generator = saved["memory"], saved["generator"]
             self._inputs, self._places = list(saved["inputs"]), list(saved["places"])
             self._sequences, self._input = Counter(saved["sequences"]), tuple(saved["input"])
             self._heard_at, self._degraded_until = saved["heard_at"], saved["degraded_until"]
+            self._sent_at = dict(saved["sent_at"])
             for counter, kept in ((self.counters, saved["counters"]), (self.reasons, saved["reasons"])):
                 counter.clear()
                 counter.update(kept)
         except ProblemError:
             raise
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise ProblemError(f"this is no saved state of a node ({error!r}); expected what Node.save gave") from None
+            raise ProblemError(f"this is no saved state of a node ({error!r}); expected one of Node.save") from None
 
     def _measured(self, measurement: Sequence[float] | None) -> Values:
         if not self.measures:
@@ -257,18 +275,20 @@ class Node:
         if len(found) != self.policy.model.outputs or not all(map(isfinite, found)):
             raise ProblemError(
                 f"the measurement of the {self.role} is {measurement}; "
-                f"expected {self.policy.model.outputs} finite numbers at each tick"
+                f"expected {self.policy.model.outputs} finite numbers at each step"
             )
         return found
 
     def _advance(self, tick: int, y: Values, draws: Sequence[float] | None) -> list[Packet]:
-        """Finish the tick before and go through this one as far as its outputs."""
+        """Finish the previous step, and execute this step up to its outputs."""
         inputs, layout, sent = self._inputs, self._layout, list[Packet]()
         if len(self._parts) > 1 and self.tick >= 0:
             sent += self._collect(1, self.tick + 1)
             self._memory, _ = self._parts[1](self._memory, [inputs[i] for i in layout.wiring[1]])
         self._turn_clocks(tick)
-        self.tick = tick
+        silent, self.tick = self.silent, tick
+        if self.silent:
+            self._degrade("silent", counted=not silent)
         inputs[: len(y)] = y
         sent += self._collect(0, tick)
         if self._draw is not None:
@@ -278,22 +298,22 @@ class Node:
         for link, at, size in layout.departures:
             if outputs[at]:
                 sent.append(self._packet("data", link, outputs[at + 1 : at + 1 + size]))
-        if layout.applied is not None and not self.silent:
+        if layout.applied is not None and (self._follows or not self.silent):
             self._input = outputs[layout.applied]
         self.options = {name: outputs[i] for name, i in layout.options.items()}
         return sent
 
     def _collect(self, part: int, tick: int) -> list[Packet]:
-        """Take the packets that a part wants, and return the acknowledgements."""
+        """Take the packets that a part of the step reads, and return their acknowledgements."""
         found = self.inbox.collect(part, tick, self._inputs)
         told = [packet for packet in found if packet.kind == "data" and packet.link in self.acknowledges]
         return [self._packet("acknowledgement", packet.link, tick=packet.tick) for packet in told]
 
     def _turn_clocks(self, tick: int) -> None:
-        """Set every clock by the number of the tick."""
+        """Set every periodic counter of the policy for this step."""
         for i, (place, table) in enumerate(zip(self.program.clocks, self._tables, strict=True)):
             here, turns = self._places[i], tick - max(self.tick, 0)
-            if turns > len(table):  # where it repeats, whole rounds change nothing
+            if turns > len(table):  # the counter is periodic by then: skip whole periods
                 turns = len(table) + (turns - len(table)) % place.period
             for _ in range(turns):
                 here = table[here]
@@ -308,6 +328,7 @@ class Node:
             kind, link, self.tick if tick is None else tick, self._sequences[name], values, self.epoch, self.loop
         )
         self._sequences[name] += 1
+        self._sent_at[link] = self.tick
         self.counters[f"sent {name}"] += 1
         return packet
 
@@ -316,15 +337,16 @@ class Node:
             return None
         return self._safe if self.silent and self._safe is not None else self._input
 
-    def _degrade(self, reason: str, tick: int | None = None) -> None:
-        self.reasons[reason] += 1
+    def _degrade(self, reason: str, tick: int | None = None, counted: bool = True) -> None:
+        """Record an event, counted once, whose effect on the loop lasts from a step (default: the last one)."""
+        self.reasons[reason] += counted
         self._degraded_until = max(
             self._degraded_until, (self.tick if tick is None else tick) + 1 + self._layout.remembers
         )
 
 
 def _safe_input(safe: Safe, inputs: int) -> Values | None:
-    """Return the safe input, or None for the last one."""
+    """Return the safe input, or None if the last input is held."""
     if safe == "hold":
         return None
     values = (0.0,) * inputs if safe == "zero" else safe

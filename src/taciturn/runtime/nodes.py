@@ -1,8 +1,8 @@
 """All nodes of a policy together, one sample at a time: measurement in, input out.
 
-``taciturn.runtime.node`` is one place, which packets reach as they may. Here all places and the links between them are
-one program of a tick. Its draws are made of seed and number of the tick alone, so that a tick is a pure function: gone
-through again, or in another order, it gives the same.
+In ``taciturn.runtime.node``, each node is separate and packets arrive at arbitrary times. In this module, one program
+computes a step of all nodes and links. Its random draws depend only on the seed and the number of the step. A step is
+therefore a pure function: its result is the same if the step is repeated or executed in another order.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from taciturn.program.draws import UNIFORM, draw_uniforms, seed_generators
 from taciturn.program.ir import Program
 from taciturn.program.python import compile_python
 
-BLOCK = 256  # ticks whose generators are seeded at once, which takes hardly longer than one
+BLOCK = 256  # steps whose generators are seeded together, which takes little longer than seeding one
 Values: TypeAlias = tuple[float, ...]
 
 
-class Turns:
-    """The ticks of a program as a pure function of (number of the tick, memory, inputs).
+class StepFunction:
+    """The step of a program as a pure function of the step number, the memory and the inputs.
 
     Args:
-        program: of one tick, whose uniform numbers are inputs.
-        network: that says how often a link is bad when it starts.
-        seed: of the draws.
+        program: program of one step, with uniform random numbers among its inputs.
+        network: network, which defines the probability that a link starts in the bad state.
+        seed: seed of the random draws.
     """
 
     def __init__(self, program: Program, network: Network, seed: int) -> None:
-        """Compile it, and draw how it starts."""
+        """Compile the program, and draw its initial memory."""
         self._seed = count("seed", seed, 0)
         self._turn = compile_python(program)
         draws = np.random.default_rng(seed)
@@ -44,19 +44,20 @@ class Turns:
             burst, chance = network.burst(link), draws.random()
             drawn[is_bad(link)] = float(burst is not None and chance < burst.share_bad)
         self.states = tuple(f"{state.name}[{state.index}]" for state in program.states)
-        self.start: Values = tuple(  # a number, or the name of what is drawn; the state of a plant is given
+        # a start value is a number, or the name of a link state drawn above; the caller sets the state of a plant
+        self.start: Values = tuple(
             drawn.get(state.start[0], 0.0) if isinstance(state.start, tuple) else state.start
             for state in program.states
         )
         self.outputs = {name: i for i, name in enumerate(program.outputs)}
         self._inputs = program.inputs
         numbers = [int(name.split()[1]) for name in program.inputs if name.startswith(f"{UNIFORM} ")]
-        number = max(numbers, default=-1) + 1  # also of those that nothing reads: a draw does not depend on that
+        number = max(numbers, default=-1) + 1  # count unread numbers too, so that draws do not depend on them
         self._draw = compile_python(draw_uniforms(number)) if number else None
         self._block: tuple[int, list[list[int]]] = -1, []
 
     def drawn(self, tick: int) -> Values:
-        """Return the uniform numbers of a tick, in (0, 1)."""
+        """Return the uniform numbers of a step, in (0, 1)."""
         if self._draw is None:
             return ()
         block, place = divmod(tick, BLOCK)
@@ -67,7 +68,7 @@ class Turns:
         return self._draw(words[place], ())[1]
 
     def turn(self, tick: int, memory: Sequence[float], inputs: Mapping[str, float]) -> tuple[Values, Values]:
-        """Return the memory after a tick, and what the tick puts out."""
+        """Return the memory after a step, and the outputs of the step."""
         supplied = {**inputs, **{f"{UNIFORM} {i}": value for i, value in enumerate(self.drawn(tick))}}
         return self._turn(memory, [supplied[name] for name in self._inputs])
 
@@ -75,16 +76,16 @@ class Turns:
 class Nodes:
     """All nodes of a policy with the links between them, in memory: y in, u out, one sample at a time.
 
-    They decide as nodes that run apart do, and as the closed loop does, bit for bit.
+    The results are bit-identical to those of separate nodes and of the closed loop.
 
     Args:
-        policy: whose nodes these are.
-        network: between them; omitted: that of the design.
-        seed: of what is lost and of the policy's draws: those of a tick depend on it and the tick alone.
+        policy: policy of the nodes.
+        network: network between the nodes; default: the network of the design.
+        seed: seed of packet drops and of the policy's random draws; the draws of a step depend only on seed and step.
 
     Raises:
-        InformationError: a node uses what it cannot know.
-        ProblemError: no policy, or a network with another delay.
+        InformationError: a node uses a value that is not available to it over the network.
+        ProblemError: ``policy`` is not a policy, or the network has another delay than the design.
 
     Example:
         >>> from taciturn import load
@@ -95,27 +96,28 @@ class Nodes:
     """
 
     def __init__(self, policy: Policy, network: Network | None = None, seed: int = 0) -> None:
-        """Start before the first tick."""
+        """Set the state before the first step."""
         instance("policy", policy, Policy)
         self.policy, self.network = policy, policy.network if network is None else network
         check_network(policy, self.network)
-        self.turns = Turns(lower_policy(policy, self.network), self.network, seed)
+        self.turns = StepFunction(lower_policy(policy, self.network), self.network, seed)
         self.tick = 0
         self.sent: dict[str, bool] = {}
         self.arrived: dict[str, bool] = {}
         self._memory = self.turns.start
 
     def step(self, measurement: ArrayLike) -> Array:
-        """Go through one tick.
+        """Execute one step, and set ``sent`` and ``arrived``, which state for each link whether a packet was sent and
+        arrived.
 
         Args:
-            measurement: y, (p,).
+            measurement: measurement y, (p,).
 
         Returns:
-            u, (m,); ``sent`` and ``arrived`` then tell of each link what happened on it.
+            Plant input u, (m,).
 
         Raises:
-            ProblemError: the measurement has another size, or is not finite.
+            ProblemError: the measurement has the wrong size, or is not finite.
         """
         y = array("measurement", measurement, (self.policy.model.outputs,), "(outputs,)")
         supplied = {f"y {i}": value for i, value in enumerate(y.tolist())}

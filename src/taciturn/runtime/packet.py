@@ -1,6 +1,6 @@
-"""Packets as bytes: written, checked and read; the layout is the table of ``taciturn.model.wire``.
+"""Packets as bytes: encoding, checking and decoding; ``taciturn.model.wire`` contains a table of the layout.
 
-A datagram that is not a packet of ours is refused with a word that says why, and nothing else happens.
+A datagram that is not a valid packet is rejected with a one-word reason, and has no other effect.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 import os
 import struct
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -34,10 +34,11 @@ from taciturn.model.wire import (
     Encoding,
     PacketKind,
 )
+from taciturn.runtime.udp import is_loopback
 
 Refusal: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
 REFUSALS: tuple[Refusal, ...] = ("malformed", "corrupted", "foreign", "forged")
-KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; bytes of a key of BLAKE2s
+KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
 _ENCODINGS = tuple(CODES)
@@ -46,17 +47,17 @@ _LINK_CODES = {link: code for code, link in enumerate(LINKS)}
 
 
 class Packet(NamedTuple):
-    """One packet.
+    """A packet between nodes, or between a node and the plant.
 
     Args:
-        kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the tick), or of the plant's own
-            wires ``"measurement"`` and ``"input"``.
+        kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), or, between plant and
+            nodes, ``"measurement"`` or ``"input"``.
         link: ``"sensor"``, ``"actuator"`` or ``"plant"``.
-        tick: that it belongs to.
-        sequence: counts the packets of this kind on this link.
-        values: the payload, as the receiver reads it.
-        epoch: grows when a node starts without its state.
-        loop: which of many loops.
+        tick: number of the step that the packet belongs to.
+        sequence: sequence number among the packets of this kind on this link.
+        values: payload, as the receiver decodes it.
+        epoch: number that increases when a node starts without its state.
+        loop: number of the loop.
     """
 
     kind: PacketKind
@@ -69,20 +70,20 @@ class Packet(NamedTuple):
 
 
 class Wire:
-    """Writes and reads the packets of one policy.
+    """An encoder and decoder of the packets of one policy.
 
     Args:
-        policy: whose nodes talk.
-        network: how payloads are rounded; omitted: that of the design.
-        key: shared secret of 16 to 32 bytes; omitted: packets are not authenticated.
-        entries: of the packets that hold another number of entries than the policy says, by kind and link.
+        policy: policy whose nodes exchange the packets.
+        network: network, which defines the rounding of payloads; default: the network of the design.
+        key: shared secret of 16 to 32 bytes; default: packets are not authenticated.
+        entries: number of entries of further kinds of packets, by kind and link; they replace those of the policy.
 
     Raises:
-        ProblemError: a key that is too short or too long, or payloads without their range.
+        ProblemError: the key is too short or too long, or the range of a rounded payload is missing.
 
     Example:
         >>> from taciturn import load
-        >>> wire = Wire(load("two-mass").design())
+        >>> wire = Wire(load("two-mass-lqg").design())
         >>> datagram = wire.encode(Packet("data", "actuator", tick=7, sequence=3, values=(0.25,)))
         >>> len(datagram), wire.decode(datagram).values
         (44, (0.25,))
@@ -97,11 +98,11 @@ class Wire:
         key: bytes | None = None,
         entries: Mapping[tuple[PacketKind, str], int] | None = None,
     ) -> None:
-        """Note what a packet of each kind on each link holds."""
+        """Determine the payload format of each kind of packet on each link."""
         network = policy.network if network is None else network
         if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
             raise ProblemError(
-                f"the key has {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: as `openssl rand -hex 32` gives"
+                f"the key has {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
             )
         self.fingerprint = fingerprint(policy, network)
         self._key = key
@@ -115,7 +116,7 @@ class Wire:
         """Return a packet as a datagram.
 
         Raises:
-            ProblemError: the policy has no such packet, or it holds what is no finite number.
+            ProblemError: the policy has no packets of this kind and link, or a value of the packet is not finite.
         """
         kind, link = _KIND_CODES[packet.kind], _LINK_CODES[packet.link]
         shape = self._shapes.get((kind, link))
@@ -132,10 +133,10 @@ class Wire:
         return self._key is not None
 
     def decode(self, datagram: bytes) -> Packet | str:
-        """Return the packet of a datagram, or why it is none.
+        """Return the packet in a datagram, or the reason why the datagram is rejected.
 
-        ``"malformed"``: its length or a field is impossible; ``"corrupted"``: its CRC is wrong; ``"foreign"``: it is of
-        another version or policy, or not authenticated alike; ``"forged"``: its tag is wrong.
+        ``"malformed"``: the length or a field is invalid. ``"corrupted"``: the CRC is wrong. ``"foreign"``: the version
+        or the policy differs, or only one of sender and receiver uses a key. ``"forged"``: the tag is wrong.
         """
         found = self._open(datagram)
         if isinstance(found, str):
@@ -148,7 +149,7 @@ class Wire:
         return packet._replace(values=values) if all(map(math.isfinite, values)) else "malformed"
 
     def _write(self, packet: Packet, code: int, entries: int, payload: bytes) -> bytes:
-        """Return a payload with all that stands around it."""
+        """Return the datagram of a payload: header, payload, CRC and, with a key, the tag."""
         flag = 0 if self._key is None else AUTHENTICATED
         datagram = _HEADER.pack(
             packet.sequence, VERSION, _KIND_CODES[packet.kind], _LINK_CODES[packet.link], code | flag, packet.loop,
@@ -158,7 +159,7 @@ class Wire:
         return datagram if self._key is None else datagram + self._tag(datagram)
 
     def _open(self, datagram: bytes) -> tuple[Packet, tuple[int, int], bytes] | Refusal:
-        """Return a packet without its values, how its payload is coded and its entries, and the payload."""
+        """Return a packet without values, the encoding and number of entries of its payload, and the payload."""
         tag = 0 if self._key is None else TAG_SIZE
         end = len(datagram) - CRC_SIZE - tag
         if end < HEADER_SIZE:
@@ -183,7 +184,7 @@ class Wire:
 
 
 class _Shape:
-    """How the payload of a packet is written."""
+    """The format of the payload of a packet."""
 
     def __init__(self, encoding: Encoding, entries: int) -> None:
         self.entries, self.code = entries, _ENCODINGS.index(encoding.name)
@@ -203,33 +204,49 @@ class _Shape:
         return tuple(v * s for v, s in zip(found, self._steps, strict=True)) if self._steps else found
 
 
-def read_key(path: str | Path | None = None) -> bytes | None:
-    """Return the shared secret: of a file, or of the environment variable ``TACITURN_KEY``; None where there is none.
+def read_key(path: str | Path | None = None, hosts: Iterable[str] = ()) -> bytes | None:
+    """Return the shared secret from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set.
 
     Args:
-        path: of a file that holds it as hexadecimal digits; omitted: the environment is asked.
+        path: file that contains the secret as hexadecimal digits; default: the environment variable is read.
+        hosts: addresses of this process and of its peers; an empty environment variable is accepted on the loopback
+            only.
 
     Raises:
-        ProblemError: no such file, no hexadecimal digits, too few or too many.
+        ProblemError: the file cannot be read, or other users can read it (POSIX); the secret is not a valid number of
+            hexadecimal digits; the environment variable is empty, and a host is not the loopback.
     """
     if path is None:
         text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
+        other = next((host for host in hosts if not is_loopback(host)), None)
+        if not text and KEY in os.environ and other is not None:
+            raise ProblemError(
+                f"{source} is empty, so packets from and to {other} would not be authenticated; expected "
+                f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
+                "variable to run without a key"
+            )
         if not text:
             return None
     else:
         source = f"the key file {path}"
         try:
             text = Path(path).read_text(encoding="ascii")
+            mode = Path(path).stat().st_mode & 0o777
         except (OSError, UnicodeDecodeError) as error:
             raise ProblemError(f"{source} cannot be read ({error}); expected hexadecimal digits") from None
+        if os.name == "posix" and mode & 0o077:
+            raise ProblemError(
+                f"{source} has the mode {mode:04o}, with which other users can read it; expected 0600: use "
+                f"`chmod 600 {path}`, and a new key if another user may have read this one"
+            )
     try:
         key = bytes.fromhex(text.strip())
     except ValueError:
         raise ProblemError(
-            f"{source} holds no hexadecimal digits; expected {2 * LEAST_KEY} to {2 * MOST_KEY}"
+            f"{source} holds no hexadecimal digits; expected {2 * LEAST_KEY} to {2 * MOST_KEY} digits"
         ) from None
     if not LEAST_KEY <= len(key) <= MOST_KEY:
         raise ProblemError(
-            f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}, as `openssl rand -hex 32` gives"
+            f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
         )
     return key

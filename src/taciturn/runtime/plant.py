@@ -1,4 +1,4 @@
-"""A simulated plant, one tick at a time: what the nodes measure and act on."""
+"""A simulated plant that advances one step at a time, for tests of nodes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from taciturn.program.python import compile_python
 
 
 class SimulatedPlant:
-    """The plant of a loop, with its noise and its cost.
+    """A simulation of the plant of a loop, with noise and cost.
 
     Args:
-        loop: whose plant it is, clipped inputs and references included.
-        seed: of the initial state and the noise.
+        loop: loop that contains the plant; its input limits and references apply.
+        seed: seed of the initial state and the noise.
 
     Example:
         >>> import taciturn
@@ -31,7 +31,7 @@ class SimulatedPlant:
     """
 
     def __init__(self, loop: Loop, seed: int = 0) -> None:
-        """Start from the initial distribution."""
+        """Draw the initial state from its distribution."""
         instance("loop", loop, Loop)
         self.loop, self.tick = loop, 0
         count("seed", seed, 0)
@@ -54,30 +54,30 @@ class SimulatedPlant:
 
     @property
     def inputs(self) -> int:
-        """How many there are."""
+        """Number of inputs."""
         return self.loop.problem.plant.inputs
 
     @property
     def tick_length(self) -> float:
-        """Seconds of a tick; 1 where the problem does not say."""
+        """Seconds per step; 1 if the problem does not specify them."""
         return self.loop.problem.plant.dt or 1.0
 
     @property
     def state(self) -> Array:
-        """The state of the plant, (n,)."""
+        """State of the plant, (n,)."""
         return np.array([self._states[i] for i in self._x])
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Apply an input for one tick, and return what the tick costs; ``measurement`` is then that of the next.
+        """Apply an input for one step, set ``measurement`` to that of the next step, and return the cost of the step.
 
         Args:
-            inputs: u, (m,).
+            inputs: input u, (m,).
 
         Raises:
-            ProblemError: another number of inputs, or the plant has left the range of numbers.
+            ProblemError: the number of inputs is wrong, or the state exceeds the range of floating-point numbers.
         """
         if len(inputs) != self.inputs:
-            raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}: those of the plant")
+            raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
         before, u = self.state, [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)
         self.measurement = tuple(outputs[i] for i in self._y)
@@ -85,19 +85,19 @@ class SimulatedPlant:
         lost = np.flatnonzero(~np.isfinite(self.state))
         if lost.size and self.loop.problem.plant.function is not None and np.isfinite(u).all():
             raise ProblemError(
-                f"the loop takes the plant to where its function gives {self.state[lost[0]]} as state {lost[0] + 1} at "
-                f"tick {self.tick}, from x = {before.round(6).tolist()}, u = {u}; expected finite numbers: send more "
-                "often, clip the inputs (input_limit), or mend the function"
+                f"the loop drives the plant to a point where its function gives {self.state[lost[0]]} as state "
+                f"{lost[0] + 1} at step {self.tick}, from x = {before.round(6).tolist()}, u = {u}; expected finite "
+                "numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
         if not np.isfinite(outputs[self._cost]) or not np.isfinite(self.measurement).all():
             raise ProblemError(
-                f"the plant has left the range of numbers at tick {self.tick}: the loop is unstable; "
-                "expected a policy that stabilises it over this network"
+                f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
+                "expected a policy that stabilises the plant over this network"
             )
         return outputs[self._cost]
 
     def final_cost(self) -> float:
-        """Return what the state costs where a mission ends; 0 without a terminal weight."""
+        """Return the terminal cost of the current state; 0 without a terminal weight."""
         terminal, tracking = self.loop.problem.cost.terminal, self.loop.policy.tracking
         if terminal is None:
             return 0.0

@@ -1,4 +1,4 @@
-"""Nodes and links as processes of this machine: started, killed, started again, and asked for their counters."""
+"""Nodes and links as processes on this machine, which can be started, killed, restarted and asked for a report."""
 
 from __future__ import annotations
 
@@ -10,112 +10,119 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
-from taciturn.model.places import place_of, role_at, roles
+from taciturn.model.places import links_to, place_of, role_at, roles
 from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
 from taciturn.runtime.namespaces import Namespaces
+from taciturn.runtime.packet import KEY
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses
 
-ASK = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # of Windows; there SIGTERM ends a process as SIGKILL does
-PATIENCE = 60.0  # seconds until a process that starts must listen
+ASK = getattr(signal, "CTRL_BREAK_EVENT", signal.SIGTERM)  # on Windows SIGTERM acts like SIGKILL
+PATIENCE = 60.0  # seconds in which a process must start to listen, and in which it must end
 
 
 class Process:
-    """One process of the command line.
+    """A process that runs a ``taciturn`` command.
 
     Args:
-        arguments: of ``taciturn``.
-        name: that it goes by in sentences.
-        environment: variables beside those of this process.
-        before: a command that runs it, as ``ip netns exec NAME``.
+        arguments: arguments of ``taciturn``.
+        name: name of the process in messages.
+        key: key that authenticates the packets; default: no key.
+        before: prefix of the command, such as ``ip netns exec NAME``.
     """
 
     def __init__(
         self,
         arguments: Sequence[str],
         name: str = "a process",
-        environment: Mapping[str, str] | None = None,
+        key: bytes | None = None,
         before: Sequence[str] = (),
     ) -> None:
-        """Start it."""
+        """Start the process."""
         command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
         self._name = name
+        known = {variable: value for variable, value in os.environ.items() if variable != KEY}
         self._errors: list[str] = []
         self._listens = threading.Event()
         self._process = subprocess.Popen(
             command,
+            stdin=subprocess.PIPE,  # ends with this process, even if this process is killed
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             encoding="utf-8",
-            env={**os.environ, "PYTHONIOENCODING": "utf-8", **(environment or {})},
-            process_group=0,  # Ctrl-C in a terminal is for the one that started it, who ends the others; so on POSIX,
-            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # and on Windows
+            env=known | {"PYTHONIOENCODING": "utf-8"} | _ends_with_parent() | ({} if key is None else {KEY: key.hex()}),
+            process_group=0,  # Ctrl-C must reach only the parent process, which ends the others (POSIX)
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same for Windows
         )
+        self._ended = ExitStack()
+        self._ended.enter_context(at_once(self._process.kill))
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     @property
     def alive(self) -> bool:
-        """Whether it runs."""
+        """Whether the process is running."""
         return self._process.poll() is None
 
     def expect(self) -> None:
-        """Wait until it listens.
+        """Wait until the process listens on its address.
 
         Raises:
-            ProblemError: it has ended, with its own sentence, or does not listen in time.
+            ProblemError: the process has ended (with its own message), or does not listen in time.
         """
         end = time.monotonic() + PATIENCE
         while not self._listens.wait(0.05):
             if not self.alive:
                 raise ProblemError(self.sentence())
             if time.monotonic() > end:
-                raise ProblemError(f"{self._name} does not listen after {PATIENCE:g} s; expected it to be faster")
+                raise ProblemError(f"{self._name} does not listen after {PATIENCE:g} s; expected a faster start")
 
     def sentence(self) -> str:
-        """Return what it said when it ended."""
+        """Return the last message of the process."""
         if not self.alive:
             self._reader.join(1.0)
-        said = [line.removeprefix("taciturn: ") for line in self._errors if LISTENS not in line]
-        return said[-1] if said else f"{self._name} has ended with code {self._process.poll()}; expected it to run"
+        said = [line.removeprefix("taciturn: ") for line in self._errors if LISTENS not in line and ENDED not in line]
+        return said[-1] if said else f"{self._name} has ended with code {self._process.poll()}; expected it running"
 
     def kill(self) -> None:
-        """End it without a chance to do anything (SIGKILL)."""
+        """End the process immediately (SIGKILL)."""
         self._process.kill()
         self._process.wait()
         self._close()
 
     def pause(self, seconds: float) -> None:
-        """Stop it for a while, so that its clock jumps; Windows cannot.
+        """Suspend the process, so that it observes a jump in time; not available on Windows.
 
         Raises:
-            ProblemError: this is Windows.
+            ProblemError: the operating system is Windows.
         """
         if sys.platform == "win32":
-            raise ProblemError(f"{self._name} is to pause, and Windows has no signal for that; expected Linux or macOS")
+            raise ProblemError(f"{self._name} cannot be suspended on Windows; expected Linux or macOS")
         self._process.send_signal(signal.SIGSTOP)
         time.sleep(seconds)
         self._process.send_signal(signal.SIGCONT)
 
     def stop(self) -> dict[str, Any]:
-        """Ask it to end, and return its report.
+        """Request the process to end, and return its report.
 
         Raises:
-            ProblemError: it gives none, or does not end in time.
+            ProblemError: the process prints no report, or does not end in time.
         """
         self._process.send_signal(ASK)
         assert self._process.stdout is not None
         try:
             self._process.wait(PATIENCE)
-            return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which a pipe holds
+            return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which fits a pipe's buffer
         except subprocess.TimeoutExpired:
             self._process.kill()
-            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected it to be faster") from None
+            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected a faster end") from None
         except (ValueError, IndexError):
             raise ProblemError(self.sentence()) from None
         finally:
@@ -123,8 +130,9 @@ class Process:
             self._close()
 
     def _close(self) -> None:
+        self._ended.close()
         self._reader.join()
-        for pipe in (self._process.stdout, self._process.stderr):
+        for pipe in (self._process.stdin, self._process.stdout, self._process.stderr):
             assert pipe is not None
             pipe.close()
 
@@ -137,18 +145,19 @@ class Process:
 
 
 class Processes:
-    """The nodes of a policy, with a relay on each of its links on the loopback, or in namespaces, without relays.
+    """The processes of a policy: its nodes, on the loopback with one relay per link, or in network namespaces.
 
     Args:
         file: problem file, or the name of a built-in problem.
-        policy: its policy.
-        fates: what befalls the packets of each link, where there are relays.
-        tick: real seconds per tick; omitted: lockstep.
-        folder: where each node logs its ticks (``ROLE.jsonl``) and keeps its state (``ROLE.json``).
+        policy: policy of the problem.
+        fates: impairments of each link that has a relay.
+        tick: real seconds per step; default: lockstep.
+        folder: folder in which each node logs its steps (``ROLE.jsonl``) and saves its state (``ROLE.json``).
+        keeps: whether the nodes save their state.
         options: further options of every node.
-        environment: variables of every process.
-        namespaces: where the nodes run; omitted: on the loopback.
-        through: a further process that the packets of a node go to first; whoever names it gives its command.
+        key: key that authenticates the packets; default: no key.
+        namespaces: network namespaces of the nodes, without relays; default: the loopback.
+        through: name of a further process, by role, that the node sends to first; the caller adds its command.
     """
 
     def __init__(
@@ -161,14 +170,14 @@ class Processes:
         folder: Path | None = None,
         keeps: bool = False,
         options: Sequence[str] = (),
-        environment: Mapping[str, str] | None = None,
+        key: bytes | None = None,
         namespaces: Namespaces | None = None,
         through: Mapping[NodeName, str] | None = None,
     ) -> None:
-        """Give everybody an address."""
+        """Choose all addresses, and form the commands of nodes and relays."""
         self.file, self.policy, self.folder = file, policy, folder or Path()
         through = through or {}
-        self._environment, self._namespaces = environment, namespaces
+        self._key, self._namespaces = key, namespaces
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.roles = roles(policy)
         relayed = self.links if namespaces is None else []
@@ -201,66 +210,71 @@ class Processes:
 
     @property
     def measuring(self) -> NodeName:
-        """The node that the plant tells its measurements."""
+        """Role of the node that receives the measurements."""
         return role_at(self.policy, "sensor")
 
     def start(self, *names: str) -> None:
-        """Start processes by name (omitted: all), and wait until they listen.
+        """Start processes by name (default: all), and wait until they listen.
 
         Raises:
-            ProblemError: one has ended.
+            ProblemError: a process has ended, or does not listen in time.
         """
         chosen = names or tuple(self.commands)
         for name in chosen:
             before = () if self._namespaces is None else self._namespaces.before(name)
-            self.running[name] = Process(self.commands[name], f"the {name}", self._environment, before)
+            self.running[name] = Process(self.commands[name], f"the {name}", self._key, before)
         for name in chosen:
             self.running[name].expect()
 
     def restart(self, name: str) -> None:
-        """Kill a process, and start it again; it may be called in a thread of its own."""
+        """Kill a process and start it again; a separate thread may call this method."""
         self.running.pop(name).kill()
         self.start(name)
 
     def ended(self) -> bool:
-        """Tell whether a process has ended by itself."""
+        """Return whether any process has ended by itself."""
         return any(not process.alive for process in list(self.running.values()))
 
     def sentence(self) -> str:
-        """Return what a process said that has ended by itself."""
+        """Return the last message of a process that has ended by itself."""
         return next(process.sentence() for process in list(self.running.values()) if not process.alive)
 
     def stop(self) -> dict[str, dict[str, Any]]:
-        """End all, each after those that send to it, and return their reports by name."""
+        """End all processes, receivers after their senders, and return their reports by name."""
         return {name: self.running.pop(name).stop() for name in self._flow if name in self.running}
 
     def kill(self) -> None:
-        """End all at once."""
+        """End all processes immediately."""
         for process in list(self.running.values()):
             process.kill()
         self.running.clear()
 
     def sender(self, link: LinkName) -> NodeName:
-        """Return the node that sends on a link."""
+        """Return the role of the node that sends on a link."""
         at = next(step.at for step in self.policy.steps if isinstance(step, Send) and step.link == link)
         return role_at(self.policy, at)
 
     def receiver(self, link: LinkName) -> NodeName:
-        """Return the node where a link ends."""
+        """Return the role of the node that receives on a link."""
         return role_at(self.policy, ENDS[link])
 
     def peer(self, role: NodeName) -> str | None:
-        """Return who gets what a node sends: a relay, the next node, or the sender where it only acknowledges."""
+        """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:
                 return f"relay {step.link}" if self._namespaces is None else self.receiver(step.link)
-        heard = [step for step in self.policy.steps if isinstance(step, Send) and ENDS[step.link] in site]
-        return role_at(self.policy, heard[0].at) if heard else None
+        heard = links_to(self.policy, role)
+        return self.sender(heard[0]) if heard else None
+
+
+def _ends_with_parent() -> dict[str, str]:
+    """Return the environment variables of a process that ends with its parent, which waits for its report."""
+    return {LIFELINE: "1", GRACE: str(PATIENCE)}
 
 
 def _options(fate: Fate) -> list[str]:
-    """Return a fate as options of ``taciturn relay``."""
+    """Return link impairments as options of ``taciturn relay``."""
     burst = fate.burst
     options = ["--seed", str(fate.seed)]
     for name in ("loss", "delay", "jitter", "hold", "duplicate", "reorder", "corrupt"):

@@ -1,7 +1,7 @@
-"""A link that loses, delays, doubles, reorders and corrupts what it carries: the same of the same seed.
+"""A link that drops, delays, duplicates, reorders and corrupts packets, reproducibly for a given seed.
 
-What befalls a packet depends on the seed and its sequence number alone, not on when it comes: a run can be repeated,
-and what will be lost can be told before (``Fate.lost``).
+The impairments of a packet depend only on the seed and its place (sequence number, step and loop), not on its arrival
+time. Therefore a run can be repeated, and its packet drops can be predicted (``Fate.lost``).
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from taciturn._arrays import count, instance, number
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.model.network import Burst
 from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
@@ -19,25 +20,25 @@ _LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT = range(1, 9)
 MARK = KINDS.index("mark")
 
 
-@dataclass(frozen=True)
-class Fate:
-    """What a link does to a packet.
+@dataclass(frozen=True, repr=False)
+class Fate(Displayed):
+    """The impairments that a link applies to packets.
 
     Args:
-        seed: of the draws.
-        loss: probability that a packet is lost, in [0, 1].
-        burst: losses that come in bursts instead: the link turns good or bad from tick to tick.
-        delay: seconds that every packet takes, and every mark.
-        jitter: up to so many seconds more, drawn.
-        hold: ticks that every packet waits, as the marks on the link count them; for runs in virtual time.
-        duplicate: probability that a packet comes twice.
-        reorder: probability that a packet comes after the one that follows it.
-        corrupt: probability that one to three bits of a packet are turned.
-        outage: (first, end): every packet of the ticks from the first to before the end is lost.
+        seed: seed of the random draws.
+        loss: probability that a packet is dropped, in [0, 1].
+        burst: model of burst losses, used instead of ``loss``: the link is good or bad in each step.
+        delay: delay of every packet and every mark, in seconds.
+        jitter: largest additional random delay, in seconds.
+        hold: delay of every packet in steps, counted by the marks on the link; for runs in virtual time.
+        duplicate: probability that a packet is delivered twice.
+        reorder: probability that a packet is delivered after its successor.
+        corrupt: probability that one to three bits of a packet are inverted.
+        outage: (first, end): every packet of a step in first ≤ step < end is dropped.
 
     Raises:
-        ProblemError: a probability outside [0, 1], a negative time, loss and burst together, an outage that ends
-            before it begins.
+        ProblemError: a probability is outside [0, 1], a time is negative, loss and burst are both given, or an outage
+            ends before it begins.
 
     Example:
         >>> [k for k in range(20) if Fate(seed=1, loss=0.2).lost(k, tick=k)]
@@ -66,16 +67,16 @@ class Fate:
         if self.burst is not None:
             instance("burst", self.burst, Burst)
             if self.loss > 0:
-                raise ProblemError("loss and burst are both given; expected one of them")
+                raise ProblemError("loss and burst are both given; expected only one of them")
         if self.outage is not None and not 0 <= self.outage[0] < self.outage[1]:
-            raise ProblemError(f"the outage is {self.outage}; expected its first tick and, later, the tick it ends at")
+            raise ProblemError(f"the outage is {self.outage}; expected (first, end) with 0 <= first < end")
 
     def uniform(self, purpose: int, index: int) -> float:
         """Return a number in [0, 1) that depends on seed, purpose and index alone (SplitMix64 [steele2014])."""
         return _mix(_mix(self.seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
 
     def lost(self, sequence: int, tick: int, loop: int = 0) -> bool:
-        """Tell whether a packet is lost; a burst and an outage are those of all loops that share the link."""
+        """Return whether a packet is dropped; bursts and outages affect all loops that share the link."""
         if self.outage is not None and self.outage[0] <= tick < self.outage[1]:
             return True
         chance = self.loss if self.burst is None else self._loss_at(tick)
@@ -86,11 +87,11 @@ class Fate:
         return self.burst.loss_bad if self._bad_at(tick) else self.burst.loss_good
 
     def _bad_at(self, tick: int) -> bool:
-        """Whether the link is bad in a tick: the state of the tick at which all histories have last met, moved on."""
+        """Return whether the link is bad in a step, from the last earlier step at which all histories coincide."""
         burst = self.burst
         assert burst is not None
         turns: list[float] = []
-        # one draw moves both states: a draw that leads both to the same one makes the past irrelevant
+        # one draw moves either state; if it leads from both states to the same one, earlier steps are irrelevant
         for back in range(tick, 0, -1):
             drawn = self.uniform(_TURN, back)
             turns.append(drawn)
@@ -106,38 +107,38 @@ class Fate:
 
 
 class EmulatedLink:
-    """A link on its way: datagrams in, datagrams out; no socket, and time is what the caller says.
+    """A link that transforms a sequence of datagrams, without sockets; the caller provides the time.
 
     Args:
-        fate: what it does.
+        fate: impairments of the link.
     """
 
     def __init__(self, fate: Fate) -> None:
-        """Nothing is on its way."""
+        """Start without packets on the link."""
         self.fate = fate
         self.counters: Counter[str] = Counter()
-        self._waiting: list[tuple[float, int, bool, bytes]] = []  # due, order, whether it is a mark, datagram
-        self._held: list[tuple[int, bytes]] = []  # tick of the mark that lets it go, datagram
+        self._waiting: list[tuple[float, int, bool, bytes]] = []  # due time, order, whether it is a mark, datagram
+        self._held: list[tuple[int, bytes]] = []  # step of the mark that releases it, datagram
         self._swapped: bytes | None = None
         self._order = 0
 
     @property
     def due(self) -> float | None:
-        """When the next datagram is due, or None."""
+        """The time at which the next datagram is due, or None if no datagram waits."""
         return min(self._waiting)[0] if self._waiting else None
 
     @property
     def pending(self) -> int:
-        """Datagrams that are still on their way; marks are not counted."""
+        """Number of datagrams on the link, without marks."""
         waiting = sum(not mark for _, _, mark, _ in self._waiting)
         return waiting + len(self._held) + (self._swapped is not None)
 
     def take(self, datagram: bytes, now: float) -> list[bytes]:
-        """Take a datagram in, and return what comes out at once.
+        """Accept a datagram, and return the datagrams that leave the link immediately.
 
-        A mark says that all packets of its tick were sent before it: it is never lost, and takes the delay, or longer
-        where what was sent before it does. It overtakes only what ``hold`` and ``reorder`` mean to come too late. What
-        is no packet at all is dropped.
+        A mark reports that all packets of its step were sent before it. A mark is never dropped. It is delayed by
+        ``delay``, or longer if a packet sent before it is. It overtakes only packets that ``hold`` or ``reorder``
+        delays. A malformed packet is dropped.
         """
         if len(datagram) < HEADER_SIZE:
             self.counters["foreign"] += 1
@@ -208,7 +209,7 @@ class EmulatedLink:
 
 
 def of_loop(sequence: int, loop: int) -> int:
-    """Return a number that tells the packets of all loops apart."""
+    """Return a number that identifies a packet among the packets of all loops."""
     return sequence | loop << 32
 
 

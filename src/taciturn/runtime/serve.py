@@ -1,8 +1,9 @@
-"""Drives nodes over UDP: in lockstep, where virtual time goes on when all has been heard, or in real time.
+"""Servers that run nodes over UDP, either in lockstep (virtual time) or in real time.
 
-In lockstep every node sends a mark when it has finished a tick, and begins a tick when the marks of those it listens to
-have come: packets cannot be too late, and the same seeds give the same run. In real time a node that measures begins a
-tick when the measurement comes, and another when its packet has come, or at an absolute deadline.
+In lockstep, every node sends a mark when it has finished a step, and begins a step when it has received the marks of
+all nodes that send to it. Packets are therefore never late, and the same seeds give the same run. In real time, a node
+with a sensor begins a step when the measurement arrives. Any other node begins a step when its packet has arrived, or
+at an absolute deadline.
 """
 
 from __future__ import annotations
@@ -19,37 +20,38 @@ import numpy as np
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.runtime.clock import Phase
-from taciturn.runtime.inbox import AHEAD, packet_of
+from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
-LEFT_BEHIND = 8  # ticks behind which a node goes on with the present
-PATIENT = 4096  # measurements that wait for their tick
-REMEMBERED = 100_000  # ticks whose lateness is told, the last
-SHARES = (50.0, 95.0, 99.0, 100.0)  # percentiles of lateness
+LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
+PATIENT = 4096  # largest number of measurements that wait for their step
+REMEMBERED = 100_000  # number of last steps whose lateness is reported
+UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
+SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
 
 class NodeServer:
-    """Runs the nodes of one role, one for each of many loops, on one socket.
+    """A server that runs the nodes of one role, one node for each loop, on one socket.
 
     Args:
-        nodes: one per loop, in order.
-        wire: that writes and reads their packets.
-        endpoint: where they listen.
-        peer: who gets their packets: the next node, or a link on the way to it; None where they send none.
-        plant: who measures and acts; None where the nodes do neither.
-        tick: real seconds per tick; omitted: lockstep.
-        wait: the share of a tick that a packet of this tick is waited for, in real time.
-        heartbeat: ticks between marks, in real time.
-        keep: where the state is kept after every tick; one node only.
-        told: called with what happened in each tick.
-        say: called with a sentence, once, where packets of another policy or key are refused.
+        nodes: nodes, one per loop, in order.
+        wire: encoder and decoder of the packets.
+        endpoint: socket of the nodes.
+        peer: address that the nodes send packets to: the next node or a relay; None if they send no packets.
+        plant: address of the plant; None if the nodes contain neither sensor nor actuator.
+        tick: real seconds per step; default: lockstep.
+        wait: fraction of a step for which a node waits for a packet of the step, in real time.
+        heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
+        keep: file to which the state is saved after every step; for a single node only.
+        told: function called with the log line of each step.
+        say: function called once with a message if packets of another policy or key are rejected.
 
     Raises:
-        ProblemError: a peer or a plant is missing, or a kept state does not fit.
+        ProblemError: a peer or a plant is missing, or the saved state is not valid for this node.
     """
 
     def __init__(
@@ -67,54 +69,56 @@ class NodeServer:
         told: Told | None = None,
         say: Say | None = None,
     ) -> None:
-        """Check that everybody is there, and take up a kept state."""
+        """Check that all addresses are given, and continue from a saved state if the file exists."""
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         if (first.measures or first.actuates) and plant is None:
-            raise ProblemError(f"--plant is missing, and the {first.role} meets the plant; expected its HOST:PORT")
+            raise ProblemError(f"--plant is missing, and the {first.role} uses the plant; expected its HOST:PORT")
         if first.talks and peer is None:
             raise ProblemError(f"--peer is missing, and the {first.role} sends packets; expected HOST:PORT")
         if first.program.sends and first.acknowledges:
             raise ProblemError(
-                f"the {first.role} sends packets on one link and acknowledges those of another, and a node has one "
-                "peer; expected a policy that acknowledges at its actuator only"
+                f"the {first.role} sends packets on one link and acknowledges packets of another link, but a node has "
+                "only one peer; expected a policy that acknowledges at its actuator only"
             )
         self.peer, self.plant, self._tick, self._wait = peer, plant, tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
         self.refused: Counter[str] = Counter()
-        self.arrived: Counter[str] = Counter()  # new data, by link
-        self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # sequences of those since the last line
+        self.arrived: Counter[str] = Counter()  # number of new data packets, by link
+        self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._measured = [Window() for _ in nodes]
         self._outbox: list[list[Packet]] = [[] for _ in nodes]
-        self._answered = [0.0 for _ in nodes]  # when the outbox was sent again
+        self._answered = [0.0 for _ in nodes]  # time of the last retransmission
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._began, self._cpu = time.monotonic(), time.process_time()
+        self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
         self._physical = 0
         if keep is not None and not keep.parent.is_dir():
             raise ProblemError(
-                f"the state is to be kept in {keep.parent}, which is no folder; expected one that exists"
+                f"the state cannot be saved in {keep.parent}, which is not a folder; expected an existing folder"
             )
         if keep is not None and keep.exists():
             self._take_up(keep)
 
     def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Go through ticks until so many are done or until stopped, and return the report."""
+        """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
         while not stopped() and not (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes)):
             touched = self._take(self.endpoint.receive(self._until()))
             now = time.monotonic()
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
+            self._expire(now)
         return self.report()
 
     def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Take what is still on its way until stopped, go through no more ticks, and return the report."""
+        """Receive packets until stopped, without executing further steps, and return the report."""
         take_until(self.endpoint, self._take, stopped)
         return self.report()
 
     def report(self) -> dict[str, Any]:
-        """Return what has been counted so far."""
+        """Return the counters so far."""
         counters, reasons = Counter[str](), Counter[str]()
         for node in self.nodes:
             counters += node.counters
@@ -141,7 +145,7 @@ class NodeServer:
         return found
 
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
-        """Sort datagrams in, and return the loops that they are of."""
+        """Store received packets, and return the numbers of their loops."""
         now, touched = time.monotonic(), set[int]()
         for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
@@ -158,7 +162,7 @@ class NodeServer:
         return touched
 
     def _sort(self, packet: Packet, now: float) -> None:
-        """Give a packet to its node's next tick; in lockstep one that comes again asks for the last answer again."""
+        """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
         if packet.link == "plant":
             self._physical += 1
@@ -174,41 +178,41 @@ class NodeServer:
                 self.refused["ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
-        early = node.counters["ahead"]
-        new = node.sort_in([packet])
-        # an acknowledgement comes when a tick is over; a packet far ahead is dropped, and says that the clock is behind
-        if packet.link in node.program.hears and self._tick is not None and (new or node.counters["ahead"] > early):
+        handling = node.sort_in(packet)
+        # acknowledgements arrive after their step, so they do not count; a packet far ahead shows a late phase
+        if packet.link in node.program.hears and self._tick is not None and handling in USABLE | {"ahead"}:
             self.phase.hear(packet.tick, now)
-        if not new:
+        if handling not in USABLE:
             self._answer_again(loop, now, repeated)
-            return
-        if packet.kind == "data":
+        elif packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
                 self._news[loop].setdefault(packet.link, []).append(packet.sequence)
 
     def _begins(self, packet: Packet, now: float) -> bool:
-        """Whether the tick of a measurement can have begun, and is not past."""
+        """Return whether the step of a measurement can have begun and has not been executed."""
         last = self.nodes[packet.loop].tick
         if self._tick is not None:
             return self.phase.hear(packet.tick, now) and packet.tick > last
-        return last < packet.tick <= last + AHEAD or last < 0  # the plant may be ahead of a sensor that nobody awaits
+        return last < packet.tick <= last + AHEAD or last < 0  # the plant may be ahead of a sensor that starts late
 
     def _answer_again(self, loop: int, now: float, asked: bool) -> None:
-        """Send what was sent last, as the answer may have been lost; not so often that others can make much of it."""
+        """Send the last answer again, as it may have been dropped; the rate is limited against amplification."""
         if asked and self._tick is None and now - self._answered[loop] > QUIET:
             self._answered[loop] = now
             self._send(self._outbox[loop])
 
     def _go_on(self, node: Node, now: float) -> None:
-        """Go through the ticks that may begin."""
+        """Execute the steps that may begin."""
         while (tick := self._next(node, now)) is not None:
             loop = node.loop
             measurement = self._measurements[loop].pop(tick, None)
+            was_silent = node.silent
             packets, given = node.step(tick, measurement)
+            if node.silent and not was_silent:
+                self._report_silence(node)
             out = list(packets)
-            if self._tick is None or tick % self._heartbeat == 0:
-                out += node.mark()
+            out += node.mark(0 if self._tick is None else self._heartbeat)
             if given is not None:
                 out.append(Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
             self._outbox[loop] = out
@@ -224,10 +228,10 @@ class NodeServer:
             now = time.monotonic()
 
     def _next(self, node: Node, now: float) -> int | None:
-        """Return the tick that a node may begin now, or None."""
+        """Return the step that a node may begin now, or None."""
         tick, loop = node.tick + 1, node.loop
         if self._tick is None:
-            # who has heard nothing at all may be alone yet: what he sends would be lost
+            # before the first datagram arrives, the peers may not run yet, and packets would be lost
             heard = all(node.inbox.marked[link] >= tick - lag for link, lag in node.listens.items())
             heard = heard and self.endpoint.received > 0
             return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
@@ -243,9 +247,37 @@ class NodeServer:
         prompt = [link for link, lag in node.listens.items() if lag == 0]
         return tick if prompt and all(node.inbox.settled(link, tick) for link in prompt) else None
 
+    def _expire(self, now: float) -> None:
+        """Apply the safe inputs if nothing usable has arrived since the start, and again after each such time."""
+        limit = self.nodes[0].watchdog
+        if self._tick is None or limit is None or self.phase.known or now < self._expires:
+            return
+        for node in self.nodes:
+            known = node.silent
+            given = node.expire()
+            if not known:
+                self._report_silence(node)
+            if given is not None:
+                # its epoch is before that of the steps, so that the plant prefers every input of a step
+                self._send([Packet("input", "plant", 0, self._expiries, given, max(node.epoch - 1, 0), node.loop)])
+        self._expires, self._expiries = now + limit * self._tick, self._expiries + 1
+
+    def _report_silence(self, node: Node) -> None:
+        """Print why a node has received nothing usable."""
+        if self._say is None:
+            return
+        unused = {name: node.counters[name] for name in UNUSABLE} | dict(self.refused)
+        found = ", ".join(f"{number} {name}" for name, number in unused.items() if number) or "no datagram at all"
+        self._say(
+            f"the {node.role} has received no usable packet for {node.watchdog} steps and is degraded (not used so "
+            f"far: {found}); expected a packet or a mark in that time: is the sender running, and is the link intact?"
+        )
+
     def _until(self) -> float:
-        """Return until when to wait for datagrams."""
+        """Return the time until which to wait for datagrams."""
         idle = time.monotonic() + IDLE
+        if self._tick is not None and self.nodes[0].watchdog is not None and not self.phase.known:
+            return min(idle, self._expires)
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
         behind = min(node.tick for node in self.nodes)
@@ -267,9 +299,9 @@ class NodeServer:
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ProblemError(f"the kept state {path} cannot be read ({error}); expected one of this node") from None
+            raise ProblemError(f"the saved state {path} cannot be read ({error}); expected one of this node") from None
         if self._tick is None:
-            self._send(self._outbox[0])  # it may have ended between keeping and sending
+            self._send(self._outbox[0])  # the process may have ended after saving and before sending
 
     def _line(
         self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None

@@ -1,48 +1,45 @@
-"""What every process of a network does: it says where it listens, logs its ticks, and ends when it is asked to."""
+"""Functions shared by all network processes: they print their address, log their steps, and end on request."""
 
 from __future__ import annotations
 
 import json
-import signal
 import sys
 import time
 from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from taciturn.runtime.udp import Address, Endpoint, parse_address
 
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 Say: TypeAlias = Callable[[str], None]
-LISTENS = "listens on"  # who starts a process waits for this
-# Ctrl-C, and what asks a process to end: of POSIX SIGTERM, and SIGHUP when a terminal closes; of Windows SIGBREAK
-ENDING = tuple(signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
-IDLE = 0.25  # seconds after which it is seen whether to stop
-QUIET = 0.05  # seconds without datagrams after which nothing is on its way any more
+LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
+IDLE = 0.25  # seconds between checks for a stop request
+QUIET = 0.05  # seconds without datagrams after which no more are expected
 
 
 def say_where(name: str, address: Address) -> None:
-    """Say on standard error that a process listens."""
+    """Print to standard error the address that a process listens on."""
     say(f"the {name} {LISTENS} {address[0]}:{address[1]}")
 
 
 def say(sentence: str) -> None:
-    """Say something on standard error."""
+    """Print a message to standard error."""
     print(f"taciturn: {sentence}", file=sys.stderr, flush=True)
 
 
 def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | None:
-    """Return the sentence of who refuses packets of a sender with which it has no policy or no key in common, if so."""
-    others = {"foreign": "of another policy, or with and without a key,", "forged": "of another key"}
+    """Return a message if packets are rejected because the sender has another policy or key, else None."""
+    others = {"foreign": "of another policy, or with a key on one side only,", "forged": "of another key"}
     others |= {"malformed": "too short for the tag of a key"} if keyed else {}
     if why not in others:
         return None
-    return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file, same --key?"
+    return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file and --key?"
 
 
 def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
-    """Take datagrams until stopped, and then those that are still on their way."""
+    """Receive datagrams until stopped, and then those already sent."""
     while not stopped():
         take(endpoint.receive(time.monotonic() + IDLE))
     while found := endpoint.receive(time.monotonic() + QUIET):
@@ -50,20 +47,14 @@ def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], st
 
 
 @contextmanager
-def until_stopped() -> Generator[Callable[[], bool]]:
-    """Tell whether to stop: after any of ``ENDING``, at which the counters are still to be printed."""
-    asked: list[int] = []
-    before = {number: signal.signal(number, lambda found, _: asked.append(found)) for number in ENDING}
-    try:
-        yield lambda: bool(asked)
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def logged(target: str | None, part: int | None = None) -> Generator[Told | None]:
+    """Yield a function that writes JSON lines to a file, to standard output (``-``), or to ``udp://HOST:PORT``.
 
-
-@contextmanager
-def logged(target: str | None) -> Generator[Told | None]:
-    """Give what writes a JSON line per tick: to a file, ``-`` for standard output, or ``udp://HOST:PORT``."""
+    Args:
+        target: the file, ``-``, or ``udp://HOST:PORT``; None for no log.
+        part: size in bytes at which a file is renamed to ``name_of_part`` and a new file begins, so that another
+            process can read and delete it; the file grows further while the previous part still exists.
+    """
     if target is None:
         yield None
     elif target.startswith("udp://"):
@@ -71,11 +62,32 @@ def logged(target: str | None) -> Generator[Told | None]:
         with Endpoint(("0.0.0.0", 0)) as endpoint:
             yield lambda line: endpoint.send(json.dumps(line).encode(), to)
     elif target == "-":
-        yield _lines(sys.stdout)
+        yield lambda line: print(json.dumps(line), flush=True)
     else:
-        with Path(target).open("a", encoding="utf-8") as file:
-            yield _lines(file)
+        with closing(_Log(Path(target), part)) as log:
+            yield log.write
 
 
-def _lines(file: IO[str]) -> Told:
-    return lambda line: print(json.dumps(line), file=file, flush=True)
+def name_of_part(log: Path) -> Path:
+    """Return the name of the complete part of a log."""
+    return log.with_name(f"{log.name}.1")
+
+
+class _Log:
+    """A file of JSON lines, perhaps in parts; ``logged`` describes the arguments."""
+
+    def __init__(self, path: Path, part: int | None) -> None:
+        self._path, self._part = path, part
+        self._file = path.open("a", encoding="utf-8")
+
+    def write(self, line: Mapping[str, Any]) -> None:
+        """Write one line, and complete a part if it is large enough."""
+        print(json.dumps(line), file=self._file, flush=True)
+        if self._part is not None and self._file.tell() >= self._part and not name_of_part(self._path).exists():
+            self._file.close()
+            self._path.replace(name_of_part(self._path))
+            self._file = self._path.open("a", encoding="utf-8")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()

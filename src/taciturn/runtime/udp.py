@@ -1,8 +1,9 @@
-"""Datagrams over UDP: the only file that knows of sockets."""
+"""Sending and receiving of datagrams over UDP; no other module of the package uses sockets."""
 
 from __future__ import annotations
 
 import contextlib
+import ipaddress
 import select
 import socket
 import struct
@@ -13,23 +14,23 @@ from typing import TypeAlias
 from taciturn.errors import ProblemError
 
 Address: TypeAlias = tuple[str, int]
-LARGEST, LARGEST_OF_ALL = 4096, 65535  # bytes of a datagram that are read: packets of numbers are shorter
-BUFFER = 4 << 20  # bytes that wait in the kernel, if it lets us
-MOST = 128  # datagrams that are taken at once, so that a flood does not keep a node from its tick
-_LINUX = sys.platform.startswith("linux")  # elsewhere the next numbers mean something else
-_FORCED = 33  # SO_RCVBUFFORCE: beyond what others may ask for
-_MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and where its table holds what was dropped
+LARGEST, LARGEST_OF_ALL = 4096, 65535  # largest datagram in bytes: by default (packets are shorter), and possible
+BUFFER = 4 << 20  # requested size of the receive buffer in the kernel, in bytes
+MOST = 128  # largest number of datagrams received per call, so that a flood does not delay a step
+_LINUX = sys.platform.startswith("linux")  # other systems define the next constants differently
+_FORCED = 33  # SO_RCVBUFFORCE: a larger buffer than users other than root may request
+_MEMORY, _DROPS = 55, 8  # SO_MEMINFO, and the index of the dropped datagrams in its table
 
 
 def parse_address(name: str, text: str) -> Address:
-    """Return host and port of ``HOST:PORT``; the host may be left out: 127.0.0.1.
+    """Return host and port of the text ``HOST:PORT``; the default host is 127.0.0.1.
 
     Raises:
-        ProblemError: no such form, no such port, or an unknown host.
+        ProblemError: the text has another form, the port is out of range, or the host is unknown.
     """
     host, colon, port = text.rpartition(":")
     if not colon or not port.isdecimal() or not 0 <= int(port) <= 65535:
-        raise ProblemError(f"{name} is {text!r}; expected HOST:PORT with a port from 0 to 65535, as 127.0.0.1:9001")
+        raise ProblemError(f"{name} is {text!r}; expected HOST:PORT with a port from 0 to 65535, e.g. 127.0.0.1:9001")
     try:
         found = socket.getaddrinfo(host or "127.0.0.1", int(port), socket.AF_INET, socket.SOCK_DGRAM)
     except OSError as error:
@@ -38,22 +39,37 @@ def parse_address(name: str, text: str) -> Address:
     return str(address[0]), int(address[1])
 
 
+def is_loopback(host: str) -> bool:
+    """Return whether a host name or address denotes this machine.
+
+    Example:
+        >>> [is_loopback(host) for host in ("127.0.0.1", "localhost", "::1", "localhost.evil.example", "0.0.0.0")]
+        [True, True, True, False, False]
+    """
+    if host.lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
 class Endpoint:
     """A bound UDP socket.
 
     Args:
-        bind: where to listen; port 0: any free one.
-        largest: bytes of a datagram that are read; what is longer is cut, and then no packet.
+        bind: address to listen on; with port 0, the system chooses a free port.
+        largest: largest number of bytes read of a datagram; a longer one is truncated, and so rejected as a packet.
 
     Raises:
-        ProblemError: the address is in use, or not of this machine.
+        ProblemError: the address is in use, or does not belong to this machine.
     """
 
     def __init__(self, bind: Address, largest: int = LARGEST) -> None:
-        """Bind."""
+        """Open and bind the socket."""
         self._largest = largest
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        for option in (socket.SO_RCVBUF, *((_FORCED,) if _LINUX else ())):  # the second is root's
+        for option in (socket.SO_RCVBUF, *((_FORCED,) if _LINUX else ())):  # only root may set the second
             with contextlib.suppress(OSError):
                 self._socket.setsockopt(socket.SOL_SOCKET, option, BUFFER)
         try:
@@ -66,17 +82,17 @@ class Endpoint:
             ) from None
         self._socket.setblocking(False)
         self.sent, self.received, self.unsent = 0, 0, 0
-        self.senders: list[Address] = []  # of the datagrams that were taken last, in their order
+        self.senders: list[Address] = []  # senders of the last received datagrams, in the same order
 
     @property
     def address(self) -> Address:
-        """Where it listens."""
+        """The address that the socket listens on."""
         host, port = self._socket.getsockname()
         return str(host), int(port)
 
     @property
     def dropped(self) -> int | None:
-        """Datagrams that the kernel dropped as they came faster than they were taken; None where it does not say."""
+        """Number of datagrams that the kernel dropped because the buffer was full; None if it is not available."""
         if not _LINUX:
             return None
         try:
@@ -86,7 +102,7 @@ class Endpoint:
 
     @property
     def counted(self) -> dict[str, int | None]:
-        """What has gone out and come in."""
+        """The counters of datagrams sent and received."""
         return {
             "sent": self.sent,
             "unsent": self.unsent,
@@ -95,7 +111,7 @@ class Endpoint:
         }
 
     def send(self, datagram: bytes, to: Address) -> None:
-        """Send a datagram; what the network refuses is counted in ``unsent``."""
+        """Send a datagram; a datagram that the network rejects is counted in ``unsent``."""
         try:
             self._socket.sendto(datagram, to)
             self.sent += 1
@@ -103,7 +119,7 @@ class Endpoint:
             self.unsent += 1
 
     def receive(self, until: float | None) -> list[bytes]:
-        """Return what has come; wait for the first datagram until a time of ``time.monotonic`` (None: forever)."""
+        """Return the received datagrams; wait for the first one until a ``time.monotonic`` time (None: no limit)."""
         found = self._take()
         if not found:
             left = None if until is None else until - time.monotonic()
@@ -117,11 +133,11 @@ class Endpoint:
         self._socket.close()
 
     def __enter__(self) -> Endpoint:
-        """Be closed at the end of a block."""
+        """Return the endpoint, which is closed at the end of the ``with`` block."""
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Close."""
+        """Close the socket."""
         self.close()
 
     def _take(self) -> list[bytes]:
@@ -130,9 +146,9 @@ class Endpoint:
         with contextlib.suppress(BlockingIOError):
             for _ in range(MOST):
                 try:
-                    # Windows raises where a datagram is longer than what is asked for; others cut it, as this does
+                    # read the largest size, as Windows raises an error for a longer datagram instead of truncating it
                     datagram, sender = self._socket.recvfrom(LARGEST_OF_ALL)
-                except ConnectionError:  # a peer is not there yet: refused on POSIX, reset on Windows
+                except ConnectionError:  # no process listens at a peer: refused on POSIX, reset on Windows
                     continue
                 found.append(datagram[: self._largest])
                 self.senders.append(sender)
@@ -141,7 +157,7 @@ class Endpoint:
 
 
 def free_addresses(count: int) -> list[Address]:
-    """Return so many addresses of the loopback that are free now."""
+    """Return ``count`` currently free addresses of the loopback."""
     endpoints = [Endpoint(("127.0.0.1", 0)) for _ in range(count)]
     found = [endpoint.address for endpoint in endpoints]
     for endpoint in endpoints:

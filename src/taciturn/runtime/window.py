@@ -1,31 +1,31 @@
-"""Which packets of one sender are new: a window over their sequence numbers, as IPsec has it [rfc4303]."""
+"""Detection of new packets of a sender by a window over their sequence numbers, as in IPsec [rfc4303]."""
 
 from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-WIDTH = 1024  # sequence numbers behind the newest that are still told apart
+WIDTH = 1024  # width of the window in sequence numbers
 News: TypeAlias = Literal["new", "duplicate", "replayed"]
 
 
 class Window:
-    """Sequence numbers that have come.
+    """A window over the received sequence numbers of one sender.
 
-    Of a later epoch everything is new, and what came of an earlier one is forgotten; of an earlier epoch, and of what
-    lies more than a window behind the newest, everything is replayed.
+    The first packet of a later epoch clears the window. A packet is a replay if it belongs to an earlier epoch, or is
+    behind the newest packet by the width of the window or more.
     """
 
     def __init__(self) -> None:
-        """Nothing has come."""
+        """Start with an empty window."""
         self.epoch, self.newest, self.seen, self.distinct = -1, -1, 0, 0
 
     @property
     def missing(self) -> int:
-        """Sequence numbers of this epoch up to the newest that have not come: lost, or still under way."""
+        """Number of packets of this epoch, up to the newest, that have not arrived: dropped or delayed."""
         return self.newest + 1 - self.distinct
 
     def admit(self, epoch: int, sequence: int) -> News:
-        """Note a packet, and tell whether it is new."""
+        """Record a packet, and return whether it is new."""
         if epoch < self.epoch:
             return "replayed"
         if epoch > self.epoch:
@@ -44,9 +44,9 @@ class Window:
         return "new"
 
     def save(self) -> list[int]:
-        """Return the window as numbers."""
+        """Return the window as a list of numbers."""
         return [self.epoch, self.newest, self.seen, self.distinct]
 
     def restore(self, saved: list[int]) -> None:
-        """Go on from a window that was saved."""
+        """Continue from a saved window."""
         self.epoch, self.newest, self.seen, self.distinct = saved

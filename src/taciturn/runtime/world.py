@@ -1,4 +1,4 @@
-"""What nodes meet over UDP: a simulated plant, and links that carry their packets."""
+"""Servers for the environment of nodes on UDP: the simulated plant, and relays that emulate links."""
 
 from __future__ import annotations
 
@@ -18,48 +18,49 @@ from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
-WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input after which the plant says that it waits, and says so again
+WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's first and each further message
 
 
 class Physical(Protocol):
-    """A plant, one tick at a time, as ``taciturn.runtime.plant.SimulatedPlant`` is one."""
+    """Interface of a plant that advances one step at a time, such as ``taciturn.runtime.plant.SimulatedPlant``."""
 
     @property
     def inputs(self) -> int:
-        """How many there are."""
+        """Number of inputs."""
         ...
 
     @property
     def tick_length(self) -> float:
-        """Seconds of a tick; 1 where the problem does not say."""
+        """Seconds per step; 1 if the problem does not specify them."""
         ...
 
     @property
     def measurement(self) -> Values:
-        """y, (p,), of the present tick."""
+        """Measurement y of the current step, (p,)."""
         ...
 
     @property
     def state(self) -> Array:
-        """x, (n,)."""
+        """State x, (n,)."""
         ...
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Go through a tick with these inputs, and return what it costs."""
+        """Apply these inputs for one step, and return the cost of the step."""
         ...
 
 
 class PlantServer:
-    """Measures and acts for the nodes of a loop: a plant that tells its measurements and takes its inputs.
+    """A server for plants, which sends their measurements to the sensor and receives their inputs.
 
     Args:
-        plants: one per loop, in order.
-        wire: that writes and reads the packets.
-        endpoint: where inputs arrive.
-        sensor: who gets the measurements.
-        tick: real seconds per tick; omitted: lockstep.
-        told: called with what happened in each tick.
-        say: called with a sentence where no input comes in lockstep, or packets of another policy or key are refused.
+        plants: plants, one per loop, in order.
+        wire: encoder and decoder of the packets.
+        endpoint: socket that receives the inputs.
+        sensor: address that the measurements are sent to.
+        tick: real seconds per step; default: lockstep.
+        told: function called with the log line of each step.
+        say: function called with a message if no input arrives in lockstep, or if packets of another policy or key are
+            rejected.
     """
 
     def __init__(
@@ -73,22 +74,22 @@ class PlantServer:
         told: Told | None = None,
         say: Say | None = None,
     ) -> None:
-        """Nothing has happened."""
+        """Start before the first step."""
         self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
         self._tick, self._told, self._say = tick, told, say
         self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
-        self._given = [-1] * len(plants)  # tick of the last input
-        self._waiting: list[dict[int, Values]] = [{} for _ in plants]  # inputs by tick: a node may be one ahead
+        self._given = [(-1, -1)] * len(plants)  # epoch and step number of the last input
+        self._waiting: list[dict[int, Packet]] = [{} for _ in plants]  # inputs by step: a node may be one step ahead
         self._windows = [Window() for _ in plants]
         self._now, self._epoch = 0, int(time.time())
         self.costs: list[list[float]] = [[] for _ in plants]
         self.refused: Counter[str] = Counter()
-        self.largest = 0.0  # entry of a state
-        self.held = 0  # ticks in which no input came, and the last one went on
-        self.again = 0  # measurements told again
+        self.largest = 0.0  # largest absolute entry of a state
+        self.held = 0  # steps without a new input, in which the last input was held
+        self.again = 0  # measurements sent again
 
     def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Go through so many ticks, or until stopped, and return the report."""
+        """Execute ``ticks`` steps, or fewer if stopped, and return the report."""
         zero = time.monotonic()
         for tick in range(ticks):
             if stopped():
@@ -102,7 +103,7 @@ class PlantServer:
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
                 before = plant.state.tolist()
-                self.held += self._given[loop] < tick
+                self.held += self._given[loop][1] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
                 self.largest = max(self.largest, float(np.abs(plant.state).max()))
                 if self._told is not None:
@@ -122,7 +123,7 @@ class PlantServer:
         return self.report()
 
     def report(self) -> dict[str, Any]:
-        """Return what has been counted so far."""
+        """Return the counters so far."""
         return {
             "role": "plant",
             "tick": max(len(costs) for costs in self.costs) - 1,
@@ -134,7 +135,7 @@ class PlantServer:
         }
 
     def _measure(self, tick: int, again: bool = False) -> None:
-        """Tell the measurements of a tick; again, those of the loops whose input has not come."""
+        """Send the measurements of a step; with ``again``, only those of loops whose input has not arrived."""
         for loop, plant in enumerate(self.plants):
             if not again or tick not in self._waiting[loop]:
                 sequence = tick & 0xFFFFFFFF
@@ -142,12 +143,12 @@ class PlantServer:
                 self.endpoint.send(self.wire.encode(packet), self.sensor)
 
     def _adopt(self, loop: int, tick: int) -> None:
-        """Let the input of a tick act, if it has come."""
+        """Apply the input of a step from now on, if it has arrived."""
         if tick in self._waiting[loop]:
-            self.inputs[loop], self._given[loop] = self._waiting[loop].pop(tick), tick
+            self._apply(self._waiting[loop].pop(tick))
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
-        """Wait for the inputs of a tick; tell the measurement again where none comes."""
+        """Wait for the inputs of a step; send the measurement again while no input arrives."""
         remind = time.monotonic() + WAITED
         while any(tick not in waiting for waiting in self._waiting) and not stopped():
             found = self.endpoint.receive(time.monotonic() + IDLE)
@@ -159,12 +160,13 @@ class PlantServer:
                 remind += WAITED_AGAIN
                 host, port = self.sensor
                 self._say(
-                    f"the plant still waits for the input of tick {tick} from the nodes behind {host}:{port}: "
-                    "do all of them run, started after the last run ended, with the same problem file?"
+                    f"the plant still waits for the input of step {tick} from the nodes behind {host}:{port}: "
+                    "are all nodes running, were they started after the last run ended, and do they use the same "
+                    "problem file?"
                 )
 
     def _wait(self, until: float) -> None:
-        """Take inputs until a time."""
+        """Receive inputs until a given time."""
         while time.monotonic() < until:
             self._take(self.endpoint.receive(until))
 
@@ -182,22 +184,26 @@ class PlantServer:
                 self._sort(packet)
 
     def _sort(self, packet: Packet) -> None:
-        """Keep an input for its tick; one that is late acts at once, if none of a later tick has."""
+        """Store an input for its step; apply a late input immediately unless a later one has been applied."""
         loop, news = packet.loop, self._windows[packet.loop].admit(packet.epoch, packet.sequence)
         if news != "new":
             self.refused[news] += 1
         elif packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
-            self._waiting[loop][packet.tick] = packet.values
-        elif packet.tick > self._given[loop]:
-            self.inputs[loop], self._given[loop] = packet.values, packet.tick
+            self._waiting[loop][packet.tick] = packet
+        elif (packet.epoch, packet.tick) > self._given[loop]:
+            self._apply(packet)
         else:
             self.refused["late"] += 1
 
+    def _apply(self, packet: Packet) -> None:
+        """Apply an input from now on."""
+        self.inputs[packet.loop], self._given[packet.loop] = packet.values, (packet.epoch, packet.tick)
+
 
 def relay(link: EmulatedLink, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Carry datagrams to a peer over a link that may lose them, until stopped; return the report."""
+    """Forward datagrams to a peer over an emulated link until stopped, and return the report."""
 
     def carry(until: float) -> bool:
         found = endpoint.receive(until if link.due is None else min(until, link.due))

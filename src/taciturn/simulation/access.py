@@ -1,4 +1,4 @@
-"""Who may send on a channel that many loops share: one rule per class, asked once per tick."""
+"""Access rules of a shared channel: one class for each rule, called once per step."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
 
 Places: TypeAlias = npt.NDArray[np.int64]
-ARRIVALS = float(np.exp(-1))  # new packets per slot that a busy channel of random access carries
-COLLISION = 1 / (np.e - 2)  # packets more than one that a collision tells of, on average
+ARRIVALS = float(np.exp(-1))  # new packets per slot at the largest throughput of random access
+COLLISION = 1 / (np.e - 2)  # mean number of additional packets in a collision
 
 
-@dataclass(frozen=True, eq=False)
-class Grant:
-    """What became of the wishes of a tick.
+@dataclass(frozen=True, eq=False, repr=False)
+class Grant(Displayed):
+    """Outcome of the requests in a step.
 
     Args:
-        sent: what got through, (channels, loops).
-        busy: what was on the channel, collisions included, (channels,).
+        sent: whether each loop sent successfully, (channels, loops).
+        busy: number of packets on the channel, including collisions, (channels,).
     """
 
     sent: Bits
@@ -29,63 +30,64 @@ class Grant:
 
 
 class Access(Protocol):
-    """A rule. It may remember: an object serves one simulation."""
+    """An access rule, which may have internal state; use one object for each simulation."""
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Return who sends.
+        """Return which loops send.
 
         Args:
-            tick: number of the tick.
-            at: the loops that look at their error in this tick, (loops,).
-            urgency: of each on each of some independent channels, (channels, loops); above 0 it wants to send.
+            tick: number of the step.
+            at: the loops that check their error in this step, (loops,).
+            urgency: urgency of each of these loops on each independent channel, (channels, loops); above 0, a loop
+                requests a send.
         """
         ...
 
 
 class MostUrgent:
-    """Those with the highest urgency send, as many as there are slots, whether they want to or not: a slot is free.
+    """Access rule in which the loops with the highest urgency use all slots, even if they do not request a send.
 
     Args:
-        capacity: sends per tick.
+        capacity: sends per step.
     """
 
     def __init__(self, capacity: int) -> None:
-        """Remember nothing else."""
+        """Store the capacity."""
         self.capacity = capacity
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Let those send."""
+        """Return the loops with the highest urgency."""
         sent = _lowest(-urgency, self.capacity)
         return Grant(sent, sent.sum(axis=1).astype(np.float64))
 
 
 class RoundRobin:
-    """Those send that have sent least often, in a fixed order: each in its turn.
+    """Access rule in which the loops send in a fixed order.
 
     Args:
-        capacity: sends per tick.
-        loops: how many there are.
+        capacity: sends per step.
+        loops: number of loops.
     """
 
     def __init__(self, capacity: int, loops: int) -> None:
-        """Begin with the first."""
+        """Start with the first loop."""
         self.capacity, self.loops = capacity, loops
         self.turns = np.arange(loops, dtype=np.float64)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Let the next send."""
+        """Return the next loops in the order."""
         sent = _lowest(self.turns[None, at], self.capacity)
         self.turns[at[sent[0]]] += self.loops
         return _alike(sent, len(urgency))
 
 
 class TimeDivision:
-    """Every loop sends at its own rate: whoever is due, the first to be due again before the others.
+    """Access rule in which every loop sends at its own rate; loops with an earlier next send have priority.
 
     Args:
-        capacity: sends per tick.
-        rates: sends per tick of each loop, (loops,); 0: never.
-        phases: share of its interval after which each is first due, (loops,).
+        capacity: sends per step.
+        rates: sends per step of each loop, (loops,); a loop with rate 0 never sends.
+        phases: time of the first send of each loop, as a share of its interval, (loops,).
     """
 
     def __init__(self, capacity: int, rates: Array, phases: Array) -> None:
@@ -96,7 +98,7 @@ class TimeDivision:
         self.due = phases * np.where(rates > 0, self.interval, 0.0) + np.where(rates > 0, 0.0, np.inf)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Let those send that are due."""
+        """Return the loops whose sends are due."""
         due = self.due[at]
         ready = np.flatnonzero(due <= tick)
         if len(ready) > self.capacity:
@@ -109,24 +111,24 @@ class TimeDivision:
 
 
 class RandomAccess:
-    """Those with an urgency above 0 send in a slot drawn at random; where two meet, neither gets through.
+    """Access rule in which loops with an urgency above 0 send in random slots; packets in the same slot collide.
 
-    All hear which slots were empty, used, or collided. From it they estimate the backlog n of a channel, and send with
-    the probability min(1, slots/n) (pseudo-Bayesian control of slotted ALOHA).
+    All loops observe which slots were empty, used or collided. They use it to estimate the backlog n of a channel, and
+    send with the probability min(1, slots/n) (pseudo-Bayesian control of slotted ALOHA).
 
     Args:
-        slots: per tick.
-        seed: of the draws.
+        slots: slots per step.
+        seed: seed of the random draws.
 
     Source: rivest1987
     """
 
     def __init__(self, slots: int, seed: int) -> None:
-        """Begin with an empty channel."""
+        """Start with an empty channel."""
         self.slots, self.draws, self.backlog = slots, np.random.default_rng(seed), np.zeros(1)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Draw who sends in which slot."""
+        """Draw the slots of the sending loops, and return the loops without a collision."""
         channels = len(urgency)
         backlog = np.broadcast_to(self.backlog, channels)
         tries = (urgency > 0) & (
@@ -145,7 +147,7 @@ class RandomAccess:
 
 
 def _lowest(values: Array, most: int) -> Bits:
-    """Return which are the lowest of each row, at most so many."""
+    """Return a mask of the lowest values in each row, at most ``most`` of them."""
     if values.shape[1] <= most:
         return np.ones(values.shape, dtype=np.bool_)
     chosen = np.zeros(values.shape, dtype=np.bool_)

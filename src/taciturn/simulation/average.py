@@ -1,4 +1,4 @@
-"""Cost and rates by simulation, with standard errors: independent paths, a burn-in, as many ticks as needed."""
+"""Cost and rates by simulation of independent paths, with standard errors."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from taciturn._arrays import count, instance, number
-from taciturn._progress import OutOfTime, Progress
+from taciturn._progress import OutOfTime, Progress, in_notebook
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, EXCESS, Loop
-from taciturn.simulation.doubts import doubt_moments, doubt_tail, expect_arrivals, find_doubts
 from taciturn.simulation.parts import Estimator, Part, sends
+from taciturn.simulation.reliability import doubt_moments, doubt_tail, expect_arrivals, find_doubts
 from taciturn.simulation.sampling import (
     BURN_IN,
     PATHS,
@@ -21,29 +21,29 @@ from taciturn.simulation.sampling import (
 )
 
 LEAST_STEPS = 1024
-WINDOWS = 3  # times the burn-in, at least: itself, and two windows that are compared
-PER_STEP = 0.05  # operations of work that one of a program takes in a step: many run at once
-TO_START = 1.2e7  # operations of work to write a program and to prepare it
+WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
+PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
+TO_START = 1.2e7  # counted work to build and compile a program
 LEAN = 60  # operations of a small program
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
-    """Return the estimator J = J_all + E[completed square], in the innovations form where that holds.
+    """Return the estimator J = J_all + E[completed square], in the innovations form if it is valid.
 
     Args:
         loop: the closed loop.
-        reduced: whether in that form; omitted: where it holds.
+        reduced: whether to use the innovations form; default: if it is valid.
 
     Raises:
-        ProblemError: the policy has no identity, or the plant is not the one of its design.
+        ProblemError: the policy has no cost identity, or the plant is not the one of its design.
 
     Source: khashooei2017
     """
     identity = loop.identity
     if identity is None:
         raise ProblemError(
-            "completion of squares holds for the plant and network of the design and a policy that has an identity; "
-            "expected those, or use the plain average"
+            "completion of squares does not apply to this loop; expected the plant and network of the design and a "
+            "policy with a cost identity, or the plain average"
         )
     reduced = loop.reducible if reduced is None else reduced
     program = loop.reduced_program() if reduced else loop.program()
@@ -52,7 +52,7 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
 
 
 def plain_average(loop: Loop) -> Estimator:
-    """Return the estimator that averages the stage cost of the loop with its plant."""
+    """Return the estimator that averages the stage cost of the loop."""
     final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
     problem, program = loop.problem, loop.program()
     lean = program.keep({COST, *sends(loop)}, states=final)
@@ -64,7 +64,7 @@ def plain_average(loop: Loop) -> Estimator:
 
 
 def choose_estimator(loop: Loop) -> Estimator:
-    """Return completion of squares where the theory allows it, else the plain average."""
+    """Return completion of squares if the theory allows it, else the plain average."""
     return plain_average(loop) if loop.identity is None else completed_squares(loop)
 
 
@@ -78,31 +78,34 @@ def average(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Averages:
-    """Estimate the stationary cost and rates, or those of a finite horizon.
+    """Estimate the stationary cost and rates of a loop, or those of a finite horizon.
 
-    Every path is independent, so the standard error is that of the mean over paths, whatever the correlation in time.
-    Ticks are dropped until the loop has forgotten its start: twelve time constants of its slowest mode, eight mean
-    intervals between sends, a send on nearly every path, and whatever precedes a window that differs from the latest.
+    The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
+    are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
+    mean intervals between sends, and until nearly every path has sent. Earlier windows are also dropped if the latest
+    window differs from them.
 
     Args:
         loop: the closed loop.
-        estimator: omitted: the best that holds.
-        seed: of the draws; the result depends on nothing else.
-        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead.
-        progress: called with the fraction done.
-        threads: at least 1; omitted: all processors.
+        estimator: estimator of the cost; default: the best that is valid.
+        seed: seed of the random draws; the result depends on nothing else.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        steps: total number of steps to simulate, over all paths, instead of a standard error.
+        progress: callback that receives the fraction done.
+        threads: number of threads, at least 1; default: all processors.
 
     Returns:
-        Cost and rates; rates are sends per tick, also of a sampled plant, whose cost is per second (``evaluate`` has
-        both per second). ``reached`` is False where the budget ended first: before the asked standard error, or before
-        the loop had time to settle; ``notes`` say where the number may be no average.
+        Cost and rates, per second for a continuous plant and per step for a discrete one, as in ``evaluate``;
+        ``rate_unit`` is the unit. ``reached`` is False if the budget was used up before the requested standard error
+        was reached or before the loop had settled. ``notes`` give reasons why the number may not be an average.
 
     Raises:
-        ProblemError: a budget, precision or number of threads that is not positive.
-        UnstableError: the loop diverges, or a link loses every packet and the plant does not come to rest by itself.
+        ProblemError: a budget, a standard error or a number of threads is not positive.
+        UnstableError: the loop diverges, or a link drops every packet and the plant does not come to rest by itself.
     """
-    return Averaging(loop, estimator, seed, standard_error, steps, progress, threads).finish()
+    return _per_unit(
+        loop, Averaging(loop, estimator, seed, standard_error, steps, in_notebook(progress), threads).finish()
+    )
 
 
 def difference(
@@ -117,24 +120,25 @@ def difference(
 ) -> Averages:
     """Estimate how much more one loop costs and sends than another, on the same draws.
 
-    Both loops see the same noise path by path, so what they share cancels before it is averaged: the standard error is
-    that of the difference. Both costs are completed squares where both have an identity, else both plain averages.
+    Each path has the same noise in both loops, so common variations cancel before averaging, and the standard error is
+    that of the difference. Both costs are computed from completed squares if both loops have a cost identity; otherwise
+    both are plain averages.
 
     Args:
-        first: the loop.
-        second: what is subtracted.
-        seed: of the draws.
-        standard_error: absolute, of the difference of the costs; omitted: 1e-4 of the first one's cost.
-        steps: run this many steps of all paths of both loops together instead.
-        progress: called with the fraction done.
-        threads: at least 1; omitted: all processors.
+        first: first loop.
+        second: second loop, whose cost and rates are subtracted.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the difference of the costs; default: 1e-4 of the first cost.
+        steps: total number of steps to simulate, over all paths of both loops, instead of a standard error.
+        progress: callback that receives the fraction done.
+        threads: number of threads, at least 1; default: all processors.
 
     Returns:
-        Cost and rates of the first less those of the second; a link that only one of them has counts as silent in the
-        other.
+        Cost and rates of the first loop minus those of the second; a link that only one loop has counts as silent in
+        the other.
 
     Raises:
-        ProblemError: ticks, horizons or discounts differ; or as ``average``.
+        ProblemError: the steps, horizons or discounts differ, or as for ``average``.
         UnstableError: a loop diverges.
 
     Example:
@@ -154,8 +158,8 @@ def difference(
     }.items():
         if values[0] != values[1]:
             raise ProblemError(
-                f"{name} is {values[0]} in one loop and {values[1]} in the other; expected the same, to compare them "
-                "tick by tick"
+                f"{name} is {values[0]} in one loop and {values[1]} in the other; expected equal values for a "
+                "comparison step by step"
             )
     loops = (first, second)
     if all(loop.identity is not None for loop in loops):
@@ -164,38 +168,54 @@ def difference(
     else:
         estimators = [plain_average(loop) for loop in loops]
     parts = [Part(loop, estimator, sign) for loop, estimator, sign in zip(loops, estimators, (1.0, -1.0), strict=True)]
-    return _judged(parts, last_of(_answers(parts, seed, standard_error, steps, progress, threads), None))
+    return _per_unit(
+        first, _judged(parts, last_of(_answers(parts, seed, standard_error, steps, progress, threads), None))
+    )
+
+
+def base_rate(loop: Loop) -> float:
+    """Return the rate of sending every sample, per second or per step; for a finite horizon it is 1."""
+    return 1.0 if loop.problem.cost.mission else 1 / loop.policy.tick
+
+
+def _per_unit(loop: Loop, found: Averages) -> Averages:
+    """Return averages with rates per second if the plant is continuous."""
+    if loop.problem.cost.mission or not loop.problem.sampled:
+        return found
+    pace = base_rate(loop)
+    rates = {link: rate.scaled(pace) for link, rate in found.rates.items()}
+    return replace(found, rates=rates, rate_unit="second")
 
 
 def least_work(loop: Loop) -> float:
-    """Return how many operations ``average`` takes at least to settle, whatever the loop's program is."""
+    """Return the least number of operations that ``average`` needs to settle, for any program of the loop."""
     least = max(BURN_IN, int(SETTLE * loop.policy.settling))
     return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
 
 
 class Averaging:
-    """A simulation that predicts from its first windows how much work is left, and continues from them.
+    """A simulation that predicts its remaining work from its first windows, and continues from them.
 
     Args:
         loop: the closed loop.
-        estimator: omitted: the best that holds.
-        seed: of the draws.
-        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead.
-        progress: called with the fraction done.
-        threads: at least 1; omitted: all processors.
+        estimator: estimator of the cost; default: the best that is valid.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        steps: total number of steps to simulate, over all paths, instead of a standard error.
+        progress: callback that receives the fraction done.
+        threads: number of threads, at least 1; default: all processors.
 
     Raises:
-        ProblemError: as ``average``.
+        ProblemError: as for ``average``.
 
     Example:
         >>> from taciturn import load
-        >>> problem = load("two-mass")
+        >>> problem = load("two-mass-lqg")
         >>> loop = problem.close(problem.design())
         >>> rough, fine = (Averaging(loop, standard_error=error) for error in (1e-3, 1e-5))
         >>> rough.predict(1e-3) < fine.predict(1e-5)
         True
-        >>> rough.finish() == average(loop, standard_error=1e-3)
+        >>> rough.finish().cost == average(loop, standard_error=1e-3).cost
         True
     """
 
@@ -209,7 +229,7 @@ class Averaging:
         progress: Progress | None = None,
         threads: int | None = None,
     ) -> None:
-        """Choose the estimator, and run nothing yet."""
+        """Choose the estimator; nothing is run yet."""
         instance("loop", loop, Loop)
         if estimator is not None:
             instance("estimator", estimator, Estimator)
@@ -220,10 +240,10 @@ class Averaging:
         self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
-        """Return about how many operations are left after the first windows, which are run; infinite if unstable.
+        """Run the first windows and return the approximate number of remaining operations; infinite if unstable.
 
         Args:
-            standard_error: absolute, of the cost.
+            standard_error: absolute standard error of the cost.
 
         Raises:
             OutOfTime: the time limit has passed.
@@ -242,11 +262,11 @@ class Averaging:
         return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
-        """Return what ``average`` does.
+        """Finish the simulation and return the same result as ``average``.
 
         Raises:
             UnstableError: the loop diverges.
-            OutOfTime: before there was any answer.
+            OutOfTime: the time limit passed before any answer was available.
         """
         if self.failed is not None:
             raise self.failed
@@ -254,10 +274,11 @@ class Averaging:
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
-    """Refuse a seed, a precision or a budget that means nothing.
+    """Reject an invalid seed, standard error or number of steps.
 
     Raises:
-        ProblemError: seed below 0, precision not positive, too few steps, or both precision and steps.
+        ProblemError: the seed is below 0, the standard error is not positive, there are too few steps, or both a
+            standard error and steps are given.
     """
     count("seed", seed, 0)
     if standard_error is not None and steps is not None:
@@ -276,7 +297,7 @@ def _answers(
     progress: Progress | None,
     threads: int | None,
 ) -> Iterator[Averages]:
-    """Return ever better answers, none of which is computed yet."""
+    """Return an iterator over successively better answers."""
     check_effort(seed, standard_error, steps)
     if threads is not None:
         count("threads", threads)
@@ -289,15 +310,17 @@ def _answers(
 
 
 def _judged(parts: Sequence[Part], found: Averages) -> Averages:
-    """Return averages with what was averaged, and what makes them doubtful."""
+    """Add the name of the estimator and the reasons for doubt to averages."""
     used = "completed squares" if parts[0].estimator.sum == EXCESS else "plain average"
     found, loop = replace(found, estimator=used), parts[0].loop
     if len(parts) > 1:
         return found
     if loop.horizon is not None:
-        return replace(found, notes=doubt_tail(found.tail))
+        notes = doubt_tail(found.tail)
+        return replace(found, notes=notes, trusted=not notes)
     notes = (
         doubt_moments(loop) if parts[0].estimator.sum == COST else ()
-    )  # the terms of a square are bounded, or nothing is lost
+    )  # completed squares are bounded, or no packet is dropped
     notes = notes or doubt_tail(found.tail)
-    return replace(found, notes=notes + find_doubts(loop, found.cost, found.rates, found.steps, found.settled))
+    more = find_doubts(loop, found.cost, found.rates, found.steps, found.settled)
+    return replace(found, notes=notes + more, trusted=not notes)

@@ -1,4 +1,4 @@
-"""Many loops, one tick at a time: a network of them, or a parameter that varies."""
+"""Simulation of many loops side by side, for example for a network or for many values of a parameter."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance, quoted
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.program.engine import Stepper, prepare
 from taciturn.program.ir import Program
-from taciturn.simulation.lost import find_loss
+from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import sends
 
 
-@dataclass(frozen=True, eq=False)
-class Tally:
-    """What each loop of a bank cost and sent.
+@dataclass(frozen=True, eq=False, repr=False)
+class Tally(Displayed):
+    """Cost and sends of each loop of a bank.
 
     Args:
-        cost: mean stage cost of each loop, per unit of time as an average counts it, (loops,).
-        sends: mean sends per tick of each loop, by link, (loops,); 0 where a loop has no such link.
+        cost: mean stage cost of each loop per unit of time, as for an average cost, (loops,).
+        sends: mean sends per step of each loop, by link, (loops,); 0 if a loop does not have the link.
     """
 
     cost: Array
@@ -31,16 +32,16 @@ class Tally:
 
 
 class Bank:
-    """Loops side by side: each is one path with its own numbers, and all of equal structure share machine code.
+    """Loops that are simulated side by side, one path each; loops of equal structure share machine code.
 
-    Loop i has the draws of path i of the seed. A loop may stand in a bank more than once, for a mean over its paths.
+    Loop i has the draws of path i of the seed. A bank may contain a loop several times, to average over paths.
 
     Args:
-        loops: closed loops, of any policies.
-        seed: of the draws.
+        loops: closed loops with any policies.
+        seed: seed of the random draws.
 
     Raises:
-        ProblemError: no loops, or one whose cost has a horizon or a discount.
+        ProblemError: there are no loops, or the cost of a loop has a horizon or a discount.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design
@@ -52,11 +53,11 @@ class Bank:
     """
 
     def __init__(self, loops: Iterable[Loop], seed: int = 0) -> None:
-        """Group the loops by structure, compile each structure once."""
+        """Group the loops by structure, and compile each structure once."""
         try:
             self.loops = tuple(loops)
         except TypeError:
-            raise ProblemError(f"loops is {quoted(loops)}; expected closed loops, one after the other") from None
+            raise ProblemError(f"loops is {quoted(loops)}; expected a sequence of closed loops") from None
         seed = count("seed", seed, 0)
         if not self.loops:
             raise ProblemError("loops is empty; expected at least one closed loop")
@@ -88,17 +89,17 @@ class Bank:
         return len(self._steppers)
 
     def run(self, ticks: int = 1, threads: int | None = None) -> Tally:
-        """Run all loops on for some ticks.
+        """Continue all loops for some steps.
 
         Args:
-            ticks: at least 1.
-            threads: omitted: all processors; the result does not depend on it.
+            ticks: number of steps, at least 1.
+            threads: number of threads; default: all processors; the result does not depend on it.
 
         Returns:
-            What each loop cost and sent in these ticks.
+            Cost and sends of each loop in these steps.
 
         Raises:
-            UnstableError: a loop diverges, or takes a plant that is not linear to where its function gives no number.
+            UnstableError: a loop diverges, or the function of a nonlinear plant gives a non-finite number.
         """
         ticks, many = count("ticks", ticks), len(self.loops)
         threads = None if threads is None else count("threads", threads)
@@ -123,5 +124,5 @@ class Bank:
 
 
 def _lean(loop: Loop) -> Program:
-    """Return what a bank runs of a loop."""
+    """Return the program of a loop that computes only cost and sends."""
     return loop.program().keep({COST, *sends(loop)})

@@ -1,4 +1,4 @@
-"""Many loops on one channel: at each tick a rule says whose error is sent, and the others keep theirs."""
+"""Simulation of many loops on one channel, where an access rule selects the errors that are sent at each step."""
 
 from __future__ import annotations
 
@@ -8,29 +8,30 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, Bits
+from taciturn._display import Displayed
 from taciturn._modes import factor
 from taciturn.model.trigger import Form
 from taciturn.program.draws import NORMAL, seed_generators, with_draws
 from taciturn.program.engine import Resident, prepare
 from taciturn.program.ir import Builder, Program
-from taciturn.program.lower import Tick
+from taciturn.program.lower import TimeStep
 from taciturn.simulation.access import Access, Places
 
-ERROR = "error"  # what a rule's forms weigh
+ERROR = "error"  # signal in the forms of a rule
 KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"
 
 
-@dataclass(frozen=True, eq=False)
-class Group:
-    """Loops of one kind: before a look e⁺ = F e + w; what is not sent then costs e'Γe, and what is sent is 0.
+@dataclass(frozen=True, eq=False, repr=False)
+class Group(Displayed):
+    """Equal loops: e⁺ = F e + w before a check. A sent error is reset to 0; an unsent error adds e'Γe to the cost.
 
     Args:
-        F: (n, n).
+        F: error dynamics, (n, n).
         noise: covariance of w ~ N(0, ·), (n, n).
-        Gamma: Γ, (n, n).
-        urgency: over ``error``; above 0 a loop wants to send.
-        count: loops.
-        every: ticks of the channel between two looks; the loops take turns.
+        Gamma: weight Γ, (n, n).
+        urgency: function of ``error``; a loop requests a send if it is above 0.
+        count: number of loops.
+        every: steps of the channel between two checks of a loop; the loops check in turn.
     """
 
     F: Array
@@ -41,15 +42,15 @@ class Group:
     every: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """Means over some ticks, on each of some independent channels.
+@dataclass(frozen=True, eq=False, repr=False)
+class Stretch(Displayed):
+    """Means over a stretch of steps, on each of several independent channels.
 
     Args:
-        cost: per tick, summed over the loops of each group, (channels, groups).
-        sends: per tick, of each group, (channels, groups).
-        busy: sends and collisions per tick, (channels,).
-        waiting: loops per tick that want to send and do not get through, (channels,).
+        cost: cost per step, summed over the loops of each group, (channels, groups).
+        sends: sends per step of each group, (channels, groups).
+        busy: sends and collisions per step, (channels,).
+        waiting: loops per step that request a send and do not get one, (channels,).
     """
 
     cost: Array
@@ -59,21 +60,21 @@ class Stretch:
 
 
 class SharedChannel:
-    """Loops that share channels, tick by tick; the costs beyond sending always are exact by completion of squares.
+    """Step-by-step simulation of loops that share channels; costs beyond every sample come from completed squares.
 
-    Memory and time grow linearly with the loops. Groups whose programs differ in their numbers alone, and that look at
-    the same ticks, run together; loop i of channel k has the draws of path i·channels + k of the seed, whatever the
-    groups.
+    Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and
+    their programs differ only in their constants. Loop i of channel k has the draws of path i·channels + k of the seed,
+    for any grouping.
 
     Args:
         groups: the loops.
-        access: who may send.
-        channels: independent ones, each with all the loops.
-        seed: of the draws.
+        access: access rule of the channel.
+        channels: number of independent channels, each with all the loops.
+        seed: seed of the random draws.
     """
 
     def __init__(self, groups: Sequence[Group], access: Access, channels: int = 1, seed: int = 0) -> None:
-        """Begin with errors of 0."""
+        """Start with errors of 0."""
         self._groups, self._access, self._channels, self._tick = groups, access, channels, 0
         alike: dict[tuple[Hashable, int, int], list[_Turn]] = {}
         first = 0
@@ -87,7 +88,7 @@ class SharedChannel:
         self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
     def run(self, ticks: int) -> Stretch:
-        """Run on for some ticks, a multiple of the ticks between two looks of every group."""
+        """Continue for some steps, a multiple of the steps between two checks of every group."""
         channels = self._channels
         busy, waiting = np.zeros(channels), np.zeros(channels)
         active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
@@ -118,7 +119,7 @@ class SharedChannel:
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """Loops of a group that look at the same ticks."""
+    """Loops of a group that check at the same steps."""
 
     group: int
     program: Program
@@ -126,10 +127,10 @@ class _Turn:
 
 
 class Cohort:
-    """Loops of groups that look at the same ticks and run together; paths are ordered by loop, then by channel."""
+    """Loops of groups that check at the same steps and run together; paths are ordered by loop, then by channel."""
 
     def __init__(self, turns: Sequence[_Turn], every: int, phase: int, channels: int, seed: int) -> None:
-        """Begin with errors of 0, of which none wants to be sent."""
+        """Start with errors of 0, of which none requests a send."""
         self.every, self.phase, self._turns, self._channels = every, phase, turns, channels
         self.places = np.concatenate([turn.places for turn in turns])
         states = [start(turn.program, len(turn.places) * channels, seed, turn.places[0] * channels) for turn in turns]
@@ -139,13 +140,13 @@ class Cohort:
         self.urgency = np.full((channels, len(self.places)), -1.0)
 
     def look(self, sent: Bits) -> None:
-        """Take a look at all errors, of which some are sent, (channels, loops)."""
+        """Advance to the next check, given which errors are sent, (channels, loops)."""
         self._sent += sent
         told = sent.T.astype(np.float64).reshape(1, -1)
         self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
 
     def take(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield each turn's group, cost and sends since this was last asked, (channels,) each."""
+        """Yield the group, cost and sends of each turn since the last call, (channels,) each, and reset them."""
         added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
         end = 0
         for turn in self._turns:
@@ -155,7 +156,7 @@ class Cohort:
 
 
 def contend(group: Group) -> Program:
-    """Return one look of a loop that is told whether it sends: the error's cost is summed, its next urgency put out."""
+    """Return the program of one check whose send decision is an input; it sums the cost and outputs the urgency."""
     tick = _look(group)
     told = tick.builder.emit("greater", tick.builder.input(GRANTED), tick.builder.constant(0.0))
     excess = _decide(tick, group, told)
@@ -163,7 +164,7 @@ def contend(group: Group) -> Program:
 
 
 def send_freely(group: Group) -> Program:
-    """Return one look of a loop that sends whenever it wants to: the error's cost and its sends are summed."""
+    """Return the program of one check of a loop whose sends are never blocked; it sums the cost and the sends."""
     tick = _look(group)
     wants = tick.builder.emit("greater", tick.form(group.urgency), tick.builder.constant(0.0))
     excess = _decide(tick, group, wants)
@@ -171,19 +172,19 @@ def send_freely(group: Group) -> Program:
 
 
 def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
-    """Return sends and cost per look of each loop of a group on its own, after as many looks that are dropped."""
+    """Return sends and cost per check of loops that share no channel; an equally long burn-in is dropped."""
     program = send_freely(group)
     run, states = prepare(program), start(program, group.count, seed)
     found = run(run(states, looks, None).states, looks, None)
     return found.sums[SENT] / looks, found.sums[EXCESS] / looks
 
 
-def _look(group: Group) -> Tick:
-    return Tick(Builder(), {ERROR: len(group.F)}, {}, ())
+def _look(group: Group) -> TimeStep:
+    return TimeStep(Builder(), {ERROR: len(group.F)}, {}, ())
 
 
-def _decide(tick: Tick, group: Group, sends: int) -> int:
-    """Reset the error where it is sent, move it on, and return what was kept costs."""
+def _decide(tick: TimeStep, group: Group, sends: int) -> int:
+    """Reset the error if it is sent, advance it by a step, and return the cost of the error that was not sent."""
     builder, spread = tick.builder, factor(group.noise)
     zero = builder.constant(0.0)
     tick.signals[KEPT] = [tick.choose(sends, zero, value) for value in tick.recall(ERROR)]
@@ -194,7 +195,7 @@ def _decide(tick: Tick, group: Group, sends: int) -> int:
 
 
 def start(program: Program, paths: int, seed: int, first: int = 0) -> Array:
-    """Return the states of errors of 0, (states, paths)."""
+    """Return the initial states, with errors of 0, (states, paths)."""
     drawn = seed_generators(seed, paths, first)
     starts = [state.start for state in program.states]
     rows = [drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts]

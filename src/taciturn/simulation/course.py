@@ -1,4 +1,4 @@
-"""What a loop costs and sends at each tick, on average over independent paths."""
+"""Cost and sends of a loop at each step, averaged over independent paths."""
 
 from __future__ import annotations
 
@@ -8,31 +8,32 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
+from taciturn._display import Displayed
 from taciturn.loop import COST, Loop
 from taciturn.model.estimate import Estimate
 from taciturn.program.engine import prepare
-from taciturn.simulation.lost import find_loss
+from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import sends
 from taciturn.simulation.statistics import mean
 
 PATHS = 4096
 
 
-@dataclass(frozen=True, eq=False)
-class Course:
+@dataclass(frozen=True, eq=False, repr=False)
+class Course(Displayed):
     """Mean stage cost and sends over time.
 
-    An average cost is counted per unit of time, so that the stage cost settles at it. Of a finite horizon or a discount
-    each tick counts whole, with its weight: the stage costs and the final state's sum to the total.
+    For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
+    or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the total.
 
     Args:
-        time: in seconds, or ticks where the plant counts steps; (ticks,).
-        cost: mean of x'Qx + û'Rû + 2x'Nû, (ticks,).
-        standard_error: of the cost, (ticks,).
-        sends: fraction of the paths that send, by link, (ticks,).
-        sends_standard_error: of these fractions, (ticks,); 0 where all paths agree.
-        final: mean cost of the final state; None before the end of a mission, and where it costs nothing.
-        paths: over which the means are taken.
+        time: time in seconds, or in steps if the plant has no ``dt``, (steps,).
+        cost: mean of x'Qx + û'Rû + 2x'Nû, (steps,).
+        standard_error: standard error of the cost, (steps,).
+        sends: fraction of the paths that send, by link, (steps,).
+        sends_standard_error: standard error of these fractions, (steps,); 0 if all paths agree.
+        final: mean cost of the final state; None before the end of a finite-horizon run, or without a terminal weight.
+        paths: number of paths.
     """
 
     time: Array
@@ -45,20 +46,20 @@ class Course:
 
 
 def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
-    """Run independent paths of a loop from its initial distribution, and average them at each tick.
+    """Run independent paths of a loop from its initial distribution, and average them at each step.
 
     Args:
         loop: the closed loop.
-        ticks: number of ticks, at least 1, and not beyond the end of a mission.
+        ticks: number of steps, at least 1, and not beyond the end of a finite-horizon run.
         paths: number of paths, at least 2.
-        seed: of the draws.
+        seed: seed of the random draws.
 
     Returns:
-        The course of cost and sends.
+        Cost and sends at each step.
 
     Raises:
-        ProblemError: ticks, paths or seed out of range.
-        UnstableError: the function of a plant that is not linear gives no finite number.
+        ProblemError: steps, paths or seed are out of range.
+        UnstableError: the function of a nonlinear plant gives a non-finite number.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design

@@ -1,4 +1,4 @@
-"""Cost and rate of policies whose events have no ticks, by cycles from send to send."""
+"""Cost and rate of policies with continuous-time events, by simulation of the cycles between sends."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from taciturn.simulation.average import check_effort
 from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
 FIRST = 200_000  # cycles
-RELATIVE_INTERVAL = 3e-4  # standard error of the mean interval, where no draw decides the cost
+RELATIVE_INTERVAL = 3e-4  # relative standard error of the mean interval
 MOST_CYCLES = 2_000_000_000
 
 
@@ -24,21 +24,21 @@ def average_events(
     steps: int | None = None,
     progress: Progress | None = None,
 ) -> Averages:
-    """Estimate cost and rate per second of a policy between the jumps of its plant.
+    """Estimate cost and rate per second of a policy with exact event times between the jumps of its plant.
 
     Args:
-        policy: from ``taciturn.design.integral``.
-        seed: of the draws.
-        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: look at about so many pieces of time of all paths together instead.
-        progress: called with the fraction done.
+        policy: a policy from ``taciturn.design.integral``.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        steps: approximate number of time segments to simulate over all paths, instead of a standard error.
+        progress: callback that receives the fraction done.
 
     Returns:
-        Cost and rate per second; ``steps`` are pieces of time.
+        Cost and rate per second; ``steps`` counts time segments.
 
     Raises:
-        ProblemError: a budget or precision that is not positive.
-        UnstableError: an interval that does not end.
+        ProblemError: the budget or the standard error is not positive.
+        UnstableError: an interval does not end.
     """
     check_effort(seed, standard_error, steps)
     cycles, told, found = FIRST if steps is None else 1000, Stages(progress), None
@@ -57,7 +57,7 @@ def average_events(
 
 
 def _missing(policy: EventPolicy, found: CycleEstimate, standard_error: float | None) -> float:
-    """Return how many times as many cycles are needed."""
+    """Return the factor by which the number of cycles must grow."""
     cost = policy.cost_all_time + found.cost.value
     wanted = RELATIVE_ERROR * abs(cost) if standard_error is None else standard_error
     uneven = found.interval.standard_error / found.interval.value

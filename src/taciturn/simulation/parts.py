@@ -1,4 +1,4 @@
-"""What a simulation runs: loops with the sum of each whose mean gives the cost."""
+"""Loops of a simulation, each with the sum whose mean gives its cost."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from functools import cached_property
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.errors import UnstableError
 from taciturn.loop import COST, SENT, Loop
 from taciturn.program.controls import CONTROL, controlled
 from taciturn.program.ir import Program
 
-RUNAWAY = 1e12  # times the cost of the median path
+RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the median path
 
 
-@dataclass(frozen=True, eq=False)
-class Estimator:
-    """Which program is run, and how the mean of a sum gives the cost: offset + scale·mean.
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimator(Displayed):
+    """An estimator of the cost: a program, and the relation cost = offset + scale·(mean of a sum).
 
     Args:
-        program: one tick of the loop.
-        whole: the same before anything was left out, of which control variates are made; None for missions.
+        program: program of one step of the loop.
+        whole: the complete program, from which control variates are derived; None for finite-horizon runs.
         sum: name of the sum.
-        offset: what is added, in the units of the cost.
-        scale: factor of the mean per tick.
+        offset: constant term, in the units of the cost.
+        scale: factor of the mean per step.
     """
 
     program: Program
@@ -36,18 +37,18 @@ class Estimator:
 
     @cached_property
     def controlled(self) -> Program | None:
-        """The program with control variates among its sums, for long runs; None for missions."""
+        """Program with control variates among its sums, for long runs; None for finite-horizon runs."""
         return None if self.whole is None else controlled(self.whole, self.program)
 
 
-@dataclass(frozen=True, eq=False)
-class Part:
-    """A loop, how its cost is estimated, and the factor with which cost and rates are added up.
+@dataclass(frozen=True, eq=False, repr=False)
+class Part(Displayed):
+    """A loop with the estimator of its cost and the sign with which its cost and rates are summed.
 
     Args:
         loop: the closed loop.
-        estimator: of its cost.
-        sign: 1, or −1 for what is subtracted.
+        estimator: estimator of its cost.
+        sign: 1, or −1 if cost and rates are subtracted.
     """
 
     loop: Loop
@@ -56,36 +57,43 @@ class Part:
 
     @property
     def names(self) -> list[str]:
-        """The sums that are read: that of the estimator, then the sends on each link."""
+        """Names of the sums that are read: the sum of the estimator, then the sends on each link."""
         return [self.estimator.sum, *sends(self.loop)]
 
     @property
     def controls(self) -> list[str]:
-        """The sums whose mean is 0."""
+        """Names of the control variates, whose mean is 0."""
         program = self.estimator.controlled
         return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
 
     @property
     def settling(self) -> float:
-        """Ticks of the slowest time constant of the loop."""
+        """Slowest time constant of the loop, in steps."""
         return self.loop.policy.settling
 
+    @property
+    def distance(self) -> float:
+        """Additional time constants until a large initial state has decayed to the noise: ln(1 + |mean|/deviation)."""
+        plant = self.loop.problem.plant
+        deviation = float(np.sqrt(np.diag(plant.W).max()))
+        return float(np.log1p(np.abs(plant.mean).max() / deviation)) if deviation > 0 else 0.0
+
     def diverges(self, how: str) -> UnstableError:
-        """Return the error that says so."""
+        """Return the error for a diverging loop, with the observation that shows it."""
         return UnstableError(
-            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop; send more often, "
+            f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop: send more often, "
             "or check [plant.actual] and input_limit"
         )
 
     def refuse_runaways(self, costs: Array, ticks: int) -> None:
-        """Refuse paths that have left the others for good, as a clipped input leaves an unstable plant."""
+        """Raise an error if a path has diverged from the others, as an unstable plant with a limited input can."""
         size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
         if self.estimator.sum == COST and typical > 0 and largest > max(RUNAWAY * typical, ticks * all_time):
-            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as another")
+            raise self.diverges(f"one path costs {largest / typical:.1g} times as much as the median path")
 
 
 def sends(loop: Loop) -> list[str]:
-    """Return the sums that count the sends on each link that decides."""
+    """Return the names of the sums that count the sends on each link with a send decision."""
     return [f"{SENT} {link}" for link in loop.policy.scheduled]

@@ -1,4 +1,4 @@
-"""Paths of one loop, or of two with the same draws, on their way to a mean with its standard error."""
+"""Simulation of many paths of one loop, or of two with the same draws, to estimate a mean and its standard error."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, SENT
@@ -18,44 +19,48 @@ from taciturn.model.estimate import Estimate
 from taciturn.program.controls import CONTROL
 from taciturn.program.engine import prepare
 from taciturn.program.ir import Program
-from taciturn.simulation.doubts import comes_never_to_rest
-from taciturn.simulation.lost import find_loss
+from taciturn.simulation.nonfinite import find_loss
 from taciturn.simulation.parts import Part
+from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import Moments, controlled_mean, rate_of, tail_index
 
 PATHS = 4096
-RELATIVE_ERROR = 1e-4  # of the cost, where no standard error is asked
-FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; operations of a step, above which a loop is large
-FEWEST_PATHS = 64  # where a slow loop makes every path long
+RELATIVE_ERROR = 1e-4  # default standard error, relative to the cost
+FEW_PATHS, SMALL = 512, 2000  # paths of a large loop; a loop is large if a step has more operations than this
+FEWEST_PATHS = 64  # least number of paths, for slow loops with long paths
 FEWEST_MISSIONS = 8
-BURN_IN = 512  # ticks, at least
-SETTLE = 12  # time constants of the loop that are dropped: e^-12 is left of the start
-KEEP = 8  # time constants, and mean intervals between sends, that are dropped and that are kept at least
-SILENT = 1e-3  # share of the paths that need not have sent in what is dropped
+BURN_IN = 512  # least number of steps of the burn-in
+SETTLE = 12  # burn-in in time constants of the loop: the initial transient decays to e^-12
+KEEP = 8  # least length of the burn-in and of the measurement, in time constants and in mean send intervals
+SILENT = 1e-3  # largest share of paths without a late send in the burn-in
 BUDGET = 4_000_000_000  # steps of all paths together
-DETERMINISTIC = 1e-9  # relative spread of the paths below which they are one path
-HUGE = 1e150  # its square is still a number
+DETERMINISTIC = 1e-9  # relative spread below which all paths count as identical
+HUGE = 1e150  # a limit whose square is still finite
 CHUNK = 1 << 24  # steps between two reports of progress
-ROUNDING = 1e-6  # relative, of what is simulated in single precision; measured: 7e-7 and less
-ROOM = 8  # paths for each control variate
-PAYS = 4  # times what was run so far must be left to run, for control variates to pay
-DRIFT = 3.5  # standard errors by which the latest window may differ from those before it
+ROUNDING = 1e-6  # relative rounding error in single precision; measured: at most 7e-7
+ROOM = 8  # least number of paths per control variate
+PAYS = 4  # least ratio of remaining to finished steps for which control variates are worthwhile
+DRIFT = 3.5  # standard errors by which the latest window may differ from the earlier ones
 
 
-@dataclass(frozen=True)
-class Averages:
-    """What a simulation found.
+@dataclass(frozen=True, repr=False)
+class Averages(Displayed):
+    """Result of a simulation.
 
     Args:
-        cost: per unit of time, or the total of a finite horizon.
-        rates: sends per tick (finite horizon: mean fraction of the steps; discount: (1−α)Σα^k of them), by link.
-        steps: simulated steps of all paths together, burn-in included.
-        burn_in: ticks dropped at the start of each path.
-        reached: whether the asked standard error was met.
-        notes: what makes the numbers doubtful.
-        settled: whether the loop had time to forget its start.
-        estimator: what was averaged: "completed squares", "plain average" or "conditional sampling"; or "".
-        tail: index of the power law by which the costs of the dearest paths fall off; infinite where there are too few.
+        cost: cost per unit of time, or the total of a finite horizon.
+        rates: sends per ``rate_unit`` by link; for a finite horizon, the mean fraction of steps with a send, and with a
+            discount, the weighted sum (1−α)Σα^k over these steps.
+        steps: simulated steps of all paths together, including burn-in.
+        burn_in: steps dropped at the start of each path.
+        reached: whether the requested standard error was reached.
+        notes: reasons to doubt the numbers.
+        settled: whether the initial transient has decayed.
+        estimator: averaged quantity: "completed squares", "plain average" or "conditional sampling"; or "".
+        tail: index of the power law of the paths with the highest costs; infinite if there are too few paths.
+        rate_unit: unit of time of the rates: ``"step"`` or ``"second"``.
+        trusted: whether the variance of the cost is finite, as far as is known; if not, the standard error is
+            meaningless.
     """
 
     cost: Estimate
@@ -67,27 +72,29 @@ class Averages:
     estimator: str = ""
     settled: bool = True
     tail: float = np.inf
+    rate_unit: str = "step"
+    trusted: bool = True
 
 
 class Sampling:
-    """Runs the parts side by side on the same draws, and adds up their means path by path.
+    """A simulation of one or two parts on the same draws, whose means are added path by path.
 
     Args:
-        parts: one loop, or two that are compared.
-        seed: of the draws.
-        progress: called with the fraction done.
-        threads: omitted: all processors.
+        parts: one loop, or two loops that are compared.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
+        threads: number of threads; default: all processors.
     """
 
     def __init__(self, parts: Sequence[Part], seed: int, progress: Progress | None, threads: int | None) -> None:
-        """Compile."""
+        """Compile the programs."""
         self.parts, self.seed, self.threads, self.progress = parts, seed, threads, Stages(progress)
         self.offset = sum(part.sign * part.estimator.offset for part in parts)
         self.steps = 0
         self._read([part.estimator.program for part in parts], [part.names for part in parts])
 
     def _read(self, programs: Sequence[Program], names: Sequence[Sequence[str]]) -> None:
-        """Run these programs from now on, and read these sums of theirs."""
+        """Select the programs to run and the sums to read."""
         self.programs, self.runs, self.names = programs, [prepare(program) for program in programs], names
         sizes = [len(some) for some in names]
         self.rows = [slice(int(end) - size, int(end)) for end, size in zip(np.cumsum(sizes), sizes, strict=True)]
@@ -96,9 +103,9 @@ class Sampling:
         self.controls: npt.NDArray[np.bool_] = np.array([kind == CONTROL for kind in kinds])
 
     def _add_controls(self, paths: int) -> bool:
-        """Add control variates to what is read, if there are some and enough paths to fit them; tell whether.
+        """Add control variates to the sums if there are any and enough paths to fit them; return whether it did.
 
-        Not to a difference: of two loops that differ on few paths, these are all that a fit would see.
+        They are not used for a difference: if two loops differ on few paths, the fit would depend on these paths only.
         """
         part = self.parts[0]
         if len(self.parts) > 1 or self.controls.any():
@@ -110,13 +117,13 @@ class Sampling:
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield the means of the stationary loop after each window of ticks.
+        """Yield the means of the stationary loop after each window of steps.
 
-        The last ones have an absolute standard error, or so many steps.
+        The iteration ends at the given absolute standard error or number of steps.
         """
         budget, width = steps or BUDGET, len(self.parts)
-        least = max(BURN_IN, int(SETTLE * max(part.settling for part in self.parts)))
-        operations = max(program.operations for program in self.programs)  # many: the burn-in is more than is needed
+        least = max(BURN_IN, int(max((SETTLE + part.distance) * part.settling for part in self.parts)))
+        operations = max(program.operations for program in self.programs)  # if large, fewer paths: burn-in dominates
         most = PATHS if steps else min(PATHS, max(FEW_PATHS, PATHS * SMALL // max(operations, 1) // 8 * 8))
         paths = min(most, max(8, budget // (2 * least * width) // 8 * 8))
         states = [part.loop.start(part.estimator.program, paths, self.seed) for part in self.parts]
@@ -124,11 +131,11 @@ class Sampling:
         paths = states[0].shape[1]
         if steps is not None and self._affordable(states, budget) > PAYS * dropped:
             self._add_controls(paths)
-        kept: list[tuple[int, Array]] = []  # ticks and sums per path, of each window
-        window = min(dropped, self._affordable(states, budget) // 2)  # two windows, to compare them
+        kept: list[tuple[int, Array]] = []  # steps and sums per path, of each window
+        window = min(dropped, self._affordable(states, budget) // 2)  # at least two windows, for comparison
         while True:
             left = self._affordable(states, budget)
-            if left < 1.5 * window:  # no crumb is left over, whose mean would be compared with all before it
+            if left < 1.5 * window:  # avoid a short last window, which would be compared with all earlier ones
                 window = left
             window = self._whole(max(1, window))
             sums, states = self._advance(states, window)
@@ -159,18 +166,18 @@ class Sampling:
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield the means of missions of so many ticks after each batch of them.
+        """Yield the means of finite-horizon runs after each batch of runs.
 
-        The last ones have an absolute standard error, or so many steps.
+        The iteration ends at the given absolute standard error or number of steps.
         """
         budget, width = steps or BUDGET, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"a mission has {horizon} ticks, and {budget} steps are for fewer than {FEWEST_MISSIONS} of them; "
+                f"the horizon is {horizon}, so {budget} steps are fewer than {FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount
-        share = 1 / horizon if discount == 1 else 1 - discount  # of a tick in a rate
+        share = 1 / horizon if discount == 1 else 1 - discount  # weight of a step in a rate
         costs, first, rates = Moments(), Moments(), dict[str, Moments]()
         while True:
             done = self.steps // horizon // width
@@ -196,33 +203,33 @@ class Sampling:
 
     @cached_property
     def _restless(self) -> bool:
-        """Whether a plant that is left alone costs ever more."""
+        """Whether the cost of an uncontrolled plant grows without limit."""
         return any(comes_never_to_rest(part.loop) for part in self.parts)
 
     def _affordable(self, states: Sequence[Array], budget: int) -> int:
-        """Return how many ticks the budget is still good for."""
+        """Return the number of steps per path that the budget still allows."""
         return (budget - self.steps) // states[0].shape[1] // len(self.parts)
 
     def _target(self, standard_error: float | None, first: float) -> float:
-        """Return the standard error that is asked, or a share of the first part's cost, given the mean of its sum."""
+        """Return the requested standard error, or the default relative to the cost of the first part."""
         estimator = self.parts[0].estimator
         default = RELATIVE_ERROR * abs(estimator.scale * first + estimator.offset)
         return default if standard_error is None else standard_error
 
     def _whole(self, ticks: int) -> int:
-        """Return ticks as whole turns of the policies' clocks: all paths are at the same place of a schedule."""
+        """Round steps up to whole cycles of the policies, so that every window ends at the same phase of a schedule."""
         cycle = lcm(*(part.loop.policy.cycle for part in self.parts))
         return -(-ticks // cycle) * cycle
 
     def _burn_in(self, states: list[Array], length: int, budget: int) -> tuple[list[Array], int, bool]:
-        """Run until the start is forgotten: return the states, the ticks that took, and whether it was reached.
+        """Run until the initial transient has decayed; return the states, the steps, and whether it has decayed.
 
-        Forgotten means: a few time constants, a few mean intervals between sends, and a late send on nearly every path;
-        on none where nothing is sent and silence is safe.
-        Where that takes long, fewer paths go on; half of the budget is left for what is kept.
+        This requires a few time constants, a few mean intervals between sends, and a late send on nearly every path. No
+        send is required if nothing is sent and silence is safe. If the burn-in is long, fewer paths continue; half of
+        the budget is reserved for the measurement.
         """
         least, dropped = length, length // 2
-        _, states = self._advance(states, dropped)  # what the start itself makes a path send says nothing
+        _, states = self._advance(states, dropped)  # sends that are caused by the initial state do not count
         length -= dropped
         while True:
             sums, states = self._advance(states, length)
@@ -240,11 +247,11 @@ class Sampling:
             states = [state[:, :paths] for state in states]
 
     def _pace(self, rates: Array) -> float:
-        """Return the ticks in which the loop forgets: some of its slowest mode, and some intervals between sends."""
+        """Return the steps until a transient has decayed, from time constants and intervals between sends."""
         return KEEP * max([part.settling for part in self.parts] + [1 / float(rate) for rate in rates if rate > 0])
 
     def _advance(self, states: Sequence[Array], ticks: int) -> tuple[Array, list[Array]]:
-        """Run ticks in chunks that let progress be seen and the run be interrupted."""
+        """Run steps in chunks, between which progress is reported and the run can be interrupted."""
         paths, after = states[0].shape[1], list(states)
         sums = np.zeros((len(self.counted), paths))
         chunk = max(1, CHUNK // paths)
@@ -257,30 +264,30 @@ class Sampling:
                 after[k] = result.states
                 sums[rows] += np.array([result.sums[name] for name in names])
                 self.steps += now * paths
-                if not np.abs(sums[rows]).max() < HUGE:  # or not a number
+                if not np.abs(sums[rows]).max() < HUGE:  # also if it is NaN
                     find_loss(part.loop, self.programs[k], run, before, now)
                     single = part.loop.precision == "float32"
                     passed = "the range of single precision" if single else f"{HUGE:g}"
-                    raise part.diverges(f"its cost passed {passed} within {self.steps} steps")
+                    raise part.diverges(f"its cost exceeded {passed} within {self.steps} steps")
             ticks -= now
             self.progress.tick()
         return sums, after
 
     def _settled(self, kept: Sequence[tuple[int, Array]]) -> bool:
-        """Compare the last window with what came before it, path by path."""
+        """Return whether the last window agrees with the earlier ones, path by path."""
         before, (length, last) = kept[:-1], kept[-1]
         earlier = _means(before)
         change = last / length - earlier
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         for part, rows in zip(self.parts, self.rows, strict=True):
             if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
-                raise part.diverges("its cost grew a million times between two windows")
+                raise part.diverges("its cost grew by a factor of a million between two windows")
         early = self.counted / length  # a window may end just before a send
         drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))
         return bool((np.abs(change.mean(axis=1)) <= drift)[~self.controls].all())
 
     def _contrast(self, sums: Array) -> Array:
-        """Return the costs of the paths without their constants, added up over the parts, (paths,)."""
+        """Return the costs of the paths without their constants, summed over the parts, (paths,)."""
         terms = [
             part.sign * part.estimator.scale * sums[rows.start]
             for part, rows in zip(self.parts, self.rows, strict=True)
@@ -291,7 +298,7 @@ class Sampling:
         return np.inf if len(self.parts) > 1 else tail_index(means[0])
 
     def _sends(self, sums: Array) -> dict[str, Array]:
-        """Return the sends of the paths on each link, added up over the parts, (paths,)."""
+        """Return the sends of the paths on each link, summed over the parts, (paths,)."""
         found: dict[str, Array] = {}
         for part, rows in zip(self.parts, self.rows, strict=True):
             for name, row in zip(part.names[1:], sums[rows][1 : len(part.names)], strict=True):
@@ -301,7 +308,7 @@ class Sampling:
 
     def _summary(self, means: Array, kept: Sequence[tuple[int, Array]]) -> tuple[Estimate, dict[str, Estimate]]:
         cost = controlled_mean(self._contrast(means), means[self.controls])
-        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # paths that agree tell nothing of a cycle cut short
+        if cost.standard_error <= DETERMINISTIC * abs(cost.value):  # hides the error of a truncated cycle
             length, last = kept[-1]
             late = float(self._contrast(last).mean()) / length
             cost = Estimate(cost.value, abs(late - cost.value), cost.method)
@@ -310,14 +317,14 @@ class Sampling:
         return self._rounded(cost).scaled(1.0, self.offset), rates
 
     def _rounded(self, cost: Estimate) -> Estimate:
-        """Return a mean with what single precision may have done to it; of a difference that is what is measured."""
+        """Add the rounding error of single precision to a mean; a difference of two precisions already measures it."""
         if len(self.parts) > 1 or self.parts[0].loop.precision == "float64":
             return cost
         error = float(np.hypot(cost.standard_error, ROUNDING * cost.value))
         return Estimate(cost.value, error, cost.method)
 
     def _is_precise(self, cost: Estimate, target: float) -> bool:
-        """Tell whether a standard error is small enough; loops that have not yet differed have told nothing."""
+        """Return whether a standard error is small enough; an error of 0 counts only if both programs are equal."""
         programs = [part.estimator.program for part in self.parts]
         told = cost.standard_error > 0 or all(program == programs[0] for program in programs)
         return told and cost.standard_error <= target
@@ -328,17 +335,17 @@ class Sampling:
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
-    """Return the last of ever better answers, or the best so far when the time is up.
+    """Return the last of successively better answers, or the best answer when the time limit has passed.
 
     Args:
-        answers: that are still to come.
-        found: the one before them, or None.
+        answers: answers still to be computed.
+        found: the previous answer, or None.
 
     Raises:
-        OutOfTime: before the first.
+        OutOfTime: the time limit passed before the first answer.
     """
     try:
-        for found in answers:  # noqa: B007 (the last one counts)
+        for found in answers:  # noqa: B007 (only the last one is used)
             pass
     except OutOfTime:
         if found is None:
@@ -348,12 +355,12 @@ def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
 
 
 def _means(windows: Sequence[tuple[int, Array]]) -> Array:
-    """Return the means per tick over windows of so many ticks, (sums, paths)."""
+    """Return the means per step over windows, given the steps and sums of each window, (sums, paths)."""
     return sum((sums for _, sums in windows), np.zeros_like(windows[0][1])) / sum(length for length, _ in windows)
 
 
 def _missing(measured: int, error: float, wanted: float) -> int:
-    """Return how many more ticks bring a standard error down to what is wanted, with 5 % to spare."""
+    """Return the number of further steps until a standard error reaches its target, with a margin of 5 %."""
     if error <= wanted:
         return 0
     return measured * 1000 if wanted < 1e-3 * error else int(measured * ((error / wanted) ** 2 * 1.05 - 1)) + 1

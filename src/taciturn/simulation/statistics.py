@@ -1,4 +1,4 @@
-"""Means and their standard errors: over independent paths, and along one record whose values depend on each other."""
+"""Means and their standard errors: over independent paths, and along one correlated record."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from taciturn._arrays import Array, ArrayLike, array, count
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 
-TAIL = 64  # values of a tail, and one of so many is of it
+TAIL = 64  # the tail is the largest 1/64 of the values, and must contain at least 64 values
 BATCHES = 32
-CYCLES = 30  # fewer give no standard error
+CYCLES = 30  # least number of cycles for a standard error
 
 
 class Moments:
-    """Mean and spread of values that come in batches, in constant memory."""
+    """Mean and variance of values that arrive in batches, in constant memory."""
 
     def __init__(self) -> None:
-        """Start with none."""
+        """Start without values."""
         self.count, self.center, self.squares = 0, 0.0, 0.0
 
     def add(self, values: Array) -> None:
@@ -44,18 +44,18 @@ def mean(values: Array) -> Estimate:
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean over independent paths of values, with what controls of mean 0 explain of them taken out.
+    """Return the mean over independent paths, with its variance reduced by control variates of mean 0.
 
-    It is the intercept of a least-squares fit, and so is its standard error.
+    The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
 
     Args:
-        values: one per path, (paths,).
-        controls: (controls, paths).
+        values: one value per path, (paths,).
+        controls: control variates, (controls, paths).
     """
     spread = controls.std(axis=1)
     fitted = np.column_stack([np.ones(len(values)), (controls[spread > 0] / spread[spread > 0, None]).T])
     _, sizes, directions = np.linalg.svd(fitted, full_matrices=False)
-    large = sizes > 1e-9 * sizes[0]  # of two loops that are one, each control stands there twice
+    large = sizes > 1e-9 * sizes[0]  # for two equal loops, every control occurs twice
     inverse = (directions[large].T / sizes[large] ** 2) @ directions[large]
     weights = inverse @ (fitted.T @ values)
     rest = values - fitted @ weights
@@ -64,10 +64,10 @@ def controlled_mean(values: Array, controls: Array) -> Estimate:
 
 
 def tail_index(values: Array) -> float:
-    """Return Hill's estimate of the index of the power law by which the largest values fall off, above their median.
+    """Return Hill's estimate of the power-law index of the largest values, relative to the median.
 
     Args:
-        values: independent, (values,); fewer than 4,096 are too few to tell, and have an infinite index.
+        values: independent values, (values,); for fewer than 4,096 values the index is infinite.
 
     Source: hill1975
     """
@@ -82,26 +82,27 @@ def tail_index(values: Array) -> float:
 
 
 def rate_of(values: Array, seen: int) -> Estimate:
-    """Return a mean rate; a send that never or always came in so many steps may still be as rare as one in them."""
+    """Return a mean rate, with a standard error of at least one event in the observed steps."""
     found = mean(values)
     return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
 
 
 def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
-    """Return the mean of one long record, with a standard error that allows for correlation along it.
+    """Return the mean of one long record, with a standard error that accounts for correlation.
 
-    The record is cut into batches of equal length; their means are nearly independent if a batch is long beside the
-    time over which the record forgets. The first values that do not fill them are dropped; so should be the burn-in.
+    The record is divided into batches of equal length. The means of the batches are nearly independent if a batch is
+    much longer than the correlation time of the record. Excess values at the start are dropped; remove the burn-in
+    before the call.
 
     Args:
-        record: values at successive ticks, (ticks,), as the stage cost of a trajectory or of an experiment.
-        batches: at least 10.
+        record: values at successive steps, (steps,), such as the stage cost of a trajectory or of an experiment.
+        batches: number of batches, at least 10.
 
     Returns:
         The mean.
 
     Raises:
-        ProblemError: fewer than ten values per batch, or values that are not finite, or nearly not.
+        ProblemError: there are fewer than ten values per batch, or a value is not finite or too large.
 
     Source: law2015
 
@@ -120,20 +121,21 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
 
 
 def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
-    """Return the mean of one record of a process that begins anew at known ticks, by its cycles between them.
+    """Return the mean of one record of a regenerative process from the cycles between its renewals.
 
-    A mean is (value per cycle)/(ticks per cycle); cycles are independent, so its standard error is that of a ratio.
-    What precedes the first renewal and follows the last is dropped, so no burn-in is needed.
+    The mean is (value per cycle)/(steps per cycle). The cycles are independent, so the standard error is that of a
+    ratio. The steps before the first renewal and after the last one are dropped, so no burn-in is needed.
 
     Args:
-        record: values at successive ticks, (ticks,).
-        renewals: 1 or True at the ticks where a cycle begins, as the first tick after a send that resets the error.
+        record: values at successive steps, (steps,).
+        renewals: 1 or True at the steps where a cycle begins, such as the first step after a send that resets the
+            error.
 
     Returns:
         The mean.
 
     Raises:
-        ProblemError: sizes differ, other numbers than 0 and 1, or fewer than 30 cycles.
+        ProblemError: the sizes differ, renewals contains other numbers than 0 and 1, or there are fewer than 30 cycles.
 
     Source: law2015
 
@@ -147,13 +149,13 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     """
     values, begins = array("record", record, (None,), "(ticks,)"), array("renewals", renewals, (None,), "(ticks,)")
     if values.shape != begins.shape:
-        raise ProblemError(f"record has {len(values)} ticks and renewals has {len(begins)}; expected the same")
+        raise ProblemError(f"record has {len(values)} steps and renewals has {len(begins)}; expected equal lengths")
     if not np.isin(begins, (0, 1)).all():
-        raise ProblemError("renewals has numbers other than 0 and 1; expected 1 where a cycle begins, else 0")
+        raise ProblemError("renewals has numbers other than 0 and 1; expected 1 at the start of a cycle, else 0")
     at = np.flatnonzero(begins)
     if len(at) <= CYCLES:
         raise ProblemError(
-            f"record has {max(len(at) - 1, 0)} whole cycles; expected at least {CYCLES}, a longer record"
+            f"record has {max(len(at) - 1, 0)} complete cycles; expected at least {CYCLES}: use a longer record"
         )
 
     def found() -> Estimate:
@@ -167,11 +169,11 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
 
 
 def _in_range(find: Callable[[], Estimate], values: Array) -> Estimate:
-    """Return what is found of a record, if its squares are numbers."""
+    """Return the estimate for a record, if the squares of its values are finite."""
     with np.errstate(all="ignore"), suppress(OverflowError):
         found = find()
         if np.isfinite([found.value, found.standard_error]).all():
             return found
     raise ProblemError(
-        f"record holds {np.abs(values).max():.3g}, whose square is out of range; expected smaller numbers"
+        f"record contains {np.abs(values).max():.3g}, whose square is out of range; expected smaller numbers"
     )

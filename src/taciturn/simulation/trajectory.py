@@ -1,44 +1,46 @@
-"""One path of a loop, tick by tick."""
+"""Simulation of one path of a loop, with all signals at every step."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance
-from taciturn._figure import Panel, Series, draw
-from taciturn._table import data_frame
+from taciturn._figure import Panel, Series, Size, draw
 from taciturn.loop import SENT, Loop
 from taciturn.model.policy import Policy, Send
+from taciturn.model.table import Column, Columns, Tabular
 from taciturn.program.engine import prepare
-from taciturn.simulation.lost import expect_numbers
+from taciturn.simulation.nonfinite import expect_numbers
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What happened at each tick of one path.
+@dataclass(frozen=True, eq=False, repr=False)
+class Trajectory(Tabular):
+    """Signals and sends of one path at every step.
 
     Args:
-        time: of each tick, (ticks,).
-        unit: of the time: ``"s"``, or ``"steps"`` where the plant has no ``dt``.
-        state: of the plant, (ticks, n).
-        estimate: x̂, (ticks, n); empty where the policy has none.
-        input: applied to the plant, (ticks, m).
-        trigger_value: value of staying silent in the decision on the packet, (ticks,): of a policy that plans its sends
-            ahead, whether one is due, or when. Empty where no packet's decision looks at the signals; of several the
-            first.
-        threshold: least value of sending in that decision; silence is kept while trigger_value ≤ threshold.
-        sends: whether a packet was sent, by link, (ticks,).
-        measurement: y, (ticks, p).
+        time: time of each step, (steps,).
+        unit: unit of the time: ``"s"``, or ``"steps"`` if the plant has no ``dt``.
+        state: state of the plant, (steps, n).
+        estimate: estimate x̂, (steps, n); empty if the policy has none.
+        input: input applied to the plant, (steps, m).
+        trigger_value: value of silence in the send decision, (steps,); for a policy that plans its sends in advance, it
+            indicates whether or when a send is due. It is empty if no send decision depends on signals; if several do,
+            the first one is recorded.
+        threshold: least value of sending in this decision; nothing is sent while trigger_value ≤ threshold.
+        sends: whether a packet was sent at each step, by link, (steps,).
+        measurement: measurement y, (steps, p).
     """
+
+    index: ClassVar[str] = "time"
+    heading: ClassVar[tuple[str, ...]] = ("unit",)
 
     time: Array
     unit: str
@@ -50,8 +52,8 @@ class Trajectory:
     sends: dict[str, npt.NDArray[np.bool_]]
     measurement: Array
 
-    def plot(self) -> Figure:
-        """Return a figure: states (estimates dotted), input, trigger against threshold, and every send."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the states, estimates (dotted), inputs, trigger value with threshold, and sends."""
         time = self.time.tolist()
         states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$", color=i) for i, x in enumerate(self.state.T)]
         states += [Series(time, x.tolist(), style="dotted", color=i) for i, x in enumerate(self.estimate.T)]
@@ -74,10 +76,10 @@ class Trajectory:
             for i, (link, sent) in enumerate(self.sends.items())
         ]
         panels.append(Panel(marks, ylabel="sends", xlabel=f"time ({self.unit})"))
-        return draw(panels, height=1.9 * len(panels))
+        return draw(panels, ax, figsize, height=1.9 * len(panels))
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document of ``taciturn simulate --json``: a list per tick of each quantity."""
+        """Return the JSON document of ``taciturn simulate --json``, with a list over the steps for each quantity."""
         return {
             "ticks": len(self.time),
             "time": self.time.tolist(),
@@ -91,35 +93,31 @@ class Trajectory:
             "sends": {link: sent.tolist() for link, sent in self.sends.items()},
         }
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a table with one row per tick.
-
-        Raises:
-            ProblemError: pandas is not installed.
-        """
-        columns: dict[str, object] = {}
+    def columns(self) -> Columns:
+        """Return one row per step: states, estimates, inputs, measurements, trigger and sends."""
+        columns: dict[str, Column] = {"time": self.time}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input), ("y", self.measurement)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
         if self.trigger_value.size:
             columns |= {"trigger": self.trigger_value, "threshold": self.threshold}
         columns |= {f"sent_{link}": sent for link, sent in self.sends.items()}
-        return data_frame(columns, "time", self.time)
+        return columns
 
 
 def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
-    """Run one path of a loop from its initial distribution and keep everything.
+    """Run one path of a loop from its initial distribution and record all signals.
 
     Args:
         loop: the closed loop.
-        ticks: number of ticks, at least 1, and not beyond the end of a mission.
-        seed: of the draws.
+        ticks: number of steps, at least 1, and not beyond the end of a finite-horizon run.
+        seed: seed of the random draws.
 
     Returns:
         The trajectory.
 
     Raises:
-        ProblemError: ticks or seed out of range.
-        UnstableError: the function of a plant that is not linear gives no finite number.
+        ProblemError: steps or seed are out of range.
+        UnstableError: the function of a nonlinear plant gives a non-finite number.
 
     Example:
         >>> from taciturn import Cost, Plant, close, design
@@ -150,7 +148,7 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
 
 
 def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the least values of the options without the packet and with it; of a clock, which weighs nothing, none."""
+    """Return the least values of the options without and with the packet; they are empty for a schedule."""
     for step in policy.steps:
         if isinstance(step, Send) and step.on is not None and policy.decisions[step.on].reads:
             labels = policy.decisions[step.on].labels

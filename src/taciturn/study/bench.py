@@ -1,4 +1,4 @@
-"""How fast this machine simulates: the two-mass loop on one thread, against NumPy as one would write it."""
+"""Simulation speed of this machine: the two-mass loop on one thread, compared with a plain NumPy program."""
 
 from __future__ import annotations
 
@@ -6,21 +6,22 @@ import importlib.metadata
 import os
 import platform
 import statistics
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 import numpy as np
 
 from taciturn._arrays import Array, count, number
+from taciturn._files import temporary_folder
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, EXCESS, SENT, Loop
 from taciturn.model.policy import Assign
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import load
 from taciturn.program import machine
 from taciturn.program.controls import CONTROL
@@ -29,31 +30,37 @@ from taciturn.program.machine import Build, Kernel
 from taciturn.simulation.statistics import controlled_mean, mean
 
 Contestant = Callable[[int], tuple[int, float]]
-"""A seed → steps that were run, and the rate of sending in them."""
+"""Function from a seed to the number of simulated steps and the rate of sending in them."""
 
 PATHS, TICKS = 4096, 4000
-MOST_ROUNDS = 1000  # half an hour
+MOST_ROUNDS = 1000  # about half an hour
 SUMS = {COST, EXCESS, f"{SENT} actuator"}
 FULL, REDUCED, SINGLE, NUMPY = "full", "innovations", "innovations, float32", "NumPy over paths"
 
 
-@dataclass(frozen=True)
-class Bench:
-    """What was measured.
+@dataclass(frozen=True, repr=False)
+class Bench(Tabular):
+    """Measured speeds and ratios.
 
     Args:
-        machine: processor, vectors, versions.
-        speeds: steps per second of processor time and thread, by contestant: the median of the rounds.
-        ratios: of speeds, measured side by side; of the time with one thread to that with two.
-        compile_seconds: of the innovations form, cold and from the cache on disk.
-        variance_ratios: of the estimators, per step: what they gain beyond the speed of the engine.
+        machine: processor, vector instructions and versions.
+        speeds: steps per second of processor time on one thread, by contestant; medians of the rounds.
+        ratios: ratios of these speeds, and the ratio of the wall times with one and with two threads.
+        compile_seconds: compile times of the innovations form, without and with the cache on disk.
+        variance_ratios: variance reductions of the estimators, per step.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("machine", "ratios")
 
     machine: Mapping[str, str]
     speeds: Mapping[str, float]
     ratios: Mapping[str, float]
     compile_seconds: Mapping[str, float]
     variance_ratios: Mapping[str, float]
+
+    def columns(self) -> Columns:
+        """Return one row per contestant."""
+        return columns_of([{"name": name, "steps_per_second": speed} for name, speed in self.speeds.items()])
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn bench --json``."""
@@ -67,22 +74,24 @@ class Bench:
 
 
 def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
-    """Measure engine and estimators on the two-mass loop, side by side and in turn.
+    """Measure the simulation engine and the estimators on the two-mass loop, in alternating rounds.
 
     Args:
-        rounds: at least 3; medians are taken.
-        progress: called with the fraction done.
+        rounds: number of rounds, at least 3, of which the medians are reported.
+        progress: callback that receives the fraction done.
 
     Returns:
-        What was measured.
+        Speeds and ratios.
 
     Raises:
-        ProblemError: too few rounds, or llvmlite is missing.
+        ProblemError: ``rounds`` is too small, or llvmlite is missing.
     """
     rounds = count("rounds", rounds, 3)
     number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
-        raise ProblemError("llvmlite is missing, so there is no engine to measure; expected it to be installed")
+        raise ProblemError(
+            "llvmlite is not installed, so there is no compiled engine to measure; expected llvmlite to be installed"
+        )
     loop = masses()
     speeds = {name: statistics.median(found) for name, found in race(contestants(loop), rounds, progress).items()}
     ratios = {
@@ -96,13 +105,13 @@ def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
 
 
 def masses() -> Loop:
-    """Return the loop of the two masses."""
-    problem = load("two-mass")
+    """Return the loop of the built-in problem ``two-mass-lqg``."""
+    problem = load("two-mass-lqg")
     return problem.close(problem.design())
 
 
 def contestants(loop: Loop) -> dict[str, Contestant]:
-    """Return what is compared, by name."""
+    """Return the programs that are compared, by name."""
     single = replace(loop, precision="float32")
     return {
         FULL: compiled(loop, loop.program()),
@@ -125,7 +134,7 @@ def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = T
 
 
 def by_matrices(loop: Loop, paths: int, ticks: int) -> Contestant:
-    """Return the contestant of matrices and NumPy's generator: all paths side by side, or one alone."""
+    """Return the contestant that uses NumPy's matrices and generator, for several paths side by side or for one."""
     problem, plant, policy = loop.problem, loop.problem.plant, loop.policy
     A, B, C = plant.A, plant.B, plant.C
     steps = {step.signal: step.branches[0] for step in policy.steps if isinstance(step, Assign)}
@@ -162,13 +171,14 @@ def race(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.thread_time,
 ) -> dict[str, list[float]]:
-    """Return steps per second round by round: each runs once per round, in turn; one round warms up.
+    """Return the steps per second of each contestant in each round; a first round for warm-up is not counted.
 
     Args:
-        entries: by name.
-        rounds: that are counted.
-        progress: called with the fraction done.
-        clock: of processor time: of this thread, which threads that idle in loops elsewhere do not move.
+        entries: contestants by name; each runs once per round, in turn.
+        rounds: number of counted rounds.
+        progress: callback that receives the fraction done.
+        clock: function that returns the time; by default the processor time of this thread, which excludes other
+            threads.
     """
     speeds: dict[str, list[float]] = {name: [] for name in entries}
     for k in range(rounds + 1):
@@ -183,7 +193,7 @@ def race(
 
 
 def gain_of_threads(loop: Loop, rounds: int) -> float:
-    """Return the wall time with one thread over that with two, side by side: the median of the rounds."""
+    """Return the ratio of the wall times with one and with two threads, as the median of the rounds."""
     program = loop.reduced_program().keep({EXCESS})
     kernel, states = Kernel(program), loop.start(program, PATHS, 0)
     found: list[float] = []
@@ -198,13 +208,13 @@ def gain_of_threads(loop: Loop, rounds: int) -> float:
 
 
 def compile_times(loop: Loop) -> dict[str, float]:
-    """Return the seconds to machine code, new and from the object code on disk: medians of five."""
+    """Return the compile times in seconds, without and with the cache on disk, as medians of five."""
     program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
     before = os.environ.get("XDG_CACHE_HOME")
     try:
         for _ in range(5):
-            with tempfile.TemporaryDirectory() as empty:
-                os.environ["XDG_CACHE_HOME"] = empty
+            with temporary_folder() as empty:
+                os.environ["XDG_CACHE_HOME"] = str(empty)
                 for found in (cold, cached):
                     machine.forget()
                     begin = time.perf_counter()
@@ -217,7 +227,7 @@ def compile_times(loop: Loop) -> dict[str, float]:
 
 
 def variance_ratios(loop: Loop) -> dict[str, float]:
-    """Return how many times less the completed squares vary than the stage cost, and than that with control variates.
+    """Return two variance ratios: stage cost over completed squares, and these without over with control variates.
 
     Source: khashooei2017, henderson2002
     """
@@ -233,14 +243,14 @@ def variance_ratios(loop: Loop) -> dict[str, float]:
 
 
 def _settled_sums(loop: Loop, program: Program) -> Mapping[str, Array]:
-    """Return the sums of each path over the same number of ticks, after a burn-in."""
+    """Return the sums of each path over the same number of steps, after a burn-in."""
     kernel = Kernel(program)
     settled = kernel.run(program, loop.start(program, PATHS, 1), 600).states
     return kernel.run(program, settled, TICKS // 2).sums
 
 
 def describe_machine() -> dict[str, str]:
-    """Return processor, vectors and versions."""
+    """Return processor, vector instructions and versions."""
     name = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -259,7 +269,7 @@ def describe_machine() -> dict[str, str]:
 
 
 def version(package: str) -> str:
-    """Return the version of an installed package, or none."""
+    """Return the version of an installed package, or "none"."""
     with suppress(importlib.metadata.PackageNotFoundError):
         return importlib.metadata.version(package)
     return "none"

@@ -1,29 +1,29 @@
-"""Budgets that are said in percent: of the rate, or above the cost, of sending always."""
+"""Budgets in percent, relative to the rate or the cost of sending every sample."""
 
 from __future__ import annotations
 
 import re
 
 from taciturn._arrays import number
-from taciturn.design.catalogue import Knob
+from taciturn.design.catalogue import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import OptimalPolicy
 
 FORMS = {"rate": r"(\d+\.?\d*|\.\d+)\s*%", "cost": r"\+\s*(\d+\.?\d*|\.\d+)\s*%"}
-EXAMPLES = {"rate": "50%, of the rate of sending always", "cost": "+5%, above the cost of sending always"}
+EXAMPLES = {"rate": "50% of the rate of sending every sample", "cost": "+5% above the cost of sending every sample"}
 
 
 def parse_budget(name: str, text: str) -> float | str:
-    """Return a number as such, and percent as they are.
+    """Return the number that a text contains, or the text itself if it is a percentage.
 
     Args:
         name: ``"rate"`` or ``"cost"``.
-        text: such as ``"0.3"``, ``"50%"`` of a rate, ``"+5%"`` of a cost.
+        text: a text such as ``"0.3"``, ``"50%"`` for a rate, or ``"+5%"`` for a cost.
 
     Raises:
-        ProblemError: neither.
+        ProblemError: the text is neither a number nor a percentage.
     """
     try:
         return float(text)
@@ -32,45 +32,46 @@ def parse_budget(name: str, text: str) -> float | str:
         return text
 
 
-def budget_of(problem: Problem, knob: Knob, name: str, budget: object) -> float:
-    """Return a budget as a number; percent are of what the problem's policy has when it sends at every tick.
+def budget_of(problem: Problem, tuning: TradeoffParameter, name: str, budget: object) -> float:
+    """Return a budget as a number; percentages refer to the rate or cost of sending at every step.
 
     Args:
-        problem: whose policy is tuned.
-        knob: what is turned.
+        problem: the problem whose policy is tuned.
+        tuning: the tuning parameter.
         name: ``"rate"`` or ``"cost"``.
-        budget: as in ``tune``.
+        budget: the budget, as in ``tune``.
 
     Raises:
-        ProblemError: no such budget, or percent of what is not known or moves with what is turned.
+        ProblemError: the budget is malformed, or it is a percentage of a value that is unknown or depends on the tuning
+            parameter.
     """
     if not isinstance(budget, str):
         return number(name, budget, 0.0)
     share, given = _share(name, budget), problem.parameters
-    if knob.name == "period":
-        sought = "sending always has another one at every period, which is sought"
-        raise ProblemError(f"{name} is {budget!r}, and {sought}; expected a number")
-    start = given.get(knob.name, max(knob.least, 1) if knob.whole else knob.least + 1.0)
-    policy = problem.changed({knob.name: start}).designed()
+    if tuning.name == "period":
+        sought = f"the {name} of sending every sample depends on the period, which is tuned"
+        raise ProblemError(f"{name} is {budget!r}, but {sought}; expected a number")
+    start = given.get(tuning.name, max(tuning.least, 1) if tuning.whole else tuning.least + 1.0)
+    policy = problem.changed({tuning.name: start}).designed()
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     loop = problem.close(nodes) if isinstance(nodes, Policy) else None
     if name == "rate":
         if loop is None:
-            raise ProblemError(f"rate is {budget!r}, and {policy.kind} has no ticks; expected a number")
+            raise ProblemError(f"rate is {budget!r}, but {policy.kind} has no sampling steps; expected a number")
         return share * (1.0 if loop.horizon is not None else 1 / loop.policy.tick)
     if loop is not None and not loop.nominal:
-        unknown = f"the cost of sending always is not known, as {loop.departures[0]}"
-        raise ProblemError(f"cost is {budget!r}, and {unknown}; expected a number")
+        unknown = f"the cost of sending every sample is unknown, since {loop.violated_assumptions[0]}"
+        raise ProblemError(f"cost is {budget!r}, but {unknown}; expected a number")
     return (1 + share) * policy.cost_all_time
 
 
 def _share(name: str, text: str) -> float:
-    """Return the share that percent say.
+    """Return the value of a percentage as a fraction.
 
     Raises:
-        ProblemError: another text.
+        ProblemError: the text is not a percentage of the expected form.
     """
     found = re.fullmatch(FORMS[name], text.strip())
     if found is None:
-        raise ProblemError(f"{name} is {text!r}; expected a number, or percent as {EXAMPLES[name]}")
+        raise ProblemError(f"{name} is {text!r}; expected a number, or a percentage such as {EXAMPLES[name]}")
     return number(name, float(found[1]) / 100, 0.0)

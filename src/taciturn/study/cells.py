@@ -1,4 +1,4 @@
-"""Many evaluations of one problem with different values: here, on a pool or on a cluster, kept as they come."""
+"""Evaluation of one problem with many values: in this process, on a pool or on a cluster, with a store of results."""
 
 from __future__ import annotations
 
@@ -13,52 +13,55 @@ from functools import cached_property
 from typing import Protocol, TypeAlias
 
 from taciturn._arrays import instance, number
+from taciturn._display import Displayed
 from taciturn._progress import Progress
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
 from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.identity import Report, accepted, asked, refuse_other_versions
 from taciturn.study.lower import choose_confidence, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.store import Store
 from taciturn.study.workers import deserted, workers_of
 
-BLOCK = 1.0  # seconds that a task should take: a thousand times what it costs to send one
-ROUNDS = 4  # tasks left to each worker, at least, so that all end at about the same time
-PATIENCE = 5.0  # seconds without an answer, after which workers are looked for
+FORMAT = 2  # of a stored answer; files of another format are not used
+BLOCK = 1.0  # seconds that a task should take: a thousand times the overhead of a task
+ROUNDS = 4  # least number of remaining tasks per worker, so that all workers finish at about the same time
+PATIENCE = 5.0  # seconds without an answer, after which missing workers are reported
 TOLD = logging.getLogger(__name__)
-QUEUED = 3  # tasks per worker that are handed over before they can be begun
+QUEUED = 3  # tasks per worker that are submitted in advance
 
 
-@dataclass(frozen=True)
-class Cell:
+@dataclass(frozen=True, repr=False)
+class Cell(Displayed):
     """One evaluation of a sweep.
 
     Args:
-        values: of the keys that are swept.
-        seed: of its draws.
+        values: values of the swept keys.
+        seed: seed of the cell's random draws.
     """
 
     values: Mapping[str, object]
     seed: int
 
 
-@dataclass(frozen=True)
-class Refusal:
-    """Why a cell has no answer."""
+@dataclass(frozen=True, repr=False)
+class Refusal(Displayed):
+    """The error that explains why a cell has no answer."""
 
     error: TaciturnError
 
 
-@dataclass(frozen=True)
-class Effort:
-    """What is asked of every cell.
+@dataclass(frozen=True, repr=False)
+class Effort(Displayed):
+    """Requested accuracy of every cell.
 
     Args:
-        standard_error: absolute, of the cost; None: 1e-4 of it, or what the steps give.
-        confidence: of a lower bound, in cells that have one; None: none is sought.
-        steps: of each simulation, instead of a standard error.
+        standard_error: absolute standard error of the cost; None for 1e-4 of the cost, or if ``steps`` is given.
+        confidence: confidence of the lower bound, in cells that have one; None for no lower bound.
+        steps: number of steps of each simulation, instead of a standard error.
     """
 
     standard_error: float | None = None
@@ -70,14 +73,14 @@ Answer: TypeAlias = Evaluation | Refusal
 
 
 class Cells(Protocol):
-    """Cells in a row, as a list, or made when they are asked for."""
+    """A sequence of cells: a list, or cells that are created on demand."""
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of cells."""
         ...
 
     def __getitem__(self, index: int, /) -> Cell:
-        """Return one of them."""
+        """Return the cell at an index."""
         ...
 
 
@@ -89,20 +92,22 @@ def run_cells(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> Iterator[tuple[int, Answer]]:
-    """Yield each cell's index and answer, in the order in which they come; a cell that is refused does not stop others.
+    """Yield each cell's index and answer as they become available; a failing cell does not stop the others.
 
-    An answer depends on its cell alone: not on the order, the workers, or their number.
+    An answer depends only on its cell: not on the order, the workers, or the number of workers.
 
     Args:
-        problem: of which each cell changes the named keys.
-        cells: what is evaluated.
-        effort: what is asked of each.
-        executor: runs blocks of cells, each on one thread; None: here, one after the other, on all processors.
-        store: answers that it holds are not computed again, and others are kept in it as they come.
-        progress: called with the fraction done.
+        problem: the problem in which each cell changes the named keys.
+        cells: the cells to evaluate.
+        effort: requested accuracy.
+        executor: executor that runs blocks of cells, each on one thread; None to run one cell after the other in this
+            process, on all processors.
+        store: store of answers; stored answers are not computed again, and new answers are added.
+        progress: callback that receives the fraction done.
 
     Raises:
-        ProblemError: the executor fails, or the store's disk does.
+        ProblemError: the executor fails, a worker runs another version or other code of this package, or the store
+            cannot be written to.
     """
     done = 0
 
@@ -113,7 +118,7 @@ def run_cells(
     if executor is not None:
         if hasattr(executor, "get_executor"):
             raise ProblemError(
-                f"executor is a {type(executor).__name__}; expected an Executor: its get_executor() is one"
+                f"executor is a {type(executor).__name__}; expected an Executor, as its get_executor() returns"
             )
         instance("executor", executor, Executor)
     kept = _Kept(store, problem, cells, effort)
@@ -128,7 +133,7 @@ def run_cells(
 
 @dataclass(frozen=True, eq=False)
 class _Kept:
-    """The cells, beside the store in which their answers are sought and kept."""
+    """The cells, with the store that holds their answers."""
 
     store: Store | None
     problem: Problem
@@ -136,28 +141,28 @@ class _Kept:
     effort: Effort
 
     def find(self, index: int) -> Evaluation | None:
-        """Return the answer that is kept, if there is one."""
+        """Return the stored answer of a cell, or None if there is none."""
         found = None if self.store is None else self.store.read(self._key(index))
         return found if isinstance(found, Evaluation) else None
 
     def holds(self, index: int) -> bool:
-        """Tell whether an answer is kept."""
+        """Return whether the store holds an answer of a cell."""
         return self.store is not None and self.store.holds(self._key(index))
 
     def keep(self, index: int, answer: Answer) -> Answer:
-        """Return an answer, which is kept unless it is a refusal."""
+        """Store an answer, unless it is a refusal, and return it."""
         if self.store is not None and isinstance(answer, Evaluation):
             self.store.write(self._key(index), answer)
         return answer
 
     def _key(self, index: int) -> str:
-        """Return the digest of all that an answer depends on."""
+        """Return the digest of all data that a cell's answer depends on."""
         cell = self.cells[index]
         return digest(encode([self._common, cell.values, cell.seed]))
 
     @cached_property
     def _common(self) -> str:
-        return encode([fingerprint(self.problem), self.effort, __version__])
+        return encode([fingerprint(self.problem), self.effort, __version__, FORMAT])
 
 
 def evaluate_cells(
@@ -168,10 +173,10 @@ def evaluate_cells(
     store: Store | None = None,
     progress: Progress | None = None,
 ) -> list[Evaluation]:
-    """Return the evaluations of cells that must all have one, arguments as in ``run_cells``.
+    """Return the evaluations of cells that must all succeed; the arguments are those of ``run_cells``.
 
     Raises:
-        TaciturnError: why one of them has none.
+        TaciturnError: the evaluation of a cell fails.
     """
     found: dict[int, Evaluation] = {}
     for index, answer in run_cells(problem, cells, effort, executor, store, progress):
@@ -182,10 +187,11 @@ def evaluate_cells(
 
 
 def check_confidence(problems: Sequence[Problem], confidence: float | None) -> None:
-    """Refuse a lower bound that is asked of problems of which none has one.
+    """Reject a request for lower bounds if no problem has one.
 
     Raises:
-        ProblemError: a confidence outside (0, 1), or why the first of them has no lower bound.
+        ProblemError: the confidence is outside (0, 1), or no problem has a lower bound; the message gives the reason
+            for the first problem.
     """
     if confidence is None:
         return
@@ -195,7 +201,7 @@ def check_confidence(problems: Sequence[Problem], confidence: float | None) -> N
 
 
 def _one_by_one(kept: _Kept, advance: Callable[[float], None]) -> Iterator[tuple[int, Answer]]:
-    """Yield answers in order, computed here."""
+    """Yield answers in order, computed in this process."""
     for index in range(len(kept.cells)):
         found = kept.find(index)
         if found is None:
@@ -205,12 +211,13 @@ def _one_by_one(kept: _Kept, advance: Callable[[float], None]) -> Iterator[tuple
 
 
 def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
-    """Yield answers of an executor, to which blocks are handed as it takes them; in the end, nothing is left there."""
+    """Yield the answers of an executor that receives blocks of cells; at the end, no block is left in its queue."""
     if not isinstance(executor, ThreadPoolExecutor):
-        pickle.dumps(kept.problem)  # a function that no other process has is told here; a pool would wait
+        pickle.dumps(kept.problem)  # raises here for a function that cannot be pickled; a pool would wait forever
     workers, size, total, came = workers_of(executor), 1, len(kept.cells), 0
     told = False
-    flying: dict[Future[tuple[list[Answer], float]], list[int]] = {}
+    refuse_other_versions(executor, workers)
+    flying: dict[Future[Report[tuple[list[Answer], float]]], list[int]] = {}
     ahead = iter(range(total))
     try:
         while True:
@@ -227,16 +234,17 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
                         break
                 if not block:
                     break
-                flying[executor.submit(answer_block, kept.problem, [kept.cells[i] for i in block], kept.effort)] = block
+                given = [kept.cells[i] for i in block]
+                flying[asked(executor, answer_block, kept.problem, given, kept.effort)] = block
             if not flying:
                 return
             ended, _ = wait(flying, timeout=PATIENCE, return_when=FIRST_COMPLETED)
             if not ended and not told and (place := deserted(executor)) is not None:
                 TOLD.warning("no workers at %s: waiting for one", place)
                 told = True
-            for future in sorted(ended, key=_failed):  # what came is kept before a failure ends it all
+            for future in sorted(ended, key=_failed):  # accepted answers are stored before a failure ends the run
                 block = flying.pop(future)
-                answers, seconds = future.result()
+                answers, seconds = accepted(future.result())
                 size = max(1, min(2 * size, math.floor(BLOCK * len(block) / max(seconds, 1e-9))))
                 for index, answer in zip(block, answers, strict=True):
                     came += 1
@@ -244,23 +252,26 @@ def _spread(kept: _Kept, executor: Executor) -> Iterator[tuple[int, Answer]]:
     except TaciturnError:
         raise
     except Exception as error:
+        refuse_other_versions(executor, workers, error)
         why = ": ".join(filter(None, (type(error).__name__, str(error))))
         raise ProblemError(
             f"the executor failed after {came} of {total} cells ({why}); "
-            "expected a scheduler, if there is one, and workers that live and can import taciturn: with a store, run "
-            "again to go on"
+            "expected workers that stay alive and can import taciturn, and a running scheduler if one is used; with a "
+            "store, run again to continue"
         ) from error
     finally:
-        for future in flying:
-            future.cancel()
+        for future, block in flying.items():
+            if not future.cancel() and future.done() and not _failed(future):  # answered before an interrupt
+                for index, answer in zip(block, accepted(future.result())[0], strict=True):
+                    kept.keep(index, answer)
 
 
-def _failed(future: Future[tuple[list[Answer], float]]) -> bool:
-    return future.cancelled() or future.exception() is not None
+def _failed(future: Future[Report[tuple[list[Answer], float]]]) -> bool:
+    return future.cancelled() or future.exception() is not None or future.result().answer is None
 
 
 def answer_block(problem: Problem, cells: Sequence[Cell], effort: Effort) -> tuple[list[Answer], float]:
-    """Return the answers of some cells, computed on one thread, and the seconds that they took."""
+    """Return the answers of some cells, computed on one thread, and the computing time in seconds."""
     began = time.perf_counter()
     with one_thread():
         return [_answer(problem, cell, effort, None) for cell in cells], time.perf_counter() - began

@@ -1,11 +1,11 @@
-"""What is proved of one loop by matrix inequalities: decay, gain, cost; beside sending always."""
+"""Certificates of one loop by matrix inequalities: decay, gain and cost, with those of sending every sample."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 
@@ -21,38 +21,44 @@ from taciturn.analyse.certificates import (
 from taciturn.analyse.switched import Switched, switched, switched_innovations
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
+from taciturn.study.lines import proved
 from taciturn.study.units import TimeUnit, time_unit
 
 Found = TypeVar("Found")
 
 
-@dataclass(frozen=True)
-class Certificates:
-    """What is proved of a loop, and the same of sending always.
+@dataclass(frozen=True, repr=False)
+class Certificates(Tabular):
+    """Certificates of a loop, and the corresponding numbers for sending every sample.
 
-    A number that could not be proved is None, and a note says why. Those of sending always are None where no action of
-    the trigger sends on every link that the policy decides on, or where that loop is unstable.
+    A number that could not be proved is None, and a note gives the reason. The numbers for sending every sample are
+    None if no action of the trigger sends on every link that the policy decides on, or if this loop is unstable.
 
     Args:
-        policy: its kind.
-        unit: what the cost counts per.
-        states: entries of the state z that decides on the future.
+        policy: kind of the policy.
+        unit: unit of time that the cost refers to.
+        states: number of entries of the state z of the closed loop.
         actions: labels of the trigger.
-        decay: without noise the state shrinks by this factor per tick, until the limit is reached.
-        limit: what the cost without noise ends below; 0 where the state vanishes.
-        overshoot: |z_k| ≤ overshoot · decay^k |z_0| where the limit is 0; else None.
-        decay_all_time: the exact factor of sending always.
-        gain: Σ stage cost ≤ gain² Σ|w|² + residual · ticks, w the noise of a tick in units of its standard deviation.
-        gain_residual: per tick; 0 where the trigger has no constants.
-        gain_all_time: the same of sending always.
-        cost_bound: no average cost under white noise exceeds it.
-        cost_all_time: exact cost of sending always.
-        mean_square_bound: no average of |x|² under white noise exceeds it.
-        mean_square_all_time: the same of sending always.
+        decay: factor per step by which the state shrinks without noise, until the limit is reached.
+        limit: bound below which the cost without noise ends; 0 if the state converges to 0.
+        overshoot: factor in |z_k| ≤ overshoot · decay^k |z_0| if the limit is 0; else None.
+        decay_all_time: exact decay factor of sending every sample.
+        gain: gain in Σ stage cost ≤ gain² Σ|w|² + residual · steps, where w is the noise of a step in units of its
+            standard deviation.
+        gain_residual: residual per step; 0 if the trigger has no constants.
+        gain_all_time: gain of sending every sample.
+        cost_bound: upper bound on the average cost under white noise.
+        cost_all_time: exact cost of sending every sample.
+        mean_square_bound: upper bound on the average of |x|² under white noise.
+        mean_square_all_time: exact average of |x|² for sending every sample.
         seconds: wall time.
-        notes: what the reader must know.
+        notes: warnings and remarks for the reader.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "method", "states", "notes")
+    method: ClassVar[str] = "matrix inequalities"
 
     policy: str
     unit: TimeUnit
@@ -72,11 +78,24 @@ class Certificates:
     seconds: float
     notes: tuple[str, ...]
 
+    def columns(self) -> Columns:
+        """Return one row per certificate, with the number for sending every sample."""
+        rows = [
+            ("decay", self.decay, self.decay_all_time),
+            ("gain", self.gain, self.gain_all_time),
+            ("cost", self.cost_bound, self.cost_all_time),
+            ("mean square", self.mean_square_bound, self.mean_square_all_time),
+        ]
+        return columns_of(
+            [{"name": name, "proved": proved(bound), "every_sample": always} for name, bound, always in rows]
+        )
+
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn certify --json``."""
         result: dict[str, Any] = {
             "policy": self.policy,
             "unit": self.unit,
+            "method": self.method,
             "states": self.states,
             "actions": list(self.actions),
             "decay": self.decay,
@@ -96,26 +115,26 @@ class Certificates:
 
 
 def certify(problem: Problem) -> Certificates:
-    """Return what is proved of a problem's loop by quadratic Lyapunov functions.
+    """Certify decay, gain and cost of a problem's loop by quadratic Lyapunov functions.
 
-    Every number rests on matrix inequalities whose solution was verified, with a bound on rounding, before it is
-    returned.
+    Every number follows from matrix inequalities whose solution was verified, with a bound on rounding errors, before
+    it is returned.
 
     Args:
-        problem: from ``load`` or ``Problem``; a plant that is not the one of the design is served.
+        problem: from ``load`` or ``Problem``; the simulated plant may differ from the plant of the design.
 
     Returns:
         The certificates.
 
     Raises:
-        ProblemError: the loop is not of the switched linear form with one quadratic trigger, nothing could be proved,
-            or cvxpy and clarabel are not installed.
+        ProblemError: the loop is not a switched linear system with one quadratic trigger, nothing could be proved, or
+            cvxpy and clarabel are not installed.
 
     Source: heemels2013, rump2006
 
     Example:
         >>> from taciturn import load
-        >>> found = certify(load("two-mass"))
+        >>> found = certify(load("two-mass-lqg"))
         >>> round(found.decay, 2), round(found.cost_bound, 2)  # J_all = 0.7335, guaranteed 0.8068
         (0.97, 0.8)
     """
@@ -130,7 +149,7 @@ def certify(problem: Problem) -> Certificates:
     decay, gain = _attempt(find_decay, matrices, notes), _attempt(find_gain, matrices, notes)
     cost, square = _attempt(bound_cost, law, notes), _attempt(bound_state, law, notes)
     if decay is None and gain is None and cost is None and square is None:
-        raise ProblemError(f"nothing is proved of this loop: {notes[0]}")
+        raise ProblemError(f"nothing could be proved for this loop: {notes[0]}")
     always = _always(loop, matrices)
     tick = policy.tick
     return Certificates(
@@ -150,13 +169,13 @@ def certify(problem: Problem) -> Certificates:
         mean_square_bound=None if square is None else square.value,
         mean_square_all_time=always.mean_square,
         seconds=time.perf_counter() - began,
-        notes=(*notes, *(f"proved of the plant that is simulated: {text}" for text in loop.departures)),
+        notes=(*notes, *(f"proved for the simulated plant: {text}" for text in loop.violated_assumptions)),
     )
 
 
 @dataclass(frozen=True)
 class _Always:
-    """What becomes of the loop if everything is sent."""
+    """Numbers of the loop that sends every sample."""
 
     decay: float | None = None
     gain: float | None = None
@@ -165,7 +184,7 @@ class _Always:
 
 
 def _always(loop: Loop, matrices: Switched) -> _Always:
-    """Return the numbers of sending always: exact, but for the gain."""
+    """Return the numbers of sending every sample, which are exact except for the gain."""
     if matrices.sends is None:
         return _Always()
     alone = matrices.under(matrices.sends)
@@ -182,7 +201,7 @@ def _always(loop: Loop, matrices: Switched) -> _Always:
 
 
 def _attempt(find: Callable[[Switched], Found], matrices: Switched, notes: list[str]) -> Found | None:
-    """Return what is proved, or None with a note of why nothing is."""
+    """Return a certificate, or None after adding a note with the reason."""
     try:
         return find(matrices)
     except NoCertificateError as error:

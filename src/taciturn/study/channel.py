@@ -1,4 +1,4 @@
-"""Many loops on one channel: who sends when, what that costs, how far it is from the best, and from any clock."""
+"""Many loops on one channel: scheduling, cost, lower bound, and comparison with periodic allocations."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import isfinite
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, TypeAlias
 
 from taciturn._arrays import choice, count, instance, number
-from taciturn._figure import Panel, Series, draw
-from taciturn._progress import Progress
+from taciturn._display import Displayed
+from taciturn._figure import Panel, Series, Size, draw
+from taciturn._progress import Progress, in_notebook
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
 from taciturn.simulation.statistics import mean
@@ -31,17 +33,17 @@ if TYPE_CHECKING:
 SchedulerName: TypeAlias = Literal["price", "largest", "round-robin", "tdma", "once-discard", "random-access"]
 
 
-@dataclass(frozen=True, eq=False)
-class Share:
-    """What the loops of one problem get of the channel.
+@dataclass(frozen=True, eq=False, repr=False)
+class Share(Displayed):
+    """Cost and rate of the loops of one problem on a shared channel.
 
     Args:
-        name: of the problem.
-        copies: loops.
-        cost: mean of one loop.
-        cost_all_time: of one loop that sends at every look.
-        rate: mean sends per look of one loop.
-        rate_periodic: that of the best periodic allocation.
+        name: name of the problem.
+        copies: number of its loops.
+        cost: mean cost of one loop.
+        cost_all_time: cost of one loop that sends at every check.
+        rate: mean sends per check of one loop.
+        rate_periodic: sends per check of one loop in the best periodic allocation.
     """
 
     name: str
@@ -52,33 +54,45 @@ class Share:
     rate_periodic: float
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Sharing:
-    """Loops on a channel.
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class Sharing(Tabular):
+    """Cost and load of loops that share a channel.
 
     Args:
-        scheduler: who decides.
-        capacity: sends per tick at most.
-        unit: what costs count per.
-        shares: the loops, problem by problem.
-        cost: sum over all loops.
-        cost_all_time: the sum if all could always send.
-        lower_bound: what no scheduler of these controllers costs less than; None where it was not asked for.
-        load: sends per tick that got through.
-        busy: sends per tick, with those that collided.
-        waiting: loops per tick that wanted to send and did not get through; of schedulers with a price.
-        load_expected: sends per tick if none had to wait; of schedulers with a price.
-        price: of a send, that is common to all loops; of schedulers with one.
-        cost_periodic: of the best periodic allocation with as many sends per tick as there may be.
-        cost_periodic_same_load: of the best with no more sends than there were.
-        clock_attained: whether looks come so evenly that periodic allocations are only bound by the mean load; else the
-            best of them may cost more.
-        ticks: that were measured, of all channels that were simulated together.
-        reached: whether the asked standard error was met.
-        seed: of the draws.
-        seconds: wall time; ``price_seconds`` of it for prices, schedules and the bound.
-        notes: what the reader must know.
+        scheduler: rule that decides which loops send.
+        capacity: largest number of sends per step.
+        unit: unit of time that the costs refer to.
+        shares: results of the loops, for each problem.
+        cost: sum of the costs over all loops.
+        cost_all_time: sum of the costs if all loops could send at every check.
+        lower_bound: lower bound on the cost of any scheduler with these controllers; None if it was not requested.
+        load: successful sends per step.
+        busy: sends per step, including those that collided.
+        waiting: loops per step that requested a send and did not get one; only for schedulers with a price.
+        load_expected: sends per step if no loop had to wait; only for schedulers with a price.
+        price: price per send, common to all loops; only for schedulers with a price.
+        cost_periodic: cost of the best periodic allocation that uses the whole capacity.
+        cost_periodic_same_load: cost of the best periodic allocation with no more sends than were measured.
+        clock_attained: whether the checks are spread so evenly that only the mean load limits periodic allocations; if
+            not, the best attainable allocation may cost more than ``cost_periodic``.
+        ticks: number of measured steps, over all channels that were simulated together.
+        reached: whether the requested standard error was reached.
+        seed: seed of the random draws.
+        seconds: wall time; ``price_seconds`` is the part for prices, schedules and the bound.
+        notes: warnings and remarks for the reader.
     """
+
+    heading: ClassVar[tuple[str, ...]] = (
+        "scheduler",
+        "loops",
+        "capacity",
+        "cost",
+        "load",
+        "unit",
+        "method",
+        "seed",
+        "notes",
+    )
 
     scheduler: SchedulerName
     capacity: int
@@ -103,20 +117,42 @@ class Sharing:
     notes: tuple[str, ...] = ()
 
     @property
+    def method(self) -> str:
+        """Method that gave the costs."""
+        return self.cost.method
+
+    @property
     def loops(self) -> int:
-        """How many share the channel."""
+        """Number of loops that share the channel."""
         return sum(share.copies for share in self.shares)
 
     @property
     def consistent(self) -> bool | None:
-        """Whether the loops cost no more than the best periodic allocation of the channel; None: not to be told.
+        """Whether the loops cost no more than the best periodic allocation; None if undecided within the errors.
 
-        By 4 standard errors; where looks clash no clock may attain the best allocation's cost, and False is not told.
+        The margin is 4 standard errors. If too many loops check in the same step, no periodic schedule may attain the
+        cost of the best allocation; then the answer is never False.
         """
         above, spread = self.cost.value - self.cost_periodic, SURE * self.cost.standard_error
         if above < -spread or above <= spread == 0:
             return True
         return False if above > spread and self.clock_attained else None
+
+    def columns(self) -> Columns:
+        """Return one row per problem."""
+        return columns_of(
+            [
+                {
+                    "name": one.name,
+                    "loops": one.copies,
+                    "cost": one.cost,
+                    "cost_every_sample": one.cost_all_time,
+                    "rate": one.rate,
+                    "rate_periodic": one.rate_periodic,
+                }
+                for one in self.shares
+            ]
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn channel --json``."""
@@ -126,6 +162,8 @@ class Sharing:
             "loops": self.loops,
             "capacity": self.capacity,
             "unit": self.unit,
+            "rate_unit": "step",
+            "method": self.method,
             "cost": self.cost.document(),
             "cost_all_time": self.cost_all_time,
             "cost_lower_bound": None if bound is None else bound.cost,
@@ -155,10 +193,10 @@ class Sharing:
             "notes": list(self.notes),
         }
 
-    def plot(self) -> Figure:
-        """Return a figure: what the loops cost, beside the lower bound, the best clock, and sending always."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the cost of the loops, the lower bound, the best periodic allocation, and every sample."""
         lines = {
-            "sending always": Estimate(self.cost_all_time, 0.0, "exact"),
+            "every sample": Estimate(self.cost_all_time, 0.0, "exact"),
             self.scheduler: self.cost,
             "best periodic allocation": Estimate(self.cost_periodic, 0.0, "exact"),
         }
@@ -170,8 +208,8 @@ class Sharing:
             style="bars",
             error=[estimate.standard_error for estimate in lines.values()],
         )
-        title = f"{self.loops} loops, at most {self.capacity} sends per tick"
-        return draw([Panel([bars], f"sum of the costs per {self.unit}", title=title, names=list(lines))])
+        title = f"{self.loops} loops, at most {self.capacity} sends per step"
+        return draw([Panel([bars], f"sum of the costs per {self.unit}", title=title, names=list(lines))], ax, figsize)
 
 
 def share_channel(
@@ -187,41 +225,43 @@ def share_channel(
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Sharing:
-    """Share one channel among loops, at most so many sends per tick.
+    """Simulate loops that share one channel with a limited number of sends per step.
 
-    Every loop has its problem's certainty-equivalent controller with an actuator that predicts, so that J_i = J_all,i +
-    E[(1−σ)e'Γe] with the error e that a send resets; the scheduler alone decides who sends. Of these
+    Every loop has its problem's certainty-equivalent controller with an actuator that predicts. So its cost is J_i =
+    J_all,i + E[(1−σ)e'Γe] with the error e that a send resets. Only the scheduler decides which loops send. The
+    schedulers are:
 
-    * ``price``: a loop wants to send where its nearly optimal trigger at a common price per send says so; the price is
-      where the expected load meets the capacity. If more want to send, those wait whose silence costs least; if fewer,
-      those whose silence costs most take the slots that are left;
-    * ``largest``: those with the largest e'Γe;
-    * ``once-discard``: those with the largest error of the input, |û − Lx̂|² (try-once-discard);
-    * ``round-robin``: each in its turn;
-    * ``tdma``: each at its own rate, those of the best periodic allocation; who is to send again first goes first;
-    * ``random-access``: triggers at a common price, in slots drawn at random, where packets collide.
+    * ``price``: a loop requests a send if its nearly optimal trigger at a common price per send fires; at this price
+      the expected load equals the capacity. If too many loops request a send, those whose silence costs least wait; if
+      too few do, the loops whose silence costs most use the free slots.
+    * ``largest``: the loops with the largest e'Γe send.
+    * ``once-discard``: the loops with the largest error of the input, |û − Lx̂|², send (try-once-discard).
+    * ``round-robin``: the loops send in a fixed order.
+    * ``tdma``: each loop sends at its rate in the best periodic allocation; loops with shorter intervals go first.
+    * ``random-access``: triggers at a common price request sends in randomly drawn slots, where packets can collide.
 
     Args:
-        problems: plant, cost and, with a continuous plant, policy.period of each kind of loop, by name.
-        copies: loops of each problem, or of all.
-        capacity: sends per tick, from 1 to the number of loops; of random access the slots per tick.
-        scheduler: who decides.
-        seed: of the draws; the result depends on nothing else.
-        standard_error: absolute, of the sum of the costs; omitted: 1e-3 of it.
-        ticks: measure so many on each channel instead.
-        confidence: of the lower bound, where some of it is sampled; 0: seek none.
-        executor: works on the kinds of loops side by side, as on the cells of ``sweep``; the result does not depend on
-            it. Omitted: here, one after the other.
-        progress: called with the fraction done.
+        problems: problems by name, one for each kind of loop, with plant, cost and, for a continuous plant,
+            policy.period.
+        copies: number of loops of each problem, as a list or as one number for all.
+        capacity: sends per step, from 1 to the number of loops; for random access, the slots per step.
+        scheduler: rule that decides which loops send.
+        seed: seed of the random draws; the result depends on nothing else.
+        standard_error: absolute standard error of the sum of the costs; default: 1e-3 of this sum.
+        ticks: number of steps to measure on each channel, instead of a standard error.
+        confidence: confidence of the lower bound, if a part of it is sampled; 0 for no lower bound.
+        executor: executor that processes the kinds of loops in parallel, like the cells of ``sweep``; the result does
+            not depend on it. Default: one after the other in this process.
+        progress: callback that receives the fraction done.
 
     Returns:
-        Sum of the costs with what it is measured by: the dual lower bound, and the best periodic allocation.
+        The sum of the costs, with the dual lower bound and the best periodic allocation for comparison.
 
     Raises:
-        ProblemError: capacity below 1 or above the number of loops, loops without a common tick or with other units, a
-            problem whose error no send resets.
-        UnstableError: an unstable loop gets so little that it is not controlled; the message says which, and what it
-            needs.
+        ProblemError: the capacity is below 1 or above the number of loops, the loops have no common step or different
+            units, or no send resets the error of a problem.
+        UnstableError: an unstable loop sends too rarely to be stabilised; the message names the loop and the rate that
+            it needs.
 
     Source: walsh2002, rivest1987, everett1963
 
@@ -238,18 +278,17 @@ def share_channel(
     loops, capacity = sum(kind.count for kind in kinds), count("capacity", capacity)
     if capacity > loops:
         raise ProblemError(
-            f"capacity is {capacity} and {loops} loops share the channel; expected at most {loops}: with as many sends "
-            "per tick as loops they share nothing"
+            f"capacity is {capacity}, but only {loops} loops share the channel; expected at most {loops}"
         )
     if standard_error is not None and ticks is not None:
-        raise ProblemError("standard_error and ticks are both given; expected one of them")
+        raise ProblemError(f"standard_error and ticks={ticks} are both given; expected one of them")
     standard_error = None if standard_error is None else number("standard_error", standard_error, 0.0)
     ticks = None if ticks is None else count("ticks", ticks, SHORTEST)
     seed = count("seed", seed, 0)
     if executor is not None:
         instance("executor", executor, Executor)
     confidence = number("confidence", confidence, 0.0, 1.0) if confidence else 0.0
-    game = Game(kinds, capacity, seed, confidence, executor, progress or idle)
+    game = Game(kinds, capacity, seed, confidence, executor, in_notebook(progress) or idle)
     plan, bound = plays(game), game.bound
     prepared = time.perf_counter() - began
     measured = measure(game, plan, standard_error, ticks)
@@ -263,8 +302,8 @@ def share_channel(
     periodic = allocate(game.sharers, max(min(load.value, capacity), 1e-9))
     few, cycle = game.clashes
     clashing = (
-        f"in {few} of {cycle} ticks fewer loops look than there are slots, and in others more: the best clock keeps to "
-        "the mean load alone, and what can be allocated may cost more"
+        f"in {few} of {cycle} steps there are fewer checks than slots, and in other steps more: the best allocation "
+        "respects only the mean load, and an attainable allocation may cost more"
     )
     return Sharing(
         scheduler=scheduler,

@@ -1,4 +1,4 @@
-"""Chapter 2 of the thesis: output feedback over an actuator link."""
+"""Reproduction of chapter 2 of the thesis: output feedback over an actuator link."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ TABLE_2_1: Mapping[float, tuple[float, float, float, float, float]] = {
     5.0: (0.7409, 0.9058, 78.4, 23, 4.4009),
     10.0: (0.7409, 0.9244, 78, 22, 8.0683),
 }
-# Table 2.2: actuation → the same four, θ = 0.1
+# Table 2.2: actuation → the same first four columns, θ = 0.1
 TABLE_2_2: Mapping[str, tuple[float, float, float, float]] = {
     "hold": (0.7406, 0.7500, 80, 59),
     "model": (0.7419, 0.7523, 50, 28),
 }
 FIGURE_2_2 = (0.0, 0.005, 0.02, 0.045, 0.1, 0.2, 0.5, 1.3)  # θ of the points of Figure 2.2
 TRIGGERS = ({"trigger": "separate", "epsilon": 0.009}, {"trigger": "joint"})  # (2.12) with the ε of 2.4.1, and (2.13)
-PRECISION = 5e-5  # standard error of a cost
+PRECISION = 5e-5  # standard error of each cost
 _EPSILON = (
-    "(2.12) has ε = 0.009, which section 2.4.1 states; to go on: taciturn tradeoff two-mass --over theta=… "
-    "--over trigger=separate --over epsilon=0.009 (omitted, ε is half its limit, here 0.05)"
+    "(2.12) uses ε = 0.009, as stated in section 2.4.1; for other θ: taciturn tradeoff two-mass-lqg --over theta=… "
+    "--over trigger=separate --over epsilon=0.009 (by default, ε is half its limit, here 0.05)"
 )
 _OFFSET = (
-    "every printed cost lies .006–.009 above the exact one, a standard deviation of the mean of 600 runs of 600 "
-    "steps: most likely all carry the noise of one shared Monte Carlo realisation"
+    "every printed cost is 0.006 to 0.009 above the exact one, which is one standard deviation of the mean of 600 runs "
+    "of 600 steps: most likely all printed costs share the noise of one Monte Carlo realisation"
 )
 HEADINGS = {
     f"{what} ({equation}){unit}": f"{what}, {trigger} ({equation}){unit}"
@@ -55,12 +55,13 @@ def chapter2(seed: int, progress: Progress) -> Reproduction:
 
     Source: khashooei2017
     """
-    problem, continuous = load("two-mass"), load("two-mass-continuous")
+    problem, continuous = load("two-mass-lqg"), load("two-mass-continuous")
+    problems = {"two-mass-lqg": problem, "two-mass-continuous": continuous}
     compared = [{"theta": theta} for theta in TABLE_2_1] + [
         {"theta": 0.1, "actuation": actuation} for actuation in TABLE_2_2
     ]
     cells = [Cell({**values, **trigger}, seed) for values in compared for trigger in TRIGGERS]
-    last = len(cells) / (len(cells) + len(FIGURE_2_2))  # the share of the tables in the work
+    last = len(cells) / (len(cells) + len(FIGURE_2_2))  # share of the tables in the total work
     found = evaluate_cells(problem, cells, Effort(PRECISION), progress=lambda share: progress(last * share))
     pairs = list(zip(found[::2], found[1::2], strict=True))
     columns = ("cost (2.12)", "cost (2.13)", "rate (2.12) %", "rate (2.13) %", "bound")
@@ -92,14 +93,14 @@ def chapter2(seed: int, progress: Progress) -> Reproduction:
         Table(
             "Figure 2.2",
             tuple(third),
-            ("the thesis prints a picture, no numbers; costs are per second, inter-sample noise cost included",),
+            ("the thesis prints a figure without numbers; costs are per second, with the inter-sample noise cost",),
         ),
     )
-    return Reproduction("chapter2", tables, {"chapter2": _figure_2_2(continuous, third)})
+    return Reproduction("chapter2", tables, {"chapter2": _figure_2_2(continuous, third)}, problems)
 
 
 def _both(separate: Evaluation, joint: Evaluation) -> dict[str, Estimate]:
-    """Return cost and rate of the two triggers, by the numbers of their equations."""
+    """Return cost and rate of the two triggers, named by their equations."""
     computed: dict[str, Estimate] = {}
     for equation, found in (("2.12", separate), ("2.13", joint)):
         computed[f"cost ({equation})"] = found.cost
@@ -117,7 +118,7 @@ def _figure_point(problem: Problem, found: Evaluation) -> dict[str, Estimate]:
     computed = {"mean interval": rate.inverse(), "event-triggered": found.cost}
     for name, clock in (
         ("samples and sends at this rate", sampling_clock(problem).at(rate.value)),
-        ("fair clock", found.clock),
+        ("fair periodic control", found.clock),
     ):
         if clock is not None:
             computed[name] = Estimate(clock.cost, 0.0, "exact")
@@ -143,7 +144,7 @@ def _figure_2_2(problem: Problem, rows: Sequence[Row]) -> Figure:
             x, [e.value for e in events], "event-triggered (2.13)", error=[e.standard_error for e in events], color=0
         ),
         _curve(weaker, 1 / x[0], slowest, "samples and sends at this rate", 7),
-        _curve(fair, 1 / x[0], slowest, "fair clock", 5),
+        _curve(fair, 1 / x[0], slowest, "fair periodic control", 5),
         Series([a for a, _ in bounds], [b for _, b in bounds], "guarantee of (2.13)", "dotted", color=3),
     ]
     return draw(

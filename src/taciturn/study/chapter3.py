@@ -1,4 +1,4 @@
-"""Chapter 3 of the thesis: a controller away from its sensor and its actuator."""
+"""Reproduction of chapter 3 of the thesis: a controller remote from its sensor and its actuator."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from taciturn.study.reproduction import Reproduction, Row, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Section 3.5.1: all of it is printed for ζ = 1.65; the costs and rates recur where they belong
+# Section 3.5.1: all numbers are printed for ζ = 1.65; costs and rates are repeated at the ζ for which they hold
 SCALAR: Mapping[float, Mapping[str, float]] = {
     1.65: {"J_all": 0.4815, "J": 0.97, "sensor %": 66, "actuator %": 90, "bound": 2.53},
     1.5: {"J_all": 0.4815, "J": 0.97, "sensor %": 66, "actuator %": 90},
 }
 # Section 3.5.2
 DOUBLE: Mapping[str, float] = {"J_all": 0.45, "J": 0.6842, "sensor %": 14, "actuator %": 9, "bound": 1.05}
-PRECISION = 2e-5  # standard error of a cost
-STEPS = 60  # of the figures
-PATHS = 16_384  # of a running cost
-BLUE, RED, BLACK = 0, 3, 7  # event-triggered, all-time, guarantee: near to the colours of the thesis
-_UNKNOWN_START = "the thesis prints no initial state: the running costs start at x = 0, which is known"
+PRECISION = 2e-5  # standard error of each cost
+STEPS = 60  # steps in the figures
+PATHS = 16_384  # paths of a running cost
+BLUE, RED, BLACK = 0, 3, 7  # event-triggered, all-time, guarantee: similar to the colours of the thesis
+_UNKNOWN_START = "the thesis does not print the initial state: the running costs assume a known start at x = 0"
 
 
 def chapter3(seed: int, progress: Progress) -> Reproduction:
@@ -49,8 +49,8 @@ def chapter3(seed: int, progress: Progress) -> Reproduction:
             "Section 3.5.1, scalar system, θ = 0.2",
             tuple(first),
             (
-                "the printed cost and rates belong to ζ in [1.4755, 1.5398), as 1.5: at the printed 1.65 the sensor is "
-                "queried at every other step",
+                "the printed cost and rates hold for ζ in [1.4755, 1.5398), such as 1.5; at the printed 1.65 the "
+                "sensor is queried at every other step",
                 f"the printed bound is {1.2 * (all_time + 1.63):.2f} = 1.2 (J_all + 1.63), with 1.63 in place of ζ",
                 _UNKNOWN_START,
             ),
@@ -59,9 +59,9 @@ def chapter3(seed: int, progress: Progress) -> Reproduction:
             "Section 3.5.2, double integrator, θ = 0.1",
             (second,),
             (
-                "the thesis does not print W and V: W = 0.1 I and V = 0.1 are the best guess",
-                "the printed 9 % of the inputs is out of reach: of the W and V tried that give J_all = 0.45 (four "
-                "shapes of W, V/W from 1e-6 to 1e4) none sends less than 25 %",
+                "the thesis does not print W and V: W = 0.1 I and V = 0.1 are assumed",
+                "the printed rate of 9 % on the actuator link cannot be reproduced: for all tried W and V with "
+                "J_all = 0.45 (four shapes of W, V/W from 1e-6 to 1e4) the rate is at least 25 %",
                 _UNKNOWN_START,
                 "Figure 3.6 is one realisation, with the same noise in both cases",
             ),
@@ -69,13 +69,15 @@ def chapter3(seed: int, progress: Progress) -> Reproduction:
     )
     picture = _picture(scalar, double, first[0], second, seed)
     progress(1.0)
-    return Reproduction("chapter3", tables, {"chapter3": picture})
+    return Reproduction(
+        "chapter3", tables, {"chapter3": picture}, {"remote-scalar": scalar, "remote-double-integrator": double}
+    )
 
 
 def remote_row(
     problem: Problem, setting: Mapping[str, object], printed: Mapping[str, float], seed: int, standard_error: float
 ) -> Row:
-    """Return costs, rates and bound of a remote controller, beside what the thesis prints of them."""
+    """Return costs, rates and bound of a remote controller, with the numbers printed in the thesis."""
     found = evaluate(problem, seed=seed, standard_error=standard_error)
     assert found.cost_all_time is not None
     assert found.cost_bound is not None
@@ -90,7 +92,7 @@ def remote_row(
 
 
 def running_costs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return E[x'Qx + û'Rû] of a problem at each step, event-triggered and with θ = ζ = 0."""
+    """Return E[x'Qx + û'Rû] of a problem at each step, for event-triggered control and for θ = ζ = 0."""
     series: list[Series] = []
     for label, color, case in _both_cases(problem):
         found = course(case.close(case.design()), steps, paths=PATHS, seed=seed)
@@ -99,7 +101,7 @@ def running_costs(problem: Problem, steps: int, seed: int) -> list[Series]:
 
 
 def inputs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return the input of one realisation with the same noise, event-triggered and with θ = ζ = 0."""
+    """Return the input for one realisation of the noise, for event-triggered control and for θ = ζ = 0."""
     series: list[Series] = []
     for label, color, case in _both_cases(problem):
         path = simulate(case.close(case.design()), steps, seed=seed)
@@ -129,7 +131,7 @@ def _picture(scalar: Problem, double: Problem, first: Row, second: Row, seed: in
 
 
 def _levels(row: Row) -> list[Series]:
-    """Return the averages and the bound as lines across a picture."""
+    """Return the averages and the bound as horizontal lines."""
     return [
         Series([0.0, STEPS - 1.0], [row.computed[name].value] * 2, label, "dotted", color=color)
         for name, label, color in (("J_all", "", RED), ("J", "averages", BLUE), ("bound", "guarantee", BLACK))

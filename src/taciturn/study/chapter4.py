@@ -1,4 +1,4 @@
-"""Chapter 4 of the thesis: the consistent dynamic trigger, and a threshold that loses to periodic control."""
+"""Reproduction of chapter 4 of the thesis: the dynamic trigger, and a threshold worse than periodic control."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ PRINTED: Mapping[str, float] = {
     "tr(PλW)": 21.3959, "g'(0)": 9.1557, "α*": 1.50, "g_ETC": 8.6393, "J": 30.0352,
 }  # fmt: skip
 SLOPES = (1, 2, 3, 4, 5, 6, 7, 8, 9)
-ALPHAS = (0.5, 1.0, 1.25, 1.4, 1.5, 1.75, 2.0)  # of Figure 4.4
+ALPHAS = (0.5, 1.0, 1.25, 1.4, 1.5, 1.75, 2.0)  # values of α in Figure 4.4
 H_MAX = 2.0
 CYCLES = 1_000_000
 COUNTER_SLOPES, COUNTER_ALPHA, COUNTER_H_MAX = (0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0), 0.2, 10.0
-THRESHOLDS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 6.5)  # Y
+THRESHOLDS = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 6.5)  # thresholds Y
 
 
 def chapter4(seed: int, progress: Progress) -> Reproduction:
-    """Compute the numbers of section 4.5 and Figures 4.4 to 4.6: events between Poisson jumps, without a time grid.
+    """Compute the numbers of section 4.5 and Figures 4.4 to 4.6, with exact event times between Poisson jumps.
 
     Source: khashooei2017
     """
@@ -64,19 +64,21 @@ def chapter4(seed: int, progress: Progress) -> Reproduction:
             (printed,),
             (
                 "the printed α = 1.50 is not admissible: L(1.5) = "
-                f"{means[ALPHAS.index(1.5)].interval} is below it; the fixed point is α*, and its cost lower",
-                "a time grid of 0.02 s makes the mean interval 1.5 % too long; these event times are exact",
+                f"{means[ALPHAS.index(1.5)].interval} is smaller; the fixed point is α*, with a lower cost",
+                "a time grid of 0.02 s would make the mean interval 1.5 % too long; the event times here are exact",
             ),
         ),
-        Table("Figure 4.4 (a): L(α) at C = 9.1557", tuple(lengths), ("admissible are α ≤ L(α)",)),
-        Table("Figure 4.5: the fixed point at each slope", tuple(rows), ("the thesis prints a picture, no numbers",)),
+        Table("Figure 4.4 (a): L(α) at C = 9.1557", tuple(lengths), ("values with α ≤ L(α) are admissible",)),
+        Table("Figure 4.5: fixed point at each slope", tuple(rows), ("the thesis prints a figure without numbers",)),
         Table("Figure 4.6: counter-example 4.5.2, α = 0.2", tuple(dynamic), _notes(counter)),
         Table("Figure 4.6: Euclidean threshold |e| ≥ Y", tuple(_lost(losses, counter)), _where(losses)),
     )
     picture = draw([_figure_4_4(lengths), *_figures(rows, price, counter, dynamic, losses)], height=13.0)
     sample = _figure_4_4_b(process, replace(limits, c=printed.computed["α*"].value * PRINTED_SLOPE), seed)
     progress(1.0)
-    return Reproduction("chapter4", tables, {"chapter4": picture, "chapter4-intervals": draw([sample])})
+    return Reproduction(
+        "chapter4", tables, {"chapter4": picture, "chapter4-intervals": draw([sample])}, {"double-integrator": problem}
+    )
 
 
 def _row(slope: float, policy: EventPolicy, price: PredictionCost, seed: int) -> Row:
@@ -145,8 +147,8 @@ def _lost(losses: Losses, counter: PredictionCost) -> list[Row]:
 
 def _notes(counter: PredictionCost) -> tuple[str, ...]:
     return (
-        f"g'(0): printed 1.4274, computed {counter.initial_slope:.6f}; a slope counts as αC/E[θ], which is below it "
-        "everywhere here; where E[θ] < 0.2 the printed α = 0.2 is above L(α), and the same policy has a smaller α",
+        f"g'(0): printed 1.4274, computed {counter.initial_slope:.6f}; the effective slope αC/E[θ] is below g'(0) "
+        "everywhere here; for E[θ] < 0.2 the printed α = 0.2 is above L(α), and the same policy has a smaller α",
     )
 
 
@@ -163,12 +165,12 @@ def _figure_4_4(lengths: Sequence[Row]) -> Panel:
 
 
 def _figure_4_4_b(process: JumpProcess, trigger: IntegralTrigger, seed: int) -> Panel:
-    """Return the distribution of the intervals, of which Figure 4.4 (b) shows five."""
+    """Return the distribution of the intervals; Figure 4.4 (b) shows five of them."""
     durations = np.sort(sample_cycles(process, trigger, cycles=20_000, seed=seed).durations)
     shares = (np.arange(len(durations)) + 0.5) / len(durations)
     shown = slice(None, None, 20)
     series = [Series(durations[shown].tolist(), shares[shown].tolist(), "P(θ ≤ t)")]
-    return Panel(series, "interval (s)", "share", "Figure 4.4 (b): the law of its intervals")
+    return Panel(series, "interval (s)", "share", "Figure 4.4 (b): distribution of the intervals")
 
 
 def _figures(

@@ -1,4 +1,4 @@
-"""Chapter 5 of the thesis: consistent periodic event-triggered control."""
+"""Reproduction of chapter 5 of the thesis: consistent periodic event-triggered control."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from taciturn.problem import Problem, load
 from taciturn.study.evaluate import evaluate
 from taciturn.study.reproduction import Reproduction, Row, Table
 
-CHECKS = (0.5, 1.0, 2.0, 4.0, 10.0, 20.0)  # per second, of Figure 5.4; the thesis does not print its own
+CHECKS = (0.5, 1.0, 2.0, 4.0, 10.0, 20.0)  # checks per second in Figure 5.4; the thesis does not print its values
 PRINTED: Mapping[str, float] = {  # section 5.5, (5.45) and its derivative
     "L1": 0.3162, "L2": 0.8558, "V_p: 1": 21.3959, "1/r": 9.1557, "1/r²": 2.2553, "1/r³": 0.2083,
     "−dV_p/dr: 1/r²": 9.1557, "1/r³ ": 4.5106, "1/r⁴": 0.6249,
@@ -23,7 +23,7 @@ PRINTED: Mapping[str, float] = {  # section 5.5, (5.45) and its derivative
 
 
 def chapter5(seed: int, progress: Progress) -> Reproduction:
-    """Compute the numbers of section 5.5 and Figure 5.4: thresholds that beat periodic control at their own rate.
+    """Compute the numbers of section 5.5 and Figure 5.4: thresholds that cost less than periodic control.
 
     Source: khashooei2017
     """
@@ -44,23 +44,23 @@ def chapter5(seed: int, progress: Progress) -> Reproduction:
             "Figure 5.4",
             tuple(rows),
             (
-                "the thesis prints a picture, no numbers, and not the rates of its checks; δ is at its largest "
-                "consistent value, costs are per second",
+                "the thesis prints a figure without numbers and without the rates of its checks; δ has its largest "
+                "consistent value, and costs are per second",
                 "the last columns are for Wiener noise of the same intensity",
             ),
         ),
     )
-    return Reproduction("chapter5", tables, {"chapter5": draw([_panel(rows, price)])})
+    return Reproduction("chapter5", tables, {"chapter5": draw([_panel(rows, price)])}, {"double-integrator": jumps})
 
 
 def price_of(problem: Problem) -> PredictionCost:
-    """Return what acting on predictions costs."""
+    """Return the cost of control with predictions between sends."""
     plant, cost = problem.plant, problem.cost
     return prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
 
 
 def _coefficients(price: PredictionCost) -> dict[str, Estimate]:
-    """Return L and the polynomial g(h), which is of third degree: A² = 0."""
+    """Return L and the coefficients of the polynomial g(h), which has degree three because A² = 0."""
     lengths = np.array([0.5, 1.0, 2.0])
     powers = np.vander(lengths, 4, increasing=True)[:, 1:]
     first, second, third = np.linalg.solve(powers, [price.growth(h) for h in lengths])

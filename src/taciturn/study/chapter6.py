@@ -1,4 +1,4 @@
-"""Chapter 6 of the thesis: remote sensing and control of a ground robot, over a finite mission."""
+"""Reproduction of chapter 6 of the thesis: remote sensing and control of a ground robot over a finite horizon."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from taciturn.study.reproduction import Reproduction, Row, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# Section 6.5, by the initial position: the thesis says "approximately 0.7 m", and its numbers fit .6322
+# Section 6.5, by initial position: the thesis states "approximately 0.7 m", but its numbers fit 0.6322 m
 PRINTED: Mapping[float, Mapping[str, float]] = {
     0.6322: {"J_all": 103.66, "J": 113.15, "sensor %": 20, "actuator %": 10, "bound": 158.85},
     0.7: {},
 }
-PRECISION = 2e-3  # standard error of a cost
+PRECISION = 2e-3  # standard error of each cost
 
 
 def chapter6(seed: int, progress: Progress) -> Reproduction:
@@ -46,21 +46,21 @@ def chapter6(seed: int, progress: Progress) -> Reproduction:
             "Section 6.5, θ = 0.5, ζ = 0.004",
             tuple(rows),
             (
-                'the thesis starts at "approximately 0.7 m"; its J_all fits x_0 = 0.6322 m',
-                "the printed J_all and J are means of 100 simulated runs; 20 % is one query in five steps, and the "
-                "schedule has 11 in 60",
-                "the guarantee holds with (N−1)ζ; the thesis takes Nζ, and prints 158.85 where its own terms give "
+                'the thesis starts at "approximately 0.7 m"; its J_all corresponds to x_0 = 0.6322 m',
+                "the printed J_all and J are means of 100 simulated runs; 20 % means one query in five steps, but the "
+                "schedule has 11 queries in 60 steps",
+                "the guarantee holds with (N−1)ζ; the thesis uses Nζ and prints 158.85, but its own terms give "
                 "1.5 (103.66 + 60·0.004) = 155.85",
-                f"|u| reaches {largest:.0f} in Figure 6.6, and the thesis says |u| ≤ 6 V: with its B the input can "
+                f"|u| reaches {largest:.0f} in Figure 6.6, but the thesis states |u| ≤ 6 V: with its B the input can "
                 "only be a duty cycle in percent",
-                "section 6.6 is an experiment with a robot, whose numbers no simulation gives",
+                "section 6.6 is an experiment with a robot, which a simulation cannot reproduce",
             ),
         ),
-        Table("Figure 6.7: the queries", tuple(asked), ("the thesis prints a picture, no numbers",)),
+        Table("Figure 6.7: the queries", tuple(asked), ("the thesis prints a figure without numbers",)),
     )
     picture = _picture(problem, schedule, realised, seed)
     progress(1.0)
-    return Reproduction("chapter6", tables, {"chapter6": picture})
+    return Reproduction("chapter6", tables, {"chapter6": picture}, {"rover": problem})
 
 
 def _picture(problem: Problem, schedule: Schedule, realised: list[Series], seed: int) -> Figure:
@@ -80,7 +80,7 @@ def _picture(problem: Problem, schedule: Schedule, realised: list[Series], seed:
             Panel(running_costs(problem, steps, seed), ylabel="cost per step", title="Figure 6.5: ground robot"),
             Panel(realised, ylabel="input (%)", title="Figure 6.6: one realisation"),
             Panel([sends], ylabel="sends"),
-            Panel(values, "step", "cost", "Figure 6.7: when the camera is asked"),
+            Panel(values, "step", "cost", "Figure 6.7: requests to the camera"),
         ],
         height=11.0,
     )

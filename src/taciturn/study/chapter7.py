@@ -1,4 +1,4 @@
-"""Chapter 7 of the thesis: links that lose packets, and a robot that follows a reference over them."""
+"""Reproduction of chapter 7 of the thesis: lossy links, and a robot that tracks a reference over them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ PRICES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0)  # λ of the points of Figure 7.2
 PRECISION = 5e-3  # standard error of a cost of Figure 7.2
 TRACKING_PRICES = (0.0, 0.001, 0.002, 0.01)  # λ of Figure 7.6
 TRACKING_PRECISION = 1e-4  # standard error of its costs
-SECONDS, STEPS = 0.1, 250  # between ticks, and ticks of one round
+SECONDS, STEPS = 0.1, 250  # seconds between steps, and steps of one round
 NOISE = 0.01  # standard deviation per step
 
 
@@ -71,16 +71,16 @@ def chapter7(seed: int, progress: Progress) -> Reproduction:
         Table(
             "Figure 7.2, α = 0.3, β = 0.6",
             tuple(points),
-            ("the thesis prints a picture, no numbers, and no initial state: x_0 = [1, 0] is assumed",),
+            ("the thesis prints a figure without numbers and without the initial state: x_0 = [1, 0] is assumed",),
         ),
         Table(
             "Figure 7.6, α = 0.1, β = 0.25, one step of delay",
             tuple(rounds),
             (
-                "the thesis prints a picture of an experiment with a robot, whose numbers no simulation gives",
+                "the thesis prints a figure of an experiment with a robot, which a simulation cannot reproduce",
                 f"assumed: noise of {NOISE:g} per step in each state, and one round of both circles in {STEPS} steps",
-                "at λ = 0 the silent steps are those before the first measurement has arrived: until then x̂ is the "
-                "reference, silence costs what a send costs, and a tie is silence",
+                "at λ = 0 the silent steps are those before the first measurement has arrived: until then x̂ equals "
+                "the reference, so silence and a send cost the same, and a tie means silence",
                 "Figure 7.5 is one simulated round",
             ),
         ),
@@ -90,11 +90,11 @@ def chapter7(seed: int, progress: Progress) -> Reproduction:
         "chapter7-path": _figure_7_5(seed),
         "chapter7-cost": _figure_7_6(rounds),
     }
-    return Reproduction("chapter7", tables, pictures)
+    return Reproduction("chapter7", tables, pictures, {"lossy-double-integrator": problem})
 
 
 def two_circles() -> Reference:
-    """Return the reference of section 7.5: two tangent circles of 1 m radius, once around in ``STEPS`` steps."""
+    """Return the reference of section 7.5: one round of two tangent circles of 1 m radius in ``STEPS`` steps."""
     turn = np.linspace(0.0, 4 * np.pi, STEPS + 1)
     side = np.where(turn < 2 * np.pi, -1.0, 1.0)
     states = np.column_stack([side * (1 - np.cos(turn)), -np.sin(turn), np.zeros(STEPS + 1)])
@@ -136,7 +136,7 @@ def _figure_7_2(points: Sequence[Row]) -> Figure:
     for protocol in PROTOCOLS:
         rows = [row for row in points if row.setting["links"] == protocol]
         rates = [row.computed["R_t"].value for row in rows]
-        panels.append(Panel(_curves(rows, rates), "sends per step, R_t", "cost per mission", f"Figure 7.2: {protocol}"))
+        panels.append(Panel(_curves(rows, rates), "sends per step, R_t", "total cost", f"Figure 7.2: {protocol}"))
     return draw(panels, height=9.0)
 
 
@@ -144,7 +144,7 @@ def _figure_7_5(seed: int) -> Figure:
     price, reference = TRACKING_PRICES[-1], two_circles().states
     path = simulate(tracking_loop(price), STEPS, seed=seed)
     sent = path.sends["actuator"]
-    x, y = (np.where(sent, axis, np.nan).tolist() for axis in path.state.T[:2])  # the gaps keep the dots apart
+    x, y = (np.where(sent, axis, np.nan).tolist() for axis in path.state.T[:2])  # gaps prevent lines between the dots
     figure = draw(
         [
             Panel(
@@ -164,6 +164,4 @@ def _figure_7_5(seed: int) -> Figure:
 
 
 def _figure_7_6(rounds: Sequence[Row]) -> Figure:
-    return draw(
-        [Panel(_curves(rounds, TRACKING_PRICES), "price of a send, λ (cost)", "cost per mission", "Figure 7.6")]
-    )
+    return draw([Panel(_curves(rounds, TRACKING_PRICES), "price of a send, λ (cost)", "total cost", "Figure 7.6")])

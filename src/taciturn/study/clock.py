@@ -1,9 +1,9 @@
-"""Fair clocks: time-triggered control with the measurements and the actuator of a policy, at the policy's rate.
+"""Fair periodic control: time-triggered, with the measurements, the actuator and the rate of a policy.
 
-A clock that measures only when it sends knows less than an event-triggered policy, which measures at every tick. The
-fair one measures at every tick too, holds its input or predicts as the policy does, and has the best gains for its
-cycle of intervals. Its rates are those of cycles; between two of them it shares the time, over long phases. So its
-least cost at a rate is on the lower hull of the costs of all cycles.
+An event-triggered policy measures at every step. Periodic control that measures only when it sends has less
+information. Fair periodic control measures at every step too, holds or predicts its input as the policy does, and has
+the optimal gains for its cycle of intervals. A rate between those of two cycles is reached by time sharing: long phases
+of one cycle and of the other. So the least cost at a rate is on the lower convex hull of the costs of all cycles.
 """
 
 from __future__ import annotations
@@ -17,31 +17,32 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.errors import TaciturnError
 from taciturn.lqg.periodic import cycles
 
 SENDS = 4  # of a cycle, at most
-BELOW, ABOVE = 1, 2  # ticks by which its intervals may be off the mean one
-REACH = 8  # ticks by which intervals are tried that are longer than what is asked
+BELOW, ABOVE = 1, 2  # steps by which its intervals may be off the mean one
+REACH = 8  # steps by which intervals are tried that are longer than what is asked
 MOST_INTERVALS, MOST_MEANS = 64, 12  # lengths that are tried of cycles of one interval, and of several
 MOST_CYCLES = 2000
-LONGEST = 2000  # ticks of an interval that is looked for
+LONGEST = 2000  # steps of an interval that is looked for
 CURVE_POINTS = 40
 SAME = 1e-9  # relative
-FREE = 4  # ticks up to which a real period is tried
+FREE = 16  # steps up to which a real period is tried
 Cycle: TypeAlias = tuple[int, ...]
 ClockKind: TypeAlias = Literal["hold", "model", "queries"]
 Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
 
 
-@dataclass(frozen=True)
-class ClockPoint:
+@dataclass(frozen=True, repr=False)
+class ClockPoint(Displayed):
     """Time-triggered control at one rate, exact.
 
     Args:
         rate: sends per step or per second.
         cost: in the units of the cost.
-        cycle: ticks from send to send; None where it sends at one real period.
+        cycle: steps from send to send; None where it sends at one real period.
     """
 
     rate: float
@@ -49,8 +50,8 @@ class ClockPoint:
     cycle: Cycle | None = None
 
 
-@dataclass(frozen=True)
-class ClockMix:
+@dataclass(frozen=True, repr=False)
+class ClockMix(Displayed):
     """Time-triggered control at a rate: one point, or two that share the time over long phases.
 
     Args:
@@ -66,7 +67,7 @@ class ClockMix:
     words: ClockKind
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document: cycles in ticks, null where it sends at one real period."""
+        """Return the JSON document: cycles in steps, null where it sends at one real period."""
         return {
             "kind": self.words,
             "cost": self.cost,
@@ -128,7 +129,7 @@ class Timed(Clock):
 
 
 class Ticked(Clock):
-    """Control that sends at ticks: the best of the cycles that are tried.
+    """Control that sends at steps: the best of the cycles that are tried.
 
     Args:
         words: what it is.
@@ -151,7 +152,7 @@ class Ticked(Clock):
         self._screen, self._sends = (screen, SENDS) if screen is not None else (self._one_by_one, 1)
         self._roughly: dict[Cycle, float] = {}
         self._exactly: dict[Cycle, float] = {}
-        self._hulls: dict[tuple[int, int, int], list[ClockPoint]] = {}
+        self._tried: dict[tuple[int, int, int], list[Cycle]] = {}
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
         """Return the two corners of the lower hull next to a rate."""
@@ -181,28 +182,35 @@ class Ticked(Clock):
         return tuple(reversed(corners[max(0, beyond - 1) :]))
 
     def _exact(self, lengths: tuple[int, int, int], choose: Choice) -> Sequence[ClockPoint]:
-        """Return corners of the hull of intervals of these lengths, the exact costs of those that are chosen.
+        """Return some corners of the lower hull, with exact costs.
+
+        The answer does not depend on earlier calls, which threads may make in any order: each call begins with the
+        approximate costs and replaces those of the chosen corners by the exact ones until the choice stays the same.
 
         Args:
-            lengths: the shortest, the longest, and the one around which cycles are tried most densely.
+            lengths: the shortest interval, the longest, and the one around which cycles are tried most densely.
             choose: takes some of the corners.
         """
+        if lengths not in self._tried:
+            self._tried[lengths] = self._screened(self._candidates(*lengths))
+        costs = {cycle: self._roughly[cycle] for cycle in self._tried[lengths]}
+        exact: set[Cycle] = set()
         while True:
-            if lengths not in self._hulls:
-                self._hulls[lengths] = self._hull(self._candidates(*lengths))
-            chosen = choose(self._hulls[lengths])
-            unknown = [point.cycle for point in chosen if point.cycle is not None and point.cycle not in self._exactly]
+            points = (self._point(cycle, cost) for cycle, cost in costs.items() if np.isfinite(cost))
+            chosen = choose(lower_hull(points))
+            unknown = {point.cycle for point in chosen if point.cycle is not None} - exact
             if not unknown:
                 return chosen
-            self._exactly.update((cycle, self._solved(cycle)) for cycle in unknown)
-            del self._hulls[lengths]
+            costs.update((cycle, self._solved(cycle)) for cycle in unknown)
+            exact |= unknown
 
-    def _hull(self, listed: Sequence[Cycle]) -> list[ClockPoint]:
+    def _screened(self, listed: list[Cycle]) -> list[Cycle]:
+        """Compute the approximate costs of cycles, rounded so that their batch does not decide between equal ones."""
         for sends in range(1, self._sends + 1):
             new = [cycle for cycle in listed if len(cycle) == sends and cycle not in self._roughly]
-            self._roughly.update(zip(new, self._screen(new).tolist() if new else (), strict=True))
-        known = [self._point(cycle, self._exactly.get(cycle, self._roughly[cycle])) for cycle in listed]
-        return lower_hull(point for point in known if np.isfinite(point.cost))
+            found: list[float] = self._screen(new).tolist() if new else []
+            self._roughly.update((cycle, float(f"{cost:.9g}")) for cycle, cost in zip(new, found, strict=True))
+        return listed
 
     def _candidates(self, first: int, last: int, nearest: int) -> list[Cycle]:
         """Return the cycles that are tried, those of the fewest sends first."""
@@ -227,27 +235,28 @@ class Ticked(Clock):
         return ClockPoint(len(cycle) / (sum(cycle) * self._tick), cost, cycle)
 
     def _one_by_one(self, listed: Sequence[Cycle]) -> Array:
-        self._exactly.update((cycle, self._solved(cycle)) for cycle in listed)
-        return np.array([self._exactly[cycle] for cycle in listed])
+        return np.array([self._solved(cycle) for cycle in listed])
 
     def _solved(self, cycle: Cycle) -> float:
-        try:
-            return self._solve(cycle)
-        except TaciturnError:  # such as intervals at which sampling loses a mode
-            return np.inf
+        if cycle not in self._exactly:
+            try:
+                self._exactly[cycle] = self._solve(cycle)
+            except TaciturnError:  # such as intervals at which the sampled plant is not stabilisable
+                self._exactly[cycle] = np.inf
+        return self._exactly[cycle]
 
 
 class Either(Clock):
-    """Control that sends at ticks, or samples and sends at one real period: whichever costs less, or a mix.
+    """Control that sends at steps, or samples and sends at one real period: whichever costs less, or a mix.
 
-    Between one tick and two, say, a real period comes nearer to a rate, although it measures only when it sends.
+    Between one step and two, say, a real period comes nearer to a rate.
 
     Args:
-        ticked: sends at ticks.
+        ticked: sends at steps.
         timed: sends at any period.
         tick: seconds.
-        near: periods that are tried beside the one at a rate.
-        longest: real period that is tried, in ticks.
+        near: periods that are tried next to the one at a rate.
+        longest: real period that is tried, in steps.
     """
 
     def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int, longest: float = FREE) -> None:

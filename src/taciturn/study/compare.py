@@ -1,4 +1,4 @@
-"""Policies at the same rate: who costs less, by how much, and with what guarantee."""
+"""Comparison of policies at the same rate: ranking by cost, cost differences, and guarantees."""
 
 from __future__ import annotations
 
@@ -6,45 +6,50 @@ import inspect
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
 from taciturn._arrays import instance, number
-from taciturn._figure import Panel, Series, draw
-from taciturn._progress import Progress
-from taciturn.design.catalogue import CATALOGUE, KNOBS
+from taciturn._display import Displayed
+from taciturn._figure import Panel, Series, Size, draw
+from taciturn._progress import Progress, in_notebook
+from taciturn._text import per_unit
+from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName, Policy
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.evaluate import Evaluation
+from taciturn.study.lines import proved
 from taciturn.study.tune import Tuned, tune
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LARGE = 0.05  # share of the cost that a correction for the rate may be
-RELATIVE_ERROR = 3e-4  # of the all-time cost, where no standard error is asked
+LARGE = 0.05  # largest correction for the rate, as a share of the cost
+RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending every sample
 
 
-@dataclass(frozen=True, eq=False)
-class Contestant:
+@dataclass(frozen=True, eq=False, repr=False)
+class Contestant(Displayed):
     """A policy at the rate of the comparison.
 
     Args:
-        name: given by the user.
-        policy: its kind.
-        link: whose rate it is.
-        tuned: the policy; where its rate jumps across the one that is asked, the one below, with the one ``beyond``.
-        share: of the time that is spent on ``tuned``, so that the rate is met; the rest on the one beyond.
-        cost: at exactly the rate of the comparison.
-        above: cost less that of the first of the ranking, its standard error that of the difference.
-        cost_bound: proved of the cost at this rate, or None.
+        name: name given by the user.
+        policy: kind of the policy.
+        link: link whose rate is compared.
+        tuned: the tuned policy; if its rate jumps across the requested rate, the policy below the jump, with the policy
+            above the jump in ``beyond``.
+        share: share of the time that ``tuned`` is used, so that the rate is met; ``beyond`` is used in the rest.
+        cost: cost at exactly the rate of the comparison.
+        above: cost minus the cost of the first in the ranking, with the standard error of the difference.
+        cost_bound: proven upper bound on the cost at this rate, or None.
     """
 
     name: str
@@ -56,30 +61,36 @@ class Contestant:
     above: Estimate
     cost_bound: float | None
 
+    def short(self) -> str:
+        """Return the name and the cost."""
+        return f"{self.name}: {self.cost}"
+
     @property
     def parameter(self) -> str:
-        """Name and value of the parameter that was tuned, or the two between which the time is shared."""
+        """Name and value of the tuned parameter, or the two values between which the time is shared."""
         one, two = self.tuned.parameter, None if self.tuned.beyond is None else self.tuned.beyond.parameter
         values = [one.beside(two), *(() if two is None else (two.beside(one),))]
         return f"{self.tuned.parameter.name} = {' and '.join(values)}"
 
     @property
     def reached(self) -> bool:
-        """Whether rate and standard error were met."""
+        """Whether the rate and the standard error were reached."""
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class Comparison:
-    """Policies at the same rate, the cheapest first.
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Tabular):
+    """Policies at the same rate, ranked by cost, the cheapest first.
 
     Args:
-        rate: sends per step or per second; of a mission the mean fraction of its steps.
-        unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
-        cost_all_time: exact cost of sending at every tick, the least that a policy with the most ticks per second has;
-            None where none is known.
-        ranking: the contestants.
+        rate: sends per step or per second; for a finite-horizon run, the mean fraction of steps with a send.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        cost_all_time: least exact cost of sending at every step among the policies with the most steps per second, or
+            None if it is unknown.
+        ranking: the policies in the order of their costs.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("rate", "rate_unit", "unit", "cost_all_time", "method")
 
     rate: float
     unit: Unit
@@ -87,21 +98,45 @@ class Comparison:
     ranking: tuple[Contestant, ...]
 
     @property
+    def method(self) -> str:
+        """Methods that gave the costs."""
+        return ", ".join(dict.fromkeys(one.tuned.evaluation.method for one in self.ranking))
+
+    @property
     def rate_unit(self) -> TimeUnit:
-        """What the rate counts per."""
+        """Unit of time of the rate."""
         return rate_unit(self.unit)
+
+    def columns(self) -> Columns:
+        """Return one row per policy, the cheapest first."""
+        return columns_of(
+            [
+                {
+                    "name": one.name,
+                    "policy": one.policy,
+                    "parameter": one.parameter,
+                    "cost": one.cost,
+                    "above_the_first": one.above,
+                    "guarantee": proved(one.cost_bound),
+                }
+                for one in self.ranking
+            ]
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn compare --json``."""
         return {
             "rate": self.rate,
             "unit": self.unit,
+            "rate_unit": self.rate_unit,
+            "method": self.method,
             "cost_all_time": self.cost_all_time,
             "ranking": [
                 {
                     "name": one.name,
                     "policy": one.policy,
                     "link": one.link,
+                    "method": one.tuned.evaluation.method,
                     "parameter": {
                         "name": one.tuned.parameter.name,
                         "value": one.tuned.parameter.value,
@@ -119,8 +154,8 @@ class Comparison:
             ],
         }
 
-    def plot(self) -> Figure:
-        """Return a figure: the cost of each policy with its standard error, and its guarantee where it is in sight."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure with the cost and standard error of each policy, and its guarantee if it fits in the axes."""
         names = [one.name for one in reversed(self.ranking)]
         places = [float(i) for i in range(len(names))]
         costs = [one.cost.value for one in reversed(self.ranking)]
@@ -133,7 +168,12 @@ class Comparison:
         if self.cost_all_time is not None:
             series.append(Series([self.cost_all_time] * 2, [-0.5, len(names) - 0.5], "all-time", "dashed", color=7))
         title = f"{self.rate:.4g} sends per {self.rate_unit}"
-        return draw([Panel(series, f"cost per {self.unit}", "", title, names)], height=1.5 + 0.35 * len(names))
+        return draw(
+            [Panel(series, f"cost {per_unit(self.unit)}", "", title, names)],
+            ax,
+            figsize,
+            height=1.5 + 0.35 * len(names),
+        )
 
 
 def compare(
@@ -147,31 +187,33 @@ def compare(
 ) -> Comparison:
     """Compare the policies of several problems at the same rate.
 
-    Each is tuned to the rate. Time-triggered control whose period is all that was given may also measure as often as
-    the others, with the best cycle of intervals; the cheaper of both counts. What the rate of a policy misses, a
-    standard error or so, is corrected along the slope of cost against rate, and adds to the standard error. A policy
-    whose rate jumps shares its time between the two policies on either side. Differences are simulated on common draws
-    where both policies are simulated tick by tick.
+    Each policy is tuned to the rate. Time-triggered control that is given by its period only is also tried with
+    measurements as frequent as those of the other policies and the best cycle of send intervals; the cheaper variant
+    counts. The remaining error of a policy's rate, about one standard error, is corrected along the slope of cost
+    against rate, and is added to the standard error. If the rate of a policy jumps across the given rate, the time is
+    shared between the policies on both sides of the jump. If two policies are both simulated step by step, their
+    difference is simulated on common draws.
 
     Args:
-        problems: at least two, by name: the same plant, cost and network, and different policies.
-        rate: sends per step, or per second of a continuous plant; of a mission the mean fraction of its steps.
-        link: whose rate; omitted where each policy decides one only.
-        seed: of the draws.
-        standard_error: absolute, of each cost; omitted: 3e-4 of that of sending at every tick.
-        progress: called with the fraction done.
+        problems: at least two problems by name, with the same plant, cost and network, and different policies.
+        rate: sends per step, or per second for a continuous plant; for a finite-horizon run, the mean fraction of steps
+            with a send.
+        link: link whose rate is meant; may be omitted if each policy decides on a single link.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of each cost; default: 3e-4 of the cost of sending at every step.
+        progress: callback that receives the fraction done.
 
     Returns:
         The ranking.
 
     Raises:
-        ProblemError: fewer than two policies, one of them twice, different plants, costs or networks, a policy that
-            does not fit them, or a rate that one does not reach.
+        ProblemError: there are fewer than two policies, a policy occurs twice, the plants, costs or networks differ, a
+            policy is incompatible with them, or a policy cannot reach the rate.
         UnstableError: a policy has no stable loop.
 
     Example:
         >>> from taciturn import load
-        >>> mass = load("two-mass")
+        >>> mass = load("two-mass-lqg")
         >>> named = {"hold": mass, "model": mass.changed({"actuation": "model"})}
         >>> [one.name for one in compare(named, 0.3, standard_error=1e-3).ranking]
         ['model', 'hold']
@@ -179,12 +221,13 @@ def compare(
     check_effort(seed, standard_error, None)
     rate = number("rate", rate, 0.0)
     _check(problems, link)
+    bar = in_notebook(progress)
     found: list[Contestant] = []
     for index, (name, choices) in enumerate(_measuring_alike(problems).items()):
 
         def report(fraction: float, index: int = index) -> None:
-            if progress is not None:
-                progress((index + 0.8 * fraction) / len(problems))
+            if bar is not None:
+                bar((index + 0.8 * fraction) / len(problems))
 
         try:
             alike: list[Contestant] = []
@@ -197,7 +240,7 @@ def compare(
             raise type(error)(f"{name}: {error}") from None
     found.sort(key=lambda one: one.cost.value)
     ranking, best = tuple(found), None
-    while best is None or ranking[0].name != best.name:  # until no difference says that another one is cheaper
+    while best is None or ranking[0].name != best.name:  # until no difference shows that another policy is cheaper
         best = ranking[0]
         beside = [replace(one, above=_above(one, best, rate, seed + len(problems))) for one in found]
         ranking = tuple(sorted(beside, key=lambda one: one.above.value))
@@ -205,7 +248,7 @@ def compare(
 
 
 def _all_time(found: Sequence[Contestant]) -> float | None:
-    """Return the least cost of sending at every tick, of the policies with the most ticks per second."""
+    """Return the least cost of sending at every step among the policies with the most steps per second."""
     answers = [one.tuned.evaluation for one in found]
     fastest = max(one.base_rate or 0.0 for one in answers)
     costs = [one.cost_all_time for one in answers if one.base_rate == fastest]
@@ -213,12 +256,12 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
 
 
 def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
-    """Refuse what cannot be compared."""
+    """Reject problems that cannot be compared."""
     instance("problems", problems, Mapping)
     for name, problem in problems.items():
         expect_problem(f"problems[{name!r}]", problem)
     if len(problems) < 2:
-        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two, to compare them")
+        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
     for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
         for what in ("plant", "actual", "cost", "network", "reference"):
             if not _same(getattr(first, what), getattr(second, what)):
@@ -226,37 +269,37 @@ def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
                 raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
         if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
-                f"{one} and {other} are one policy, {first.kind}, at the same rate; expected policies that differ in "
-                "more than the parameter that is tuned"
+                f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "
+                "in more than the tuned parameter"
             )
 
 
 def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]]:
-    """Return the problems; a clock that would measure less often than the others, with one that measures as often."""
+    """Return the variants of each problem; periodic control gets a variant that measures as often as the others."""
     given = [problem.parameters.get("period") for problem in problems.values()]
     periods = [period for period in given if isinstance(period, int | float)]
     found = {name: [problem] for name, problem in problems.items()}
     for name, problem in problems.items():
-        plant, knobs = problem.plant, [knob for knob in KNOBS[problem.kind] if knob.cycles]
+        plant, tunings = problem.plant, [tuning for tuning in TRADEOFF_PARAMETERS[problem.kind] if tuning.cycles]
         seen_in_part = isinstance(plant, ContinuousPlant) and not plant.full_state
-        if knobs and seen_in_part and periods and knobs[0].name not in problem.parameters:
-            found[name].append(problem.changed({"period": min(periods), knobs[0].name: 1}))
+        if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
+            found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))
     return found
 
 
 def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
-    """Return the parameters that are not tuned, with those that are not given."""
+    """Return the parameters that are not tuned, with their defaults if they are not given."""
     defaults = {
         key: parameter.default
         for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
         if parameter.default is not parameter.empty
     }
-    tuned = {knob.name for knob in KNOBS[problem.kind] if link is None or knob.link in (None, link)}
+    tuned = {tuning.name for tuning in TRADEOFF_PARAMETERS[problem.kind] if link is None or tuning.link in (None, link)}
     return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
 
 
 def _same(one: object, other: object) -> bool:
-    """Tell whether two values, data classes of arrays perhaps, are the same."""
+    """Return whether two values are equal; they may be data classes with arrays."""
     if is_dataclass(one) and type(one) is type(other):
         return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
     if isinstance(one, dict) and isinstance(other, dict):
@@ -266,10 +309,10 @@ def _same(one: object, other: object) -> bool:
 
 
 def _wanted(problem: Problem) -> float | None:
-    """Return the standard error that is asked of a policy: a share of the all-time cost, where that is known."""
+    """Return the default standard error for a policy, relative to its cost of sending every sample, if it is known."""
     try:
         return RELATIVE_ERROR * problem.designed().cost_all_time or None
-    except TaciturnError:  # at the value that the parameter has now; another may do
+    except TaciturnError:  # the design fails for the present parameter value, but may succeed for others
         return None
 
 
@@ -293,16 +336,16 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant
         shift, error = _shift(tuned, rate, link)
         if abs(shift) + error > LARGE * abs(cost.value):
             raise ProblemError(
-                f"the cost of {here.policy} cannot be told at the rate {rate:g}, near which it changes by "
-                f"{abs(tuned.slope):.2g} per {here.rate_unit}: it is at the edge of what it keeps stable; "
-                "expected another rate, or another policy"
+                f"the cost of {here.policy} cannot be estimated at the rate {rate:g}, where it changes by "
+                f"{abs(tuned.slope):.2g} per send per {here.rate_unit}: the loop is nearly unstable "
+                "there; expected another rate, or another policy"
             )
         cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
     return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound)
 
 
 def _shift(tuned: Tuned, rate: float, link: LinkName) -> tuple[float, float]:
-    """Return what the cost is off because the rate is, and its standard error."""
+    """Return the error of the cost that is due to the error of the rate, and its standard error."""
     if tuned.slope is None:
         return 0.0, 0.0
     found = tuned.evaluation.rates[link]
@@ -310,7 +353,7 @@ def _shift(tuned: Tuned, rate: float, link: LinkName) -> tuple[float, float]:
 
 
 def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimate:
-    """Return how much more a policy costs than the best."""
+    """Return the cost of a policy minus the cost of the best policy."""
     if one.name == best.name:
         return Estimate(0.0, 0.0, one.cost.method)
     pair = (one, best)
@@ -328,7 +371,7 @@ def _above(one: Contestant, best: Contestant, rate: float, seed: int) -> Estimat
 
 
 def _loop(one: Contestant) -> Loop | None:
-    """Return the loop of a policy that is simulated by completion of squares, which differences want."""
+    """Return the loop of a policy if its cost is simulated by completion of squares, else None."""
     tuned = one.tuned
     policy = tuned.problem.designed()
     if tuned.beyond is not None or tuned.evaluation.steps == 0 or not isinstance(policy, Policy):
@@ -338,10 +381,10 @@ def _loop(one: Contestant) -> Loop | None:
 
 
 def _only_link(tuned: Tuned) -> LinkName:
-    """Return the link whose rate was tuned where none was named: the policy decides on one."""
+    """Return the only link on which the policy decides, whose rate was tuned because no link was named."""
     return cast("LinkName", next(iter(tuned.evaluation.rates)))
 
 
 def _bound(evaluation: Evaluation) -> float | None:
-    """Return the sharpest bound that is proved."""
+    """Return the sharpest proven bound."""
     return evaluation.cost_bound if evaluation.cost_bound_at_rate is None else evaluation.cost_bound_at_rate

@@ -1,4 +1,4 @@
-"""What a problem and its policy are, before anything runs: plant, gains, guarantee, triggers, and the diagram."""
+"""Description of a problem and its policy without a simulation: plant, gains, guarantee, triggers, diagram."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
+from taciturn._text import Lines, per_unit
 from taciturn.design.catalogue import AnyPolicy
 from taciturn.model.diagram import Diagram
+from taciturn.model.display import cost_rows, cost_text, matrix_lines, network_text, plant_rows, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -19,48 +21,46 @@ from taciturn.problem import Problem, expect_problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.units import cost_unit, time_unit
 
-BLUR = 1e-6  # relative: what rounding makes of poles that coincide
-WIDEST = 12  # columns of a matrix that is printed whole
-SHOWN_OPTIONS = 4  # of a decision
-ESTIMATES = ("estimate", "deviation")  # what a gain multiplies: the state as it is known, or its deviation
+SHOWN_OPTIONS = 4  # options of a decision that are printed
+ESTIMATES = ("estimate", "deviation")  # signals that a feedback gain multiplies: the state estimate, or its deviation
 GAINS = {
     "L": ("feedback gain", "input = + L × estimate; L:"),
-    "estimator": ("estimator gain", "the estimate moves by + gain × (measurement − its prediction):"),
+    "estimator": ("estimator gain", "estimate = prediction + gain × (measurement − its prediction); gain:"),
 }
-Lines = list[tuple[str, str]]
 
 
-@dataclass(frozen=True, eq=False)
-class Description:
-    """What is known of a problem's policy without running it.
+@dataclass(frozen=True, eq=False, repr=False)
+class Description(Displayed):
+    """Properties of a problem's policy that are known without a simulation.
 
     Args:
-        problem: what it was designed for.
-        policy: as designed.
-        nodes: the policy that nodes run; of ``optimal`` one of the same nodes; None where it has no ticks.
-        departures: in what the loop is not the one of the design; with any, no guarantee holds.
+        problem: the problem that the policy was designed for.
+        policy: the designed policy.
+        nodes: the policy that the nodes run (for ``optimal``, a policy with the same nodes), or None if the policy has
+            no sampling steps.
+        violated_assumptions: differences between the loop and its design; if there are any, no guarantee holds.
     """
 
     problem: Problem
     policy: AnyPolicy
     nodes: Policy | None
-    departures: tuple[str, ...]
+    violated_assumptions: tuple[str, ...]
 
     @property
     def diagram(self) -> Diagram | None:
-        """Its nodes and links; None where it has no ticks."""
+        """Diagram of the nodes and links, or None if the policy has no sampling steps."""
         return None if self.nodes is None else self.nodes.diagram()
 
     @property
     def gains(self) -> dict[str, Matrix]:
-        """L of the feedback, and that of the estimator, where the policy has them."""
+        """Feedback gain L and estimator gain, if the policy has them."""
         return {} if self.nodes is None else _gains(self.nodes)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the reader must know."""
+        """Warnings and remarks."""
         told = () if isinstance(self.policy, OptimalPolicy) else self.policy.notes
-        return told + tuple(f"{text}: no guarantee holds" for text in self.departures)
+        return told + tuple(f"{text}: no guarantee holds" for text in self.violated_assumptions)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn show --json``."""
@@ -90,7 +90,7 @@ class Description:
         }
 
     def lines(self) -> Lines:
-        """Return what is printed of it: names, and what stands behind them."""
+        """Return the printed lines as pairs of name and value."""
         problem, per = self.problem, cost_unit(self.problem)
         given = ", ".join(f"{name} = {_plain(value)}" for name, value in problem.parameters.items())
         lines: Lines = [("policy", problem.kind + (f" ({given})" if given else ""))]
@@ -98,16 +98,16 @@ class Description:
         if problem.actual is not None:
             lines += [(f"actual {name}".strip(), text) for name, text in _plant_lines(problem.actual)]
         lines += _cost_lines(problem)
-        lines.append(("sending always", f"J_all = {self.policy.cost_all_time:.6g} per {per}"))
+        lines.append(("every sample", f"J_all = {self.policy.cost_all_time:.6g} {per_unit(per)}"))
         for name, value in self.gains.items():
             lines.append(GAINS[name])
-            lines += _matrix_lines("", value)
+            lines += matrix_lines("", value)
         if self.nodes is not None and self.nodes.prediction is not None:
-            lines.append(("actuator", "runs dx̂/dt = (A + BL) x̂ between ticks and applies L x̂; its input is x̂"))
+            lines.append(("actuator", "integrates dx̂/dt = (A + BL) x̂ between steps and applies L x̂; it receives x̂"))
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
             lines += _decision_lines(name, trigger.options)
-        lines += _network_lines(problem)
+        lines.append(("network", network_text(problem.network)))
         if self.diagram is not None:
             for link in self.diagram.links:
                 told = ", acknowledged" if link.acknowledged else ""
@@ -119,8 +119,8 @@ class Description:
         return self.policy.decisions if isinstance(self.policy, Policy) else {}
 
     def _guarantee(self) -> dict[str, Any] | None:
-        """Return what is proved, and whether it holds of this loop."""
-        policy, holds = self.policy, not self.departures
+        """Return the proven guarantee, and whether it holds for this loop."""
+        policy, holds = self.policy, not self.violated_assumptions
         if isinstance(policy, EventPolicy):
             bound = policy.bound()
             if policy.statement is None or bound is None:
@@ -136,30 +136,30 @@ class Description:
     def _guarantee_lines(self) -> Lines:
         found = self._guarantee()
         if found is None:
-            return [("guarantee", "none is proved")]
+            return [("guarantee", "none")]
         if not found["holds"]:
-            return [("guarantee", f"none of this loop; of the design: {found['statement']}")]
+            return [("guarantee", f"none for this loop; for the loop of the design: {found['statement']}")]
         lines = [("guarantee", f"{found['statement']}: at most {found['cost']:.6g} ({found['source']})")]
         rated = found.get("at_rate")
         if rated is not None:
             lines.append(
-                ("at a rate", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − sends per tick)")
+                ("at a rate", f"at most {rated['base']:.6g} + {rated['per_silence']:.6g} (1 − sends per step)")
             )
         return lines
 
 
 def describe(problem: Problem) -> Description:
-    """Return what a problem's policy is: designed, and not run.
+    """Design a problem's policy and describe it, without a simulation.
 
     Args:
         problem: from ``load`` or ``Problem``.
 
     Returns:
-        Data, and what is printed of it.
+        The description, which prints itself as a table.
 
     Raises:
-        ProblemError: data that do not fit.
-        UnstableError: no stabilising gain.
+        ProblemError: the data of the problem are inconsistent.
+        UnstableError: no stabilising gain exists.
 
     Example:
         >>> from taciturn import load
@@ -171,7 +171,7 @@ def describe(problem: Problem) -> Description:
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
-    return Description(problem, policy, nodes, problem.close(nodes).departures)
+    return Description(problem, policy, nodes, problem.close(nodes).violated_assumptions)
 
 
 def _gains(policy: Policy) -> dict[str, Matrix]:
@@ -207,88 +207,36 @@ def _plant_document(plant: Plant | ContinuousPlant) -> dict[str, Any]:
 
 
 def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]:
-    """Return the modes that no input moves, and those that no measurement shows."""
+    """Return the uncontrollable modes and the unobservable modes."""
     unmoved, unseen = uncontrollable_modes(plant.A, plant.B), uncontrollable_modes(plant.A.T, plant.C.T)
     return [complex(mode) for mode in unmoved], [complex(mode) for mode in unseen]
 
 
 def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
-    continuous = isinstance(plant, ContinuousPlant)
-    if isinstance(plant, ContinuousPlant):
-        time = "continuous in time"
-    else:
-        time = "discrete in time" + (f", {plant.dt:g} s per step" if plant.dt is not None else "")
-    sizes = ((plant.states, "state"), (plant.inputs, "input"), (plant.C.shape[0], "output"))
-    counted = ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in sizes)
-    poles = eigenvalues(plant.A)
-    size = 1.0 if not continuous else max(float(np.abs(poles).max()), 1e-300)
-    margin = float(poles.real.max() if continuous else np.abs(poles).max() - 1) / size
-    stable = "on the edge of stability" if abs(margin) < BLUR else "stable" if margin < 0 else "unstable"
-    measured = "the full state, exactly" if plant.full_state else "y = C x + v"
-    lines: Lines = [
-        ("plant", f"{counted}; {time}" + (", not linear" if _is_function(plant) else "")),
-        ("poles", f"{', '.join(_pole_text(complex(pole)) for pole in poles)}: {stable}"),
-    ]
+    rows = plant_rows(plant)
+    lines: Lines = [("plant", f"{rows['size']}; {rows['time']}"), ("poles", str(rows["poles"]))]
     for name, lost, verb in zip(("controllable", "observable"), _lost(plant), ("moves", "shows"), strict=True):
         what = "input" if verb == "moves" else "measurement"
         modes = ", ".join(mode_text(mode) for mode in lost)
-        lines.append((name, f"but for the mode {modes}, which no {what} {verb}" if lost else "yes"))
-    lines.append(("measured", measured))
-    jumps = plant.jumps if isinstance(plant, ContinuousPlant) else None
-    if jumps is not None:
-        lines.append(("noise", f"{jumps.rate:g} jumps per second, {jumps.distribution}, W their rate times covariance"))
-    lines += _matrix_lines("noise W", plant.W)
-    if not plant.full_state:
-        lines += _matrix_lines("noise V", plant.V)
-    if plant.input_limit is not None:
-        lines.append(("input limit", _row(plant.input_limit)))
-    return lines
-
-
-def _pole_text(pole: complex) -> str:
-    return mode_text(complex(pole.real) if abs(pole.imag) < BLUR * abs(pole) else pole)
-
-
-def _is_function(plant: Plant | ContinuousPlant) -> bool:
-    return isinstance(plant, Plant) and plant.function is not None
+        lines.append((name, f"except for the mode {modes}, which no {what} {verb}" if lost else "yes"))
+    lines += [(name, text) for name in ("measured", "noise") if isinstance(text := rows[name], str)]
+    for name in ("W", "V"):
+        value = rows[name]
+        lines += matrix_lines(f"noise {name}", value) if isinstance(value, np.ndarray) else []
+    return lines + ([] if plant.input_limit is None else [("input limit", vector_text(plant.input_limit))])
 
 
 def _cost_lines(problem: Problem) -> Lines:
-    cost = problem.cost
-    kind = "an average"
-    if cost.horizon is not None:
-        kind = f"a mission of {cost.horizon} steps"
-    elif cost.discount < 1:
-        kind = f"a discounted sum, factor {cost.discount:g} per tick"
-    cross = " + 2x'Nu" if cost.N.any() else ""
-    lines: Lines = [("cost", f"{kind} of x'Qx + u'Ru{cross} per {time_unit(problem)}")]
-    lines += [*_matrix_lines("cost Q", cost.Q), *_matrix_lines("cost R", cost.R)]
-    if cost.N.any():
-        lines += _matrix_lines("cost N", cost.N)
-    if cost.terminal is not None:
-        lines += _matrix_lines("cost, terminal", cost.terminal)
+    lines: Lines = [("cost", f"{cost_text(problem.cost)} per {time_unit(problem)}")]
+    for name, value in cost_rows(problem.cost).items():
+        if isinstance(value, np.ndarray):
+            lines += matrix_lines("cost, terminal" if name == "terminal" else f"cost {name}", value)
     return lines
 
 
-def _network_lines(problem: Problem) -> Lines:
-    network = problem.network
-    if network.protocol == "ideal":
-        text = "ideal: nothing is lost"
-    else:
-        told = "acknowledged" if network.protocol == "tcp" else "no acknowledgement"
-        losses = [
-            f"{link} loses {100 * network.loss(link):g} %{' in bursts' if network.burst(link) else ''}"
-            for link in ("actuator", "sensor")
-        ]
-        text = f"{network.protocol} ({told}); {', '.join(losses)}"
-    if network.delay:
-        text += f"; {network.delay} step{'s' * (network.delay > 1)} of delay"
-    return [("network", text + (f"; numbers as {network.payload}" if network.payload != "float64" else ""))]
-
-
 def _decision_lines(name: str, options: Mapping[str, Form]) -> Lines:
-    """Return the least of which forms decides."""
-    lines: Lines = [(f"decision {name}", "the label whose form is least; of equal ones the first")]
+    """Return the printed lines of a decision, which chooses the option with the least value."""
+    lines: Lines = [(f"decision {name}", "the option with the least value; in a tie, the first")]
     for label, form in list(options.items())[:SHOWN_OPTIONS]:
         terms: list[str] = []
         if form.Psi is not None:
@@ -300,41 +248,18 @@ def _decision_lines(name: str, options: Mapping[str, Form]) -> Lines:
         if isinstance(constant, Scheduled) and len(constant.values) == 1:
             constant = float(constant.values[0])
         if isinstance(constant, Scheduled):
-            terms.append(f"a number by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}")
+            terms.append(
+                f"a constant indexed by {constant.by}, {constant.values.min():.6g} to {constant.values.max():.6g}"
+            )
         elif constant or not terms:
             terms.append(f"{constant:.6g}")
         lines.append((f"  {label}", " + ".join(terms)))
         if form.Psi is not None:
-            lines += _matrix_lines("    Ψ", form.Psi)
+            lines += matrix_lines("    Ψ", form.Psi)
         if form.bell is not None:
-            lines += _matrix_lines("    Π", form.bell.Pi)
+            lines += matrix_lines("    Π", form.bell.Pi)
     left = len(options) - SHOWN_OPTIONS
-    return [*lines, ("", f"and {left} more, as --json has them")] if left > 0 else lines
-
-
-def _matrix_lines(name: str, value: Matrix) -> Lines:
-    """Return a matrix row by row; one of a known form in a word, one of a table with how many there are."""
-    if isinstance(value, Scheduled):
-        first = value.values[0]
-        if len(value.values) == 1:
-            return _matrix_lines(name, first)
-        note = (name, f"by {value.by}, {len(value.values)} of them; the first:")
-        return [note, *(("", text) for _, text in _matrix_lines("", first))]
-    rows, columns = value.shape
-    diagonal = np.diag(value) if rows == columns else value[:0, 0]
-    if not value.any():
-        return [(name, f"0 ({rows}×{columns})")]
-    if rows == columns > 1 and np.array_equal(value, np.diag(diagonal)):
-        same = (diagonal == diagonal[0]).all()
-        factor = "" if diagonal[0] == 1 else f"{diagonal[0]:.6g} "
-        return [(name, f"{factor}I ({rows}×{rows})" if same else f"diag({', '.join(f'{d:.4g}' for d in diagonal)})")]
-    if columns > WIDEST:
-        return [(name, f"{rows}×{columns}, entries from {value.min():.4g} to {value.max():.4g}")]
-    return [(name if i == 0 else "", _row(row)) for i, row in enumerate(value)]
-
-
-def _row(values: Array) -> str:
-    return f"[{' '.join(f'{value:10.4g}' for value in values)}]" if len(values) > 1 else f"[{values[0]:.6g}]"
+    return [*lines, ("", f"and {left} more, which --json lists")] if left > 0 else lines
 
 
 def _form_document(form: Form) -> dict[str, Any]:
@@ -348,7 +273,7 @@ def _form_document(form: Form) -> dict[str, Any]:
 
 
 def _plain(value: object) -> Any:
-    """Return a value as JSON holds it; a table as what it is read by, and its entries; what is endless as a word."""
+    """Return a value in a form that JSON supports: a table as its index and entries, infinity as the word "inf"."""
     if isinstance(value, Scheduled):
         return {"by": value.by, "values": value.values.tolist()}
     if isinstance(value, np.ndarray):

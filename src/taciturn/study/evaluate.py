@@ -1,31 +1,33 @@
-"""One problem, one answer: cost, rates, bound."""
+"""Evaluation of one problem: cost, rates and bounds of its policy."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from typing import Any, Literal, get_args
+from dataclasses import asdict, dataclass, replace
+from typing import Any, ClassVar, Literal, get_args
 
 from taciturn._arrays import number
-from taciturn._progress import OutOfTime, Progress, Stages, limited
+from taciturn._progress import OutOfTime, Progress, Stages, in_notebook, limited
 from taciturn.analyse.limits import LowerBound, resets
 from taciturn.analyse.renewal import bound_rate
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
+from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.simulation.average import check_effort
+from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.clock import ClockMix
-from taciturn.study.fair import clock_of
-from taciturn.study.lines import evaluation_lines, text_of
+from taciturn.study.fair import periodic_at
+from taciturn.study.lines import evaluation_records, evaluation_text
 from taciturn.study.lower import bounded, contradicted, expect_bound
 from taciturn.study.measure import CONDITIONAL, Request, measure, measure_optimum
-from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
+from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 Consistency = Literal["guaranteed", "verified", "not verified"]
 Asked = Literal["auto", "simulation", "exact", "conditional sampling"]
@@ -33,56 +35,49 @@ METHODS: tuple[Asked, ...] = get_args(Asked)
 SURE = 4.0  # standard errors
 
 
-@dataclass(frozen=True)
-class Linearisation:
-    """What the theory says of the linearisation of a plant; of the plant itself nothing of it is claimed.
+@dataclass(frozen=True, repr=False)
+class Evaluation(Tabular):
+    """Cost, rates and bounds of a policy.
 
     Args:
-        cost_all_time: of the linear plant, at every tick sent.
-        cost_bound: proved of the linear plant, or None.
-    """
-
-    cost_all_time: float
-    cost_bound: float | None
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """What a policy costs, how often it sends, and what is proved of it.
-
-    Args:
-        policy: its kind.
-        unit: what the cost counts per: ``"step"`` or ``"second"``, or ``"mission"`` for a finite horizon or a discount.
-        base_rate: rate of sending at every tick; None where sends may come at any time.
-        cost: per step or per second, or the total of a finite horizon.
-        cost_all_time: exact cost of sending at every tick; None where the simulated plant is not the design's.
-        statement: the theorem behind the bounds, or None.
-        cost_bound: proved bound, or None.
-        cost_bound_at_rate: the sharper bound at the measured rate, or None.
-        rates: sends per step or per second, by scheduled link; of a mission the mean fraction of its steps,
-            those of a discounted sum weighed as their costs.
-        seed: of the draws.
+        policy: kind of the policy.
+        unit: unit of time or run that the cost refers to: ``"step"`` or ``"second"``, or ``"mission"`` for a finite
+            horizon or a discount.
+        base_rate: rate of sending at every step, or None if sends may occur at any time.
+        cost: cost per step or per second, or the total of a finite-horizon run.
+        cost_all_time: exact cost of sending at every step, or None if the simulated plant is not the one of the design.
+        statement: the theorem that proves the bounds, or None.
+        cost_bound: proven upper bound on the cost, or None.
+        cost_bound_at_rate: the sharper upper bound at the measured rate, or None.
+        rates: sends per step or per second, by scheduled link; in a finite-horizon run, the mean fraction of the steps
+            with a send (with a discount, sends are weighted like the costs).
+        seed: seed of the random draws.
         seconds: wall time.
-        steps: simulated steps; 0 where nothing was simulated.
-        reached: whether the asked standard error was met.
-        schedule: of sensor queries, computed offline, or None.
-        clock: the fair clock at the rate found, time-triggered control with the measurements and the actuation of the
-            policy; None where there is none, or none that is stable.
-        mean_interval: seconds from one send to the next, of policies that send on the error of a prediction.
-        lower_bound: of any scheduling of this controller at the rate found, where it was asked for.
-        rate_bounds: certified bounds of the rate, where a lower bound was asked for and the error that a send resets
-            decides alone; or None.
-        consistency: whether the policy costs no more than the fair clock: ``"guaranteed"`` by its theorem,
-            ``"verified"`` by these numbers and their errors (4 standard errors), or ``"not verified"``; None where it
-            is not asked for.
-        notes: what the reader must know.
-        linearisation: where the plant of the design is not linear, what its linearisation would cost; else None.
-        estimator: of a simulation, what was averaged (as ``Averages``).
-        settled: whether a simulated loop had time to forget its start.
-        method: that gave cost and rates: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or
+        steps: number of simulated steps; 0 if nothing was simulated.
+        reached: whether the requested standard error was reached.
+        schedule: schedule of the sensor queries, computed offline, or None.
+        clock: fair periodic control at the measured rate, that is, time-triggered control with the measurements and the
+            actuation of the policy; None if there is no such control or if it is unstable.
+        mean_interval: mean seconds between sends, for policies that send on the error of a prediction.
+        lower_bound: lower bound on the cost of any scheduling of this controller at the measured rate, if requested.
+        rate_bounds: certified bounds on the rate, if a lower bound was requested and the send decision depends only on
+            the error that a send resets; else None.
+        consistency: whether the policy costs no more than fair periodic control: ``"guaranteed"`` by its theorem,
+            ``"verified"`` by these numbers and their errors (4 standard errors), or ``"not verified"``; None if the
+            question does not apply.
+        notes: warnings and remarks for the reader.
+        linearisation: cost of the linearised plant if the plant of the design is nonlinear, else None.
+        estimator: quantity that a simulation averaged (see ``Averages``).
+        settled: whether the initial transient of a simulated loop has decayed.
+        method: method that gave cost and rates: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or
             ``"simulation"``.
-        reason: why that one.
+        reason: why this method was chosen.
+        no_clock: reason why ``clock`` is None.
+        trusted: whether the variance of a simulated cost is finite, as far as is known; if not, a note gives the
+            reason.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
 
     policy: str
     unit: Unit
@@ -109,31 +104,42 @@ class Evaluation:
     settled: bool = True
     method: str = "simulation"
     reason: str = "no other method applies"
+    no_clock: str = ""
+    trusted: bool = True
 
     @property
     def rate_unit(self) -> TimeUnit:
-        """What a rate counts per."""
+        """Unit of time of the rates."""
         return rate_unit(self.unit)
 
     @property
     def drawn(self) -> bool:
-        """Whether a seed decides any number of it."""
+        """Whether any number of the result depends on the seed."""
         return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
 
     @property
     def cost_periodic_same_rate(self) -> float | None:
-        """Exact cost of the fair clock at the rate found; None where there is none."""
+        """Exact cost of fair periodic control at the measured rate, or None if there is none."""
         return None if self.clock is None else self.clock.cost
 
+    def short(self) -> str:
+        """Return the cost as short text."""
+        return f"cost {self.cost}"
+
+    def columns(self) -> Columns:
+        """Return one row each for this policy, periodic control at its rate, sending every sample, and the bounds."""
+        return columns_of([*evaluation_records(self)])
+
     def __str__(self) -> str:
-        """Return what ``taciturn evaluate`` prints."""
-        return text_of(evaluation_lines(self))
+        """Return the text that ``taciturn evaluate`` prints."""
+        return evaluation_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn evaluate --json``."""
         result: dict[str, Any] = {
             "policy": self.policy,
             "unit": self.unit,
+            "rate_unit": self.rate_unit,
             "base_rate": self.base_rate,
             "cost": _estimate(self.cost),
             "cost_all_time": self.cost_all_time,
@@ -156,13 +162,12 @@ class Evaluation:
             result["consistency"] = self.consistency
         result["cost_periodic_same_rate"] = self.cost_periodic_same_rate
         result["clock"] = None if self.clock is None else self.clock.document()
+        if self.no_clock:
+            result["clock_reason"] = self.no_clock
         if self.mean_interval is not None:
             result["mean_interval"] = _estimate(self.mean_interval)
         if self.linearisation is not None:
-            result["linearisation"] = {
-                "cost_all_time": self.linearisation.cost_all_time,
-                "cost_bound": self.linearisation.cost_bound,
-            }
+            result["linearisation"] = asdict(self.linearisation)
         if self.schedule is not None:
             result["schedule"] = self.schedule.document()
         return result | ({"notes": list(self.notes)} if self.notes else {})
@@ -180,52 +185,55 @@ def evaluate(
     time_limit: float | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Return cost, rates and bound of a problem's policy.
+    """Return cost, rates and bounds of a problem's policy.
 
-    A closed form is taken where the policy ignores the state. Else the work of every method that applies is predicted
-    for the asked error, in counted operations, and the least is taken: quadrature of renewal equations or conditional
-    sampling where every send resets the error that decides, and simulation, which always applies: completed squares,
-    or the plain average with the simulated plant. So the choice is the same on every machine.
+    If the policy ignores the state, its cost has a closed form. Otherwise the work of every applicable method is
+    predicted for the requested error, and the method with the least work is chosen. Quadrature of renewal equations and
+    conditional sampling apply if every send resets the error on which the send decision depends. Simulation always
+    applies; it averages completed squares or, if these are not valid for the simulated plant, the stage cost. Work is
+    counted in operations, so the choice is the same on every machine.
 
     Args:
         problem: from ``load`` or ``Problem``.
-        seed: of the draws, at least 0. Two evaluations with one seed have common draws, and correlated errors.
-        standard_error: absolute, of the cost; omitted: 1e-4 of the cost.
-        steps: run this many steps of all paths together instead; what has no closed form is then simulated. A note
-            says where this, or a precision, had no effect.
-        method: ``"exact"`` takes a closed form or a quadrature and never simulates, ``"conditional sampling"`` and
-            ``"simulation"`` take nothing else.
-        precision: of what is simulated: ``"float64"``, or ``"float32"``, 1.8 times as fast.
-        confidence: with which a lower bound is to hold of the cost of any scheduling at this rate (``bound_below``);
-            omitted: neither that nor ``rate_bounds`` is sought, as they take seconds.
-        time_limit: seconds, omitted: none. When they have passed, the best answer so far is returned, with its honest
-            error and ``reached`` False; a lower bound that is not yet found is left out, and a note says so.
-        progress: called with the fraction done.
+        seed: seed of the random draws, at least 0. Two evaluations with the same seed use common draws, so their errors
+            are correlated.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        steps: total number of steps to simulate over all paths, instead of a standard error; every policy without a
+            closed form is then simulated. A note reports if ``steps`` or ``precision`` had no effect.
+        method: ``"exact"`` uses a closed form or a quadrature and never simulates; ``"conditional sampling"`` and
+            ``"simulation"`` use only the named method.
+        precision: floating-point precision of a simulation: ``"float64"``, or ``"float32"``, which is 1.8 times as
+            fast.
+        confidence: confidence of a lower bound on the cost of any scheduling at this rate (see ``bound_below``). If it
+            is omitted, neither this bound nor ``rate_bounds`` is computed, since both take seconds.
+        time_limit: time limit in seconds; default: none. When it has passed, the best answer so far is returned, with
+            its actual error and ``reached`` False. A lower bound that is not yet found is omitted, with a note.
+        progress: callback that receives the fraction done.
 
     Returns:
-        The evaluation, with rates per second of a continuous plant; ``reached`` is False where the budget ended before
-        the asked standard error.
+        The evaluation, with rates per second for a continuous plant. ``reached`` is False if the budget was used up
+        before the requested standard error was reached.
 
     Raises:
-        ProblemError: data that do not fit, a confidence outside (0, 1), no exact method, a lower bound is asked for
-            and there is none, or the time limit passed before anything was found.
+        ProblemError: the data are inconsistent, the confidence is outside (0, 1), no exact method applies, a lower
+            bound was requested and does not exist, or the time limit passed before any answer was found.
         UnstableError: the loop diverges.
 
     Example:
         >>> from taciturn import load
         >>> evaluate(load("two-mass"), steps=100_000).policy
-        'lqg'
+        'excess'
     """
     expect_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in METHODS:
         raise ProblemError(f"method is {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}")
     if method == CONDITIONAL and steps is not None:
-        raise ProblemError(f"method is {method!r}, and steps is {steps}; expected 'auto', 'simulation', or no steps")
+        raise ProblemError(f"method is {method!r} and steps is {steps}; expected 'auto' or 'simulation', or no steps")
     if confidence is not None:
         number("confidence", confidence, 0.0, 1.0)
     began = time.perf_counter()
-    told = Stages(limited(progress, time_limit))
+    told = Stages(limited(in_notebook(progress), time_limit))
     try:
         return replace(
             _evaluated(problem, Request(seed, standard_error, steps, method, time_limit), precision, confidence, told),
@@ -233,24 +241,24 @@ def evaluate(
         )
     except OutOfTime:
         raise ProblemError(
-            f"time_limit is {time_limit:g}, and nothing was found within so many seconds; expected a longer one"
+            f"time_limit is {time_limit:g}, and no answer was found within {time_limit:g} s; expected a longer one"
         ) from None
 
 
 def _evaluated(
     problem: Problem, request: Request, precision: Precision, confidence: float | None, told: Stages
 ) -> Evaluation:
-    """Return the evaluation; whoever asked knows the time it took.
+    """Return the evaluation; the caller adds the time that it took.
 
     Raises:
-        OutOfTime: before there was any answer.
+        OutOfTime: the time limit passed before any answer was available.
     """
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         if confidence is not None:
             expect_bound(problem)
         if precision != "float64":
-            raise ProblemError(f"precision is {precision!r}, and {policy.kind} without a period runs in 'float64' only")
+            raise ProblemError(f"precision is {precision!r}; expected 'float64' for {policy.kind} without a period")
         return _events(problem, policy, request, told)
     first = told if confidence is None else told.stage(0.0, 0.5)
     if isinstance(policy, OptimalPolicy):
@@ -275,8 +283,7 @@ def _evaluated(
     guarantee = policy.guarantee if loop.nominal else None
     per_tick = found.rates[policy.scheduled[0]].value
     pace = base_rate(loop)
-    clock = clock_of(problem, policy)
-    fair = None if clock is None else clock.at(per_tick / policy.tick)
+    fair, no_clock = periodic_at(problem, policy, per_tick / policy.tick)
     compared = loop.nominal and per_tick > 0 and _predicts(policy)
     return Evaluation(
         policy=policy.kind,
@@ -294,31 +301,32 @@ def _evaluated(
         reached=found.reached,
         schedule=policy.schedule,
         clock=fair,
+        no_clock=no_clock,
         mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
         lower_bound=lower,
         rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
         consistency=_consistency(found.cost, fair, guarantee is not None) if compared else None,
-        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.departures),
+        notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.violated_assumptions),
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
         estimator=found.estimator,
         settled=found.settled,
+        trusted=found.trusted,
         method=measured.method,
         reason=measured.reason,
     )
 
 
 def _events(problem: Problem, policy: EventPolicy, request: Request, progress: Progress) -> Evaluation:
-    """Return the evaluation of a policy without ticks."""
+    """Return the evaluation of a policy without sampling steps."""
     if request.method not in ("auto", "simulation"):
-        raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation', all that {policy.kind} has")
+        raise ProblemError(f"method is {request.method!r}; expected 'auto' or 'simulation' for {policy.kind}")
     found = average_events(
         policy, seed=request.seed, standard_error=request.standard_error, steps=request.steps, progress=progress
     )
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None
-    clock = clock_of(problem, policy)
-    fair = None if clock is None else clock.at(rate.value)
+    fair, no_clock = periodic_at(problem, policy, rate.value)
     return Evaluation(
         policy=policy.kind,
         unit="second",
@@ -335,6 +343,7 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         reached=found.reached,
         schedule=None,
         clock=fair,
+        no_clock=no_clock,
         mean_interval=interval,
         lower_bound=None,
         rate_bounds=None,
@@ -344,7 +353,7 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
 
 
 def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
-    """Return a note on options of a simulation that were given, where another method gave the answer."""
+    """Return a note on simulation options that were given although another method gave the answer."""
     given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
     if not given or method == "simulation":
         return ()
@@ -356,12 +365,12 @@ def _linearisation(policy: Policy) -> Linearisation:
 
 
 def _predicts(policy: Policy) -> bool:
-    """Whether both ends predict in continuous time, and events decide when the prediction is corrected."""
+    """Return whether both nodes predict in continuous time and events decide when the prediction is corrected."""
     return policy.prediction is not None and policy.closed_form is None
 
 
 def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consistency:
-    """Return whether a cost is at most that of a clock at its rate; an unstable one's is infinite."""
+    """Return whether a cost is at most that of periodic control at its rate, which is infinite if it is unstable."""
     if proved:
         return "guaranteed"
     margin = SURE * cost.standard_error + cost.error
@@ -369,7 +378,7 @@ def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consis
 
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:
-    """Return the mean seconds between sends, or None where nothing is sent."""
+    """Return the mean seconds between sends, or None if nothing is sent."""
     return rate.inverse(tick) if rate.value > 0 else None
 
 

@@ -1,4 +1,4 @@
-"""From a problem to files for other machines and programs, after a look at what single precision does to the loop."""
+"""Export of a problem's policy as C code or as an FMU, with a check of the loop in single precision."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from taciturn.problem import Problem, expect_problem
 from taciturn.program.ops import Precision
 from taciturn.simulation.average import average, plain_average
 
-STEPS = 1_000_000  # of the loop in each precision
-WORSE = 0.01  # share of the cost that single precision may cost
+STEPS = 1_000_000  # simulated steps in each precision
+WORSE = 0.01  # largest relative increase of the cost by single precision
 
 
 def export_c(
@@ -34,23 +34,24 @@ def export_c(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> CFolder:
-    """Write the nodes of a problem's policy as C99: what they compute has the bits of the design.
+    """Write the nodes of a problem's policy as C99, bit-identical to the design.
 
     Args:
         problem: from ``load`` or ``Problem``.
-        folder: where; it is made where it is not there, and what an earlier export left is replaced.
-        name: with which the names in C begin.
-        nodes: ``"sensor"``, ``"controller"``, ``"actuator"``; omitted: all.
-        precision: of their numbers: ``"float64"``, or ``"float32"``, after a simulation has shown that it is enough.
-        seed: of the draws of the policy and of the self-check.
-        progress: called with the fraction done.
+        folder: target folder; it is created if necessary, and the files of an earlier export are replaced.
+        name: prefix of the names in C.
+        nodes: nodes to export, of ``"sensor"``, ``"controller"``, ``"actuator"``; default: all.
+        precision: floating-point precision: ``"float64"``, or ``"float32"`` if a simulation shows that it is
+            sufficient.
+        seed: seed of the random draws of the policy and of the self-check.
+        progress: callback that receives the fraction done.
 
     Returns:
-        What was written.
+        The written files.
 
     Raises:
-        ProblemError: the policy has no tick or no nodes, is too large for a device, does not bear single precision, or
-            the folder cannot be written to.
+        ProblemError: the policy has no sampling steps or no nodes, is too large for a device, or fails in single
+            precision, or the folder cannot be written to.
 
     Example:
         >>> import tempfile
@@ -76,26 +77,27 @@ def export_fmu(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Fmu:
-    """Write a problem's policy as a functional mock-up unit, for co-simulation in other programs.
+    """Write a problem's policy as a functional mock-up unit (FMU) for co-simulation in other programs.
 
-    A step is one tick of all nodes: inputs are the measurements ``y[i]`` and, where packets may be lost, ``lost_LINK``;
-    outputs ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``.
+    A step of the unit is one step of all nodes. Its inputs are the measurements ``y[i]`` and, if packets may be lost,
+    ``lost_LINK``. Its outputs are ``u[i]``, ``sent_LINK``, ``sends_LINK`` and ``degraded``.
 
     Args:
         problem: from ``load`` or ``Problem``.
-        path: ends in ``.fmu``.
-        name: of the model.
-        version: of FMI: ``"3.0"`` or ``"2.0"``.
-        precision: of the numbers: ``"float64"``, or ``"float32"``, after a simulation has shown that it is enough.
-        seed: of the draws of the policy.
-        progress: called with the fraction done.
+        path: target file, which ends in ``.fmu``.
+        name: name of the model.
+        version: version of FMI: ``"3.0"`` or ``"2.0"``.
+        precision: floating-point precision: ``"float64"``, or ``"float32"`` if a simulation shows that it is
+            sufficient.
+        seed: seed of the random draws of the policy.
+        progress: callback that receives the fraction done.
 
     Returns:
-        What was written; its notes tell where it has no binary, as this machine has no compiler.
+        The written unit; a note reports if it contains no binary because this machine has no compiler.
 
     Raises:
-        ProblemError: the policy has no tick or no nodes, is too large for a device, does not bear single precision, or
-            the file cannot be written.
+        ProblemError: the policy has no sampling steps or no nodes, is too large for a device, or fails in single
+            precision, or the file cannot be written.
 
     Example:
         >>> import tempfile
@@ -120,15 +122,15 @@ def _prepared(problem: Problem, precision: Precision, seed: int, progress: Progr
 
 
 def bear_single(loop: Loop, seed: int = 0, progress: Progress | None = None) -> Loop:
-    """Return a loop in single precision, once a simulation has shown that it costs what it does in double.
+    """Return a loop in single precision if a simulation shows that it costs the same as in double precision.
 
     Args:
-        loop: in double precision.
-        seed: of the draws, which are the same in both.
-        progress: called with the fraction done.
+        loop: loop in double precision.
+        seed: seed of the random draws, which are the same in both precisions.
+        progress: callback that receives the fraction done.
 
     Raises:
-        ProblemError: it costs more, or is unstable.
+        ProblemError: the loop costs more in single precision, or is unstable.
     """
     single = replace(loop, precision="float32")
 
@@ -140,12 +142,12 @@ def bear_single(loop: Loop, seed: int = 0, progress: Progress | None = None) -> 
         found = average(single, plain_average(single), seed=seed, steps=STEPS, progress=told(0.5)).cost
     except UnstableError:
         raise ProblemError(
-            "precision is 'float32', in which the loop is unstable; expected 'float64', or a problem that is scaled"
+            "precision is 'float32', in which the loop is unstable; expected 'float64', or a rescaled problem"
         ) from None
     error = hypot(double.standard_error, found.standard_error)
     if abs(found.value - double.value) > 4 * error + WORSE * abs(double.value):
         raise ProblemError(
-            f"precision is 'float32', in which the loop costs {found}, and {double} in 'float64'; "
-            "expected 'float64', or a problem that is scaled"
+            f"precision is 'float32', in which the loop costs {found}, but {double} in 'float64'; "
+            "expected 'float64', or a rescaled problem"
         )
     return single

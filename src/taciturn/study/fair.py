@@ -1,4 +1,4 @@
-"""Which clock is fair to a policy: the measurements, the actuator and the rate of the policy, and the best gains."""
+"""The fair periodic control for a policy: with its measurements, its actuator and its rate, and the best gains."""
 
 from __future__ import annotations
 
@@ -8,64 +8,99 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn.design.catalogue import AnyPolicy
-from taciturn.design.certainty import Actuation, Certainty, design_certainty
+from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
 from taciturn.design.periodic import all_time, periodic, predicted_cost
 from taciturn.errors import TaciturnError
-from taciturn.lqg._kept import kept
+from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
 from taciturn.model.plant import ContinuousPlant
-from taciturn.model.policy import Assign, Policy
+from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.clock import FREE, MOST_CYCLES, SENDS, Clock, ClockKind, Cycle, Either, Ticked, Timed
+from taciturn.study.clock import MOST_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
-NEAR, SMALL = 8, 10  # real periods that are tried beside the one at a rate, of plants with so many states at most
+NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
 WORK = 3e7  # cycles, times the cube of the size of the problem that one of them is
 
 
+class NoClockError(Exception):
+    """There is no fair periodic control; the message is the reason."""
+
+
 def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
-    """Return the fair clock of a policy.
+    """Return the fair periodic control of a policy, or None where ``fair_clock`` finds a reason that there is none."""
+    try:
+        return fair_clock(problem, policy)
+    except NoClockError:
+        return None
+
+
+def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
+    """Return the fair periodic control of a policy.
 
     Args:
         problem: its plant, cost and network.
         policy: designed for it.
 
     Returns:
-        The clock; None where there is none: in a loop that is not the one of the design, such as over links that lose
-        or round, of clipped inputs or another plant; for missions; where two links are scheduled; where the policy
-        knows measurements later than the clock would.
+        Its least cost against the rate.
+
+    Raises:
+        NoClockError: the simulated loop differs from the design, the horizon is finite, the policy schedules two
+            links or follows a reference, or it uses measurements later than periodic control would.
     """
     nodes = policy.looked_at if isinstance(policy, OptimalPolicy) else policy
     if isinstance(nodes, EventPolicy) or nodes.prediction is not None:
         return sampling_clock(problem, "model")
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
+    if problem.cost.mission:
+        raise NoClockError("the horizon is finite or the cost is discounted, and it is computed for averages only")
+    if any(problem.network.loss(link) for link in ENDS):
+        raise NoClockError("the links drop packets, and it is computed for links that deliver every packet")
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
-        nominal = problem.close(all_time(problem.plant, problem.cost, period=period)).nominal
-    except TaciturnError:  # a mission, or a network with a delay
-        return None
-    if not nominal or nodes.tracking is not None:
-        return None
+        differences = problem.close(all_time(problem.plant, problem.cost, period=period)).violated_assumptions
+    except TaciturnError as error:
+        raise NoClockError(f"no periodic control can be designed for this problem ({error})") from None
+    if differences:
+        raise NoClockError(f"the loop differs from the design: {differences[0]}")
+    if nodes.tracking is not None:
+        raise NoClockError("the policy follows a stored reference")
     always = certainty.problem.per_unit(certainty.cost_all_time)
     if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
-        return None
+        raise NoClockError("the policy uses its measurements later than periodic control would")
+    if len(nodes.scheduled) > 1:
+        raise NoClockError("the policy schedules two links, and one rate does not determine the rate of each link")
     if nodes.scheduled == ("sensor",):
         return _asking(certainty)
-    if nodes.scheduled != ("actuator",):
-        return None
     p = certainty.problem
     if actuation_of(nodes) == "model":
         ticked = _ticked(certainty, "model", lambda cycle: predicted_cost(certainty, cycle))
     else:
         given = p.plant.A, p.plant.B, p.Q, p.R, p.N, certainty.corrections
-        ticked = _holding(*given, certainty.unseen, p.noise_cost, p.tick)
+        ticked = _holding(*given, certainty.estimation_cost, p.noise_cost, p.tick)
     near = NEAR if p.plant.states <= SMALL else 0
-    longest = np.inf if problem.plant.full_state else FREE  # a state that is known needs no measurement in between
-    return Either(ticked, sampling_clock(problem), p.tick, near, longest) if continuous else ticked
+    if not continuous:
+        return ticked
+    actuation = actuation_of(nodes)
+    if problem.plant.full_state and actuation == "hold":  # neither filter nor model runs between the sends
+        return Either(ticked, sampling_clock(problem), p.tick, near, np.inf)
+    return Either(ticked, Timed(actuation, lambda seconds: _spaced(problem, seconds, p.tick, actuation)), p.tick, near)
+
+
+def periodic_at(problem: Problem, policy: AnyPolicy, rate: float) -> tuple[ClockMix | None, str]:
+    """Return the fair periodic control at a rate, or the reason why there is none."""
+    if rate == 0:
+        return None, "the policy sent nothing"
+    try:
+        found = fair_clock(problem, policy).at(rate)
+    except NoClockError as reason:
+        return None, str(reason)
+    return found, "" if found is not None else "no period or cycle that was tried stabilises the loop"
 
 
 def actuation_of(policy: Policy) -> Actuation:
@@ -79,25 +114,40 @@ def actuation_of(policy: Policy) -> Actuation:
 
 
 def sampling_clock(problem: Problem, actuation: Actuation = "hold") -> Timed:
-    """Return the clock that samples a continuous plant and sends at one rate: it measures only when it sends.
+    """Return periodic control that samples a continuous plant and sends at one rate: it measures only when it sends.
 
-    With an exact measurement of the full state that is the fair clock. Else it is a weaker one, which the thesis shows.
+    With an exact measurement of the full state that is fair periodic control. Else it is a weaker one, which the
+    thesis shows.
     """
     return Timed(actuation, lambda seconds: _cost(problem, seconds, actuation))
 
 
 def _cost(problem: Problem, seconds: float, actuation: Actuation) -> float | None:
-    """Return what periodic control at a real period costs, or None where it is not stable or not the designed loop."""
+    """Return the cost of periodic control that samples and sends at a real period, or None."""
+    return _cost_of(problem, lambda: periodic(problem.plant, problem.cost, period=seconds, actuation=actuation))
+
+
+def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
+    """Return the exact cost of a periodic policy, or None where it is not stable or not the designed loop."""
     try:
-        policy = periodic(problem.plant, problem.cost, period=seconds, actuation=actuation)
+        policy = design()
         nominal = problem.close(policy).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None
     return policy.closed_form.cost if nominal and policy.closed_form is not None else None
 
 
-def _ticked(certainty: Certainty, words: ClockKind, per_tick: Callable[[Cycle], float]) -> Ticked:
-    """Return a clock whose cycles of several intervals are no better than the chord between single ones."""
+def _spaced(problem: Problem, seconds: float, tick: float, actuation: Actuation) -> float | None:
+    """Return the cost of sends at a real period with equally spaced measurements, no more often than the policy's."""
+    samples = max(1, int(seconds / tick * (1 + ALIKE)))
+    return _cost_of(
+        problem,
+        lambda: periodic(problem.plant, problem.cost, period=seconds / samples, every=samples, actuation=actuation),
+    )
+
+
+def _ticked(certainty: CertaintyEquivalentDesign, words: ClockKind, per_tick: Callable[[Cycle], float]) -> Ticked:
+    """Return periodic control whose cycles of several intervals are no better than the chord between single ones."""
     problem = certainty.problem
     return Ticked(words, problem.tick, lambda cycle: problem.per_unit(per_tick(cycle)))
 
@@ -106,7 +156,7 @@ def _ticked(certainty: Certainty, words: ClockKind, per_tick: Callable[[Cycle], 
 def _holding(
     A: Array, B: Array, Q: Array, R: Array, N: Array, corrections: Array, unseen: float, noise_cost: float, tick: float
 ) -> Ticked:
-    """Return the clock of an actuator that holds its input; points of one plant and cost share what it has tried."""
+    """Return periodic control of an actuator that holds its input; points of one plant and cost share its results."""
     held, known = Held(A, B, Q, R, N, corrections), unseen + noise_cost
     return Ticked(
         "hold",
@@ -117,8 +167,8 @@ def _holding(
     )
 
 
-def _asking(certainty: Certainty) -> Clock:
-    """Return the clock of a sensor whose measurements reach a controller at the actuator."""
+def _asking(certainty: CertaintyEquivalentDesign) -> Clock:
+    """Return periodic control of a sensor whose measurements reach a controller at the actuator."""
     plant, regulator = certainty.problem.plant, certainty.regulator
     noise = float(np.sum(regulator.K * plant.W))
 

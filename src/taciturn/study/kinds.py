@@ -1,4 +1,4 @@
-"""The loops that share a channel: their controllers, and the tick that they have in common."""
+"""Loops that share a channel: their controllers, and their common step."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from fractions import Fraction
 from math import gcd, lcm
 
 from taciturn._arrays import Array, count, instance
+from taciturn._display import Displayed
 from taciturn.analyse.limits import resets
 from taciturn.design.near_optimal import modelled
 from taciturn.errors import ProblemError, TaciturnError
@@ -19,28 +20,28 @@ from taciturn.problem import Problem, expect_problem
 from taciturn.renewal.allocation import Clocked
 from taciturn.study.units import time_unit
 
-FINEST = 1_000_000  # parts of a second that periods are told apart by
-EQUAL = 1e-9  # relative, by which a period may be off such a part
-LONGEST = 10_000  # ticks after which the looks of all loops repeat
+FINEST = 1_000_000  # periods are approximated by fractions of a second with at most this denominator
+EQUAL = 1e-9  # largest relative error of this approximation
+LONGEST = 10_000  # largest number of steps after which the checks of all loops repeat
 
 
-@dataclass(frozen=True, eq=False)
-class Kind:
-    """Loops of one problem: its plant, its cost and the certainty-equivalent controller, whose actuator predicts.
+@dataclass(frozen=True, eq=False, repr=False)
+class Kind(Displayed):
+    """The loops of one problem, with its plant, its cost and a certainty-equivalent controller whose actuator predicts.
 
-    A look at the error e⁺ = F e (1−σ) + w costs e'Γe beyond sending always where it is kept, in the units of the cost
-    times ticks: a loop that looks at every other tick has twice the weight.
+    The error is e⁺ = F e (1−σ) + w. A check without a send costs e'Γe beyond sending every sample, in the units of the
+    cost times steps; so a loop that checks at every other step has twice the weight.
 
     Args:
-        name: of the problem.
-        count: loops.
-        every: ticks of the channel between two looks.
-        F: (n, n).
+        name: name of the problem.
+        count: number of loops.
+        every: steps of the channel between two checks.
+        F: error dynamics, (n, n).
         noise: covariance of w, (n, n).
-        Gamma: Γ, (n, n).
-        L: what the error is of the input, (inputs, n).
-        cost_all_time: of one loop that sends at every look.
-        clocked: what intervals between sends cost.
+        Gamma: weight Γ, (n, n).
+        L: matrix from the error of the state to the error of the input, (inputs, n).
+        cost_all_time: cost of one loop that sends at every check.
+        clocked: cost of periodic control as a function of the send interval.
     """
 
     name: str
@@ -55,19 +56,20 @@ class Kind:
 
     @property
     def looks(self) -> float:
-        """Looks per tick of all its loops."""
+        """Checks per step of all these loops."""
         return self.count / self.every
 
 
 def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind, ...]:
-    """Return the loops of some problems, so many of each.
+    """Return the loops of some problems, with the given number of copies of each.
 
     Raises:
-        ProblemError: no problems, other units of cost, no common tick, a problem that no send resets the error of.
+        ProblemError: there are no problems, the units of cost differ, there is no common step, or no send resets the
+            error of a problem.
     """
     instance("problems", problems, Mapping)
     if not problems:
-        raise ProblemError("problems is empty; expected at least one, whose loops share the channel")
+        raise ProblemError("problems is empty; expected at least one problem, whose loops share the channel")
     if len(copies) not in (1, len(problems)):
         raise ProblemError(
             f"copies has {len(copies)} numbers for {len(problems)} problems; expected one for each, or one for all"
@@ -80,8 +82,8 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
         first = next(iter(units))
         if unit != units[first]:
             raise ProblemError(
-                f"the cost of {first} counts per {units[first]} and that of {name} per {unit}; expected one unit, to "
-                "add them up: give all plants in continuous time with policy.period, or all with plant.dt"
+                f"the cost of {first} is per {units[first]}, but the cost of {name} is per {unit}; expected one unit: "
+                "define all plants in continuous time with policy.period, or all with plant.dt"
             )
     every = _common_ticks(
         {name: _period(name, problem) for name, problem in problems.items()}, units[next(iter(units))]
@@ -95,48 +97,50 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
 def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
     try:
         if problem.network != Network():
-            raise ProblemError("[network] is given, and the channel is the network; expected none: remove it")
+            raise ProblemError("[network] is given, but the shared channel replaces the network; expected no [network]")
         if problem.nonlinear:
-            raise ProblemError("the plant is not linear; loops that share a channel are linear plants, as their errors")
+            raise ProblemError("the plant is nonlinear; expected a linear plant in loops that share a channel")
         period = problem.parameters.get("period")
         policy = modelled(
-            "channel", problem.plant, problem.cost, period, lambda _, reset: Form((reset.error,), reset.square)
+            "channel", problem.plant, problem.cost, period, lambda _, reset: Form((reset.error,), reset.weight)
         )
         loop = close(problem.actual or problem.plant, policy)
-        if loop.departures:
-            raise ProblemError(f"{loop.departures[0]}; expected the plant and the cost of the design, on a channel")
+        if loop.violated_assumptions:
+            raise ProblemError(
+                f"{loop.violated_assumptions[0]}; expected plant and cost of the design on a shared channel"
+            )
         if loop.problem.jumps is not None:
             raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")
         reset = resets(loop)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
     F = loop.problem.plant.A
-    Gamma, noise, seen = every * reset.square, reset.covariance, list(reset.signals.values())
+    Gamma, noise, seen = every * reset.weight, reset.covariance, list(reset.signals.values())
     return Kind(name, number, every, F, noise, Gamma, seen[-1], policy.cost_all_time, Clocked(F, noise, Gamma))
 
 
 def _period(name: str, problem: Problem) -> float | None:
-    """Return the seconds between two looks of a problem's loop, or None where time is counted in steps.
+    """Return the seconds between two checks of a problem's loop, or None if time is counted in steps.
 
     Raises:
-        ProblemError: a continuous plant, and no period.
+        ProblemError: the plant is continuous and no period is given.
     """
     if not isinstance(problem.plant, ContinuousPlant):
         return problem.plant.dt
     period = problem.parameters.get("period")
     if period is None:
         raise ProblemError(
-            f"{name}: the plant is continuous in time and policy.period is missing; expected the seconds between looks "
-            "(give plant.dt if A and B are those of a step)"
+            f"{name}: the plant is continuous in time, but policy.period is missing; expected the seconds between "
+            "checks (set plant.dt if A and B are discrete-time matrices)"
         )
     return float(period)
 
 
 def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
-    """Return how many ticks of the channel each period is.
+    """Return the number of steps of the channel in each period.
 
     Raises:
-        ProblemError: there is no tick of which all periods are multiples.
+        ProblemError: the periods are not multiples of a common step.
     """
     seconds = [period for period in periods.values() if period is not None]
     if not seconds:
@@ -145,14 +149,14 @@ def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
         without = next(name for name, period in periods.items() if period is None)
         other = next(name for name, period in periods.items() if period is not None)
         raise ProblemError(
-            f"{without} has no plant.dt and {other} looks every {periods[other]:g} s; expected plant.dt in all, for a "
-            "common tick"
+            f"{without} has no plant.dt, but {other} checks every {periods[other]:g} s; expected plant.dt in all "
+            "problems, for a common step"
         )
     if len(set(seconds)) > 1 and unit == "step":
         listed = ", ".join(f"{name} {period:g} s" for name, period in periods.items())
         raise ProblemError(
-            f"costs count per step, and the steps have different lengths ({listed}); expected one plant.dt, to add "
-            "them up, or plants in continuous time with policy.period"
+            f"costs are per step, but the steps have different lengths ({listed}); expected the same plant.dt in all "
+            "problems, or plants in continuous time with policy.period"
         )
     exact = [Fraction(period).limit_denominator(FINEST) for period in seconds]
     whole = lcm(*(part.denominator for part in exact))
@@ -162,7 +166,7 @@ def _common_ticks(periods: Mapping[str, float | None], unit: str) -> list[int]:
     if off or lcm(*every) > LONGEST:
         listed = ", ".join(f"{name} every {period:g} s" for name, period in periods.items())
         raise ProblemError(
-            f"the loops look at different times ({listed}), and their looks do not repeat within {LONGEST} common "
-            "ticks; expected periods that are multiples of a common tick"
+            f"the loops check at different times ({listed}), and the pattern does not repeat within {LONGEST} common "
+            "steps; expected periods that are multiples of a common step"
         )
     return every

@@ -1,4 +1,4 @@
-"""Does a threshold lose to a clock? Any weight of the error against periodic control at the same rate."""
+"""Comparison of thresholds on a weighted error with periodic control at the same rate."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taciturn._arrays import Array, ArrayLike, number, semidefinite
-from taciturn._figure import Panel, Series, draw
+from taciturn._display import Displayed
+from taciturn._figure import Panel, Series, Size, draw
 from taciturn.design.prediction import refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.cycles import estimate_cycles
 from taciturn.renewal.events import JumpProcess, LevelTrigger
@@ -29,15 +31,15 @@ LEVELS = 16
 SURE = 4.0  # standard errors
 
 
-@dataclass(frozen=True)
-class ThresholdPoint:
+@dataclass(frozen=True, repr=False)
+class ThresholdPoint(Displayed):
     """One threshold, and periodic control at its rate.
 
     Args:
-        level: Y²; the state is sent where e'Ψe passes it.
+        level: threshold Y²; the state is sent when e'Ψe exceeds it.
         rate: sends per second.
-        cost: per second.
-        cost_periodic: of periodic control at this rate, exact.
+        cost: cost per second.
+        cost_periodic: exact cost of periodic control at this rate.
     """
 
     level: float
@@ -47,23 +49,32 @@ class ThresholdPoint:
 
     @property
     def loses(self) -> bool:
-        """Whether the threshold costs more than periodic control, beyond what chance or quadrature explain."""
+        """Whether the threshold costs more than periodic control, beyond the statistical and quadrature errors."""
         return self.cost.value - SURE * self.cost.standard_error - self.cost.error > self.cost_periodic
 
 
-@dataclass(frozen=True)
-class Losses:
-    """Thresholds of one weight, from the least to the largest.
+@dataclass(frozen=True, repr=False)
+class Losses(Tabular):
+    """Thresholds of one weight, in ascending order.
 
     Args:
-        points: by level.
+        points: one point for each level.
     """
 
     points: tuple[ThresholdPoint, ...]
 
+    def columns(self) -> Columns:
+        """Return one row per threshold: its rate and cost, and the cost of periodic control at this rate."""
+        return columns_of(
+            [
+                {"level": one.level, "rate": one.rate, "cost": one.cost, "cost_periodic": one.cost_periodic}
+                for one in self.points
+            ]
+        )
+
     @property
     def rates(self) -> tuple[tuple[float, float], ...]:
-        """The ranges of rates, lowest first, at which every threshold that was tried loses to periodic control."""
+        """Ranges of rates, lowest first, in which every threshold tried costs more than periodic control."""
         ranges: list[tuple[float, float]] = []
         before = False
         for point in sorted(self.points, key=lambda point: point.rate.value):
@@ -74,7 +85,7 @@ class Losses:
         return tuple(ranges)
 
     def document(self) -> dict[str, Any]:
-        """Return what JSON holds of it."""
+        """Return the JSON document."""
         return {
             "points": [
                 {
@@ -91,8 +102,8 @@ class Losses:
             "rates": [list(ends) for ends in self.rates],
         }
 
-    def plot(self) -> Figure:
-        """Return a figure of cost against rate: the threshold, and periodic control."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of cost against rate for the thresholds and for periodic control."""
         points = sorted(self.points, key=lambda point: point.rate.value)
         rates = [p.rate.value for p in points]
         series = [
@@ -100,8 +111,8 @@ class Losses:
             Series(rates, [p.cost_periodic for p in points], "periodic control", "dashed", color=7),
         ]
         lost = [f"{low:.3g} … {high:.3g}" for low, high in self.rates]
-        title = f"loses at the rates {', '.join(lost)}" if lost else "loses nowhere here"
-        return draw([Panel(series, "sends per second", "cost per second", title)])
+        title = f"costs more at the rates {', '.join(lost)}" if lost else "never costs more than periodic control here"
+        return draw([Panel(series, "sends per second", "cost per second", title)], ax, figsize)
 
 
 def find_losses(
@@ -117,26 +128,26 @@ def find_losses(
 ) -> Losses:
     """Compare thresholds e'Ψe > Y² on the error of a prediction with periodic control at the same rate.
 
-    Under jumps the threshold is watched every instant, event-exactly; with a period, under Wiener noise, at every look,
-    by quadrature.
+    For jump noise, the threshold is monitored continuously with exact event times. For Wiener noise, it is checked once
+    per period, and the cost is computed by quadrature.
 
     Args:
-        plant: continuous in time, its full state measured.
-        cost: an average.
-        weight: Ψ, (n, n), semidefinite; omitted: the identity, the Euclidean norm.
-        levels: Y² > 0; omitted: the mean of e'Ψe after intervals from a hundredth of to ten times the slowest second,
-            or with a period of one to six looks.
-        period: seconds between looks; with Wiener noise, and only there.
-        h_max: longest interval, seconds; under jumps.
-        seed: of the draws.
-        cycles: intervals that are drawn for each threshold, at least.
+        plant: continuous-time plant with full state measurement.
+        cost: an average cost.
+        weight: Ψ, (n, n), semidefinite; default: the identity, that is, the Euclidean norm.
+        levels: thresholds Y² > 0; default: means of e'Ψe after intervals from 0.01 to 10 times the shortest time
+            constant (at most 1 s) or, with a period, after one to six checks.
+        period: seconds between checks; required for Wiener noise, and only for it.
+        h_max: longest interval in seconds, for jump noise.
+        seed: seed of the random draws.
+        cycles: least number of intervals drawn for each threshold.
 
     Returns:
-        Rate and cost of each threshold, and the ranges of rates at which it loses.
+        Rate and cost of each threshold, and the ranges of rates at which it costs more than periodic control.
 
     Raises:
-        ProblemError: data that do not fit; period missing or out of place.
-        NoQuadratureError: more dimensions than the quadrature serves.
+        ProblemError: the data are inconsistent, or period is missing or does not apply.
+        NoQuadratureError: the dimension is too high for the quadrature.
 
     Source: khashooei2017
 
@@ -150,18 +161,21 @@ def find_losses(
     price = prediction_cost(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W)
     Psi = np.eye(plant.states) if weight is None else semidefinite("weight", weight, plant.states, "(states, states)")
     if not np.sum(Psi * price.spread(1.0)) > 0:
-        raise ProblemError("the weight sees no error that noise reaches; expected noise, and a weight that is not zero")
+        raise ProblemError(
+            "weight is zero for every error that the noise causes, so nothing would be sent; expected noise, and a "
+            "weight with a nonzero entry"
+        )
     listed = [levels] if isinstance(levels, int | float) else levels
     tried = _levels(price, Psi, period) if listed is None else [number("level", level, 0.0) for level in listed]
     points: list[ThresholdPoint] = []
     for level in tried:
         if plant.jumps is None:
             if np.isfinite(h_max):
-                raise ProblemError("h_max is given under Wiener noise, where no interval is limited; expected none")
+                raise ProblemError("h_max is given with Wiener noise, where intervals are unlimited; expected none")
             rate, excess = _looked_at(price, Psi, level, period)
         else:
             if period is not None:
-                raise ProblemError("period is given under jumps, which are watched every instant; expected none")
+                raise ProblemError("period is given with jump noise, which is monitored continuously; expected none")
             process = JumpProcess(plant.A, plant.jumps, price.S)
             found = estimate_cycles(process, LevelTrigger(Psi, level, h_max), cycles=cycles, seed=seed)
             rate, excess = found.interval.inverse(), found.cost
@@ -170,9 +184,9 @@ def find_losses(
 
 
 def _looked_at(price: PredictionCost, Psi: Array, level: float, period: float | None) -> tuple[Estimate, Estimate]:
-    """Return rate and cost beyond tr(PW) of a threshold that is looked at every period, under Wiener noise."""
+    """Return rate and cost beyond tr(PW) of a threshold that is checked once per period, for Wiener noise."""
     if period is None:
-        raise ProblemError("period is missing; expected the seconds between looks, as the noise is Wiener noise")
+        raise ProblemError("period is missing; expected the seconds between checks, which Wiener noise requires")
     chain = Chain(price.flow(period), price.spread(period), Psi, level, price.weight(period) / period)
     found = solve_gaussian(chain)
     rate = Estimate(found.rate, 0.0, "quadrature", found.rate_error).scaled(1 / period)
@@ -180,7 +194,7 @@ def _looked_at(price: PredictionCost, Psi: Array, level: float, period: float | 
 
 
 def _levels(price: PredictionCost, Psi: Array, period: float | None) -> list[float]:
-    """Return the mean of e'Ψe after intervals of many lengths: of one to six looks, or about the slowest second."""
+    """Return the means of e'Ψe after intervals of one to six periods, or around the shortest time constant."""
     slowest = 1 / max(float(np.abs(np.linalg.eigvals(price.A)).max(initial=0.0)), 1.0)
     lengths = (
         slowest * np.geomspace(1e-2, 10.0, LEVELS) if period is None else period * np.geomspace(1.0, 6.0, LEVELS // 2)

@@ -1,4 +1,4 @@
-"""Whether a lower bound is sought, and what is said of it and of the certified rate."""
+"""Lower bounds on the cost: whether they are computed, and the notes on them and on the certified rate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 
 
 def choose_confidence(problem: Problem, asked: float | None) -> float | None:
-    """Return the confidence of a lower bound: that asked for, none for 0; by default the usual one where one is had."""
+    """Return the confidence of a lower bound: as requested, or the default if a bound exists; None: no bound."""
     if asked is not None:
         return asked or None
     try:
@@ -26,24 +26,24 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
 
 
 def expect_bound(problem: Problem) -> None:
-    """Refuse a problem that has no lower bound of the cost of any scheduling.
+    """Reject a problem without a lower bound on the cost of any scheduling.
 
     Raises:
-        ProblemError: why it has none.
+        ProblemError: the problem has no lower bound; the message gives the reason.
     """
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         raise ProblemError(
-            f"a lower bound is asked for, and {policy.kind} without a period has none; expected no confidence"
+            f"a lower bound is requested, but {policy.kind} without a period has none; expected no confidence"
         )
     resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
 
 
 def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: Progress) -> LowerBound:
-    """Return the lower bound at a rate that was measured: at what it is at most, with the same confidence.
+    """Return the lower bound at a measured rate, evaluated at the upper confidence limit of this rate.
 
     Raises:
-        ProblemError: nothing is sent, or there is no bound.
+        ProblemError: nothing is sent, or no bound exists.
     """
     if rate.value == 0:
         raise ProblemError("nothing is sent")
@@ -53,12 +53,12 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
 
 
 def contradicted(rate: Estimate, certified: tuple[float, float] | None) -> tuple[str, ...]:
-    """Tell of a simulated rate that is not within its certified bounds."""
+    """Return a warning if a simulated rate is outside its certified bounds."""
     if certified is None or rate.method != "simulation" or certified[0] <= rate.value <= certified[1]:
         return ()
     nearest = min(certified, key=lambda end: abs(end - rate.value))
     off = abs(nearest - rate.value) / max(rate.standard_error, 1e-300)
     return (
-        f"the simulated rate is {off:.2g} standard errors outside its certified bounds, which are right: intervals so "
-        "regular are not forgotten within the run",
+        f"the simulated rate is {off:.2g} standard errors outside its certified bounds; the bounds are correct: the "
+        "send intervals are so regular that the initial transient does not decay within the run",
     )

@@ -1,4 +1,4 @@
-"""Cost and rates of one loop by the method that is predicted to reach the asked error with the least work."""
+"""Cost and rates of one loop, by the method that is predicted to reach the requested error with the least work."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 
+from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, limited
 from taciturn.analyse.limits import solve_optimum
 from taciturn.analyse.renewal import (
@@ -22,24 +23,25 @@ from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import Averaging, least_work
 from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
 
-FINEST, COARSEST = 1e-8, 1e-3  # relative accuracies that a quadrature is asked for
-ROUNDED = 1e-15  # relative: no double is known better
-SPEED = 1e9  # operations that count as a second: a choice by work is the same on every machine
+FINEST, COARSEST = 1e-8, 1e-3  # finest and coarsest relative accuracy requested of a quadrature
+ROUNDED = 1e-15  # relative accuracy that double precision can represent
+SPEED = 1e9  # operations counted as one second, so that the choice of the method is the same on every machine
 CONDITIONAL = "conditional sampling"
-SHARE = 0.5  # of the time limit for a method that answers at its end or not at all
+SHARE = 0.5  # share of the time limit for a method that has no answer before its end
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A method that gives cost and rates, and what it would take; work is counted in operations.
+@dataclass(frozen=True, repr=False)
+class Candidate(Displayed):
+    """A method that computes cost and rates, with its predicted work, counted in operations.
 
     Args:
-        name: of the method.
-        least: work that it takes at least, known without trying.
-        predict: the work that is left for the error that is asked for. What a simulation runs for this prediction, it
-            continues from. Given the least work of other methods, beyond which any lower bound will do.
-        run: gives the answer.
-        gradual: whether it has an answer long before its end.
+        name: name of the method.
+        least: lower bound on the work, known in advance.
+        predict: function that predicts the remaining work for the requested error. A simulation continues from the
+            steps that it ran for this prediction. The argument is the least work of the other methods; a prediction
+            above it may be any lower bound.
+        run: function that computes the answer.
+        gradual: whether the method has a preliminary answer long before its end.
     """
 
     name: str
@@ -49,16 +51,16 @@ class Candidate:
     gradual: bool
 
 
-@dataclass(frozen=True)
-class Request:
-    """What is asked of a measurement, and what it may spend.
+@dataclass(frozen=True, repr=False)
+class Request(Displayed):
+    """Requested accuracy of a measurement, and its budget.
 
     Args:
-        seed: of the draws.
-        standard_error: absolute, of the cost; None for 1e-4 of it.
-        steps: of all paths together, instead; or None.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the cost; None for 1e-4 of the cost.
+        steps: total number of steps to simulate over all paths, instead of a standard error; or None.
         method: ``"auto"``, ``"simulation"``, ``"exact"`` or ``"conditional sampling"``.
-        time_limit: seconds, or None.
+        time_limit: time limit in seconds, or None.
     """
 
     seed: int
@@ -68,15 +70,15 @@ class Request:
     time_limit: float | None = None
 
 
-@dataclass(frozen=True)
-class Measured:
-    """What a method found.
+@dataclass(frozen=True, repr=False)
+class Measured(Displayed):
+    """Result of a method.
 
     Args:
         averages: cost and rates.
         method: ``"exact"``, ``"quadrature"``, ``"conditional sampling"`` or ``"simulation"``.
-        reason: why that one, in a sentence.
-        notes: what the reader must know.
+        reason: why this method was chosen.
+        notes: warnings and remarks for the reader.
     """
 
     averages: Averages
@@ -86,29 +88,29 @@ class Measured:
 
 
 def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rates: in closed form, else by the candidate that is predicted to take the least work.
+    """Return cost and rates, in closed form or by the candidate with the least predicted work.
 
     Raises:
-        ProblemError: the method that is asked for does not apply.
-        OutOfTime: the time limit passed before there was any answer.
+        ProblemError: the requested method does not apply.
+        OutOfTime: the time limit passed before any answer was available.
     """
     policy, method = loop.policy, request.method
     if method in ("auto", "exact") and loop.nominal and policy.closed_form is not None:
         form = policy.closed_form
         rates = {link: Estimate(rate, 0.0, "exact") for link, rate in form.rates.items()}
         averages = Averages(Estimate(form.cost, 0.0, "exact"), rates, 0, 0, True)
-        return Measured(averages, "exact", "a closed form, which takes no time", policy.notes)
+        return Measured(averages, "exact", "a closed form, which needs no computing time", policy.notes)
     asked, finest = request.standard_error, ROUNDED * abs(policy.cost_all_time)
     if asked is not None and asked < finest:
         raise ProblemError(
-            f"standard_error is {asked:g}, and double precision holds a cost of {policy.cost_all_time:g} "
-            f"to {finest:.2g}; expected no less"
+            f"standard_error is {asked:g}, but double precision resolves a cost of {policy.cost_all_time:g} "
+            f"only to {finest:.2g}; expected at least {finest:.2g}"
         )
     candidates, refused = candidates_of(loop, request, progress)
     if not candidates:
-        raise ProblemError(f"method is {method!r}, and {refused}") from None
+        raise ProblemError(f"method is {method!r}, but {refused}") from None
     if len(candidates) == 1:
-        reason = "no other method applies" if method == "auto" and request.steps is None else "asked for"
+        reason = "no other method applies" if method == "auto" and request.steps is None else "requested"
         return _measured(loop, _run(candidates[0], request, progress, alone=True), candidates[0].name, reason, refused)
     reasons, best = list[str](), None
     while candidates and (best is None or not best.averages.reached):
@@ -125,28 +127,28 @@ def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured
             continue
         if best is None or found.reached or _off(found) < _off(best.averages):
             best = _measured(loop, found, candidate.name, "; ".join(reasons), refused)
-        reasons.append(f"{candidate.name} missed the asked error")
+        reasons.append(f"{candidate.name} missed the requested error")
     assert best is not None  # the last candidate answers or raises
     return best
 
 
 def _measured(loop: Loop, found: Averages, method: str, reason: str, refused: NoQuadratureError | None) -> Measured:
-    """Return what was found with its notes: those of the policy, why it was simulated, and what makes it doubtful."""
+    """Return the result with its notes: of the policy, why a simulation was needed, and reasons to doubt the result."""
     told = refused is not None and method == "simulation" and decides_alone(loop.policy)
     why = (f"simulated, because {refused.reason}",) if told and refused is not None else ()
     return Measured(found, method, reason, loop.policy.notes + why + found.notes)
 
 
 def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Candidate], str]:
-    """Return candidates by the work they take, the least first, and a sentence that says so.
+    """Return the candidates ordered by their predicted work, least first, and a sentence with the predictions.
 
-    One whose least work is more than another takes is not looked at more closely. Of one that has begun, only the work
-    that is left counts. One that is all or nothing and is predicted to need more than its share of the time limit comes
-    last, and so does one whose prediction runs out of time.
+    A candidate whose least work exceeds the work of another candidate is not predicted more closely. A method that has
+    begun counts only its remaining work. A candidate comes last if it has no preliminary answer and is predicted to
+    need more than its share of the time limit, or if its prediction runs out of time.
 
     Args:
         candidates: at least one.
-        time_limit: seconds, or None.
+        time_limit: time limit in seconds, or None.
     """
     work, known = dict[str, float](), dict[str, str]()
     for candidate in sorted(candidates, key=lambda one: one.least):
@@ -169,25 +171,28 @@ def rank(candidates: list[Candidate], time_limit: float | None) -> tuple[list[Ca
 
 
 def measure_optimum(loop: Loop, price: float, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rate of the best schedule at a price per send."""
+    """Return cost and rate of the optimal schedule at a price per send."""
     if request.method not in ("auto", "exact") or request.steps is not None:
-        raise ProblemError("optimal is solved and never simulated; expected near-optimal, or neither method nor steps")
+        raise ProblemError(
+            "method or steps is given, but the policy 'optimal' is solved and never simulated; expected neither of "
+            "them, or the policy 'near-optimal'"
+        )
     policy = loop.policy
     asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)
-    ceiling = price / policy.tick  # sending always: no best schedule has more excess
+    ceiling = price / policy.tick  # the excess cost of an optimal schedule is at most that of sending every sample
     best = solve_optimum(loop, price, _clipped(asked / ceiling), progress)
     if best.excess_error > asked:
         best = solve_optimum(loop, price, _clipped(asked / max(best.excess, 1e-300)), progress)
     cost = Estimate(best.excess, 0.0, "quadrature", best.excess_error).scaled(1.0, policy.cost_all_time)
     rate = Estimate(best.rate, 0.0, "quadrature", best.rate_error)
     found = Averages(cost, {policy.scheduled[0]: rate}, 0, 0, cost.error <= _wanted(cost, request.standard_error))
-    return Measured(found, "quadrature", "the best schedule is solved, and never simulated")
+    return Measured(found, "quadrature", "the optimal schedule is solved and never simulated")
 
 
 def candidates_of(
     loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
-    """Return the methods that apply to a loop and are asked for, and why others do not."""
+    """Return the requested methods that apply to a loop, and the reason why another one does not."""
     found, refused = list[Candidate](), None
     if request.method == "exact" or (request.method == "auto" and request.steps is None):
         try:
@@ -263,21 +268,21 @@ def _simulation(loop: Loop, request: Request, progress: Progress | None) -> Cand
 
 
 def _run(candidate: Candidate, request: Request, progress: Progress | None, alone: bool) -> Averages:
-    """Return what a candidate finds; one that is all or nothing leaves time for the others."""
+    """Run a candidate; a method without a preliminary answer is stopped early enough to leave time for the others."""
     if request.time_limit is not None and not candidate.gradual and not alone:
         progress = limited(progress, SHARE * request.time_limit)
     return candidate.run(progress)
 
 
 def _asked(loop: Loop, standard_error: float | None) -> float:
-    """Return the error that is asked for, before the cost is known: at most what ``_wanted`` says of the cost."""
+    """Return the requested error before the cost is known; it is at most the result of ``_wanted`` for the cost."""
     identity = loop.policy.identity
     constant = loop.policy.cost_all_time if identity is None else identity.constant
     return _wanted(Estimate(constant, 0.0, "exact"), standard_error)
 
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
-    """Return the error that is asked for."""
+    """Return the requested error of a cost."""
     return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
 
@@ -294,7 +299,7 @@ def _seconds(work: float) -> str:
 
 
 def _clocked(loop: Loop, found: Averages) -> Averages:
-    """Return simulated averages with the rates that need no estimate."""
+    """Return simulated averages in which known rates replace the estimates."""
     policy = loop.policy
     known: dict[str, float] = {**policy.fixed_rates}
     if loop.nominal and policy.closed_form is not None:

@@ -1,69 +1,76 @@
-"""Runs the nodes of a problem as processes on this machine, and measures what they cost and send."""
+"""Run of the nodes of a problem as processes on this machine, with measured cost and packets."""
 
 from __future__ import annotations
 
-import json
-import tempfile
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext, suppress
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from taciturn._arrays import Array, count, instance
-from taciturn._figure import Panel, Series, draw
-from taciturn._progress import Progress
-from taciturn._table import data_frame
+from taciturn._figure import Panel, Series, Size, draw
+from taciturn._files import temporary_folder
+from taciturn._grid import parse_settings
+from taciturn._progress import Progress, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Policy, Send
+from taciturn.model.table import Column, Columns, Tabular
 from taciturn.problem import load
 from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
-from taciturn.runtime.packet import KEY, Wire, read_key
+from taciturn.runtime.packet import Wire, read_key
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.udp import Endpoint, parse_address
 from taciturn.runtime.world import PlantServer
-from taciturn.simulation.doubts import comes_never_to_rest
+from taciturn.simulation.average import base_rate
+from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import BATCHES, batch_means
+from taciturn.study.logs import PART, Logs
 from taciturn.study.ticks import cost_of_ticks, measured, settled
-from taciturn.study.units import TimeUnit, Unit, base_rate, cost_unit, rate_unit
+from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:
-    import pandas
     from matplotlib.figure import Figure
 
-USUAL = 5000  # ticks
+USUAL = 5000  # default number of steps
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkRun:
-    """What the nodes of a problem cost and sent.
+@dataclass(frozen=True, eq=False, repr=False)
+class NetworkRun(Tabular):
+    """Cost and packets of a run of the nodes of a problem.
 
     Args:
         loop: the loop that was run.
-        unit: what the cost counts per.
-        cost: a mean over the ticks with its standard error by batch means, or the total of a mission; None where the
-            run was too short for a mean.
-        rates: sends per step or per second by scheduled link (of a mission, the share of its steps).
-        datagrams: sent, delivered and lost, by link; in namespaces also how many losses were ``predicted``, and what
-            nftables counted, where a packet that is sent again counts again (``nft_seen``, ``nft_dropped``).
-        reports: of each process, by name.
-        costs: of each tick, (ticks,).
-        sends: whether a packet was sent, by link, (ticks,).
-        arrived: sequence numbers of the packets that came, by link, in order, as their receiver has logged.
-        seed: of plant and links.
-        nominal: whether loop and links are those of the design; else nothing is guaranteed.
+        unit: unit of time or run that the cost refers to.
+        cost: mean over the steps, with its standard error by batch means, or the total of a finite-horizon run; None if
+            the run was too short for a mean.
+        rates: sends per step or per second, by scheduled link (in a finite-horizon run, the share of steps with a
+            send).
+        datagrams: numbers of packets sent, delivered and lost, and of marks sent, by link. In namespaces, also the
+            number of ``predicted`` losses and the counters of nftables, which count every retransmission
+            (``nft_seen``, ``nft_dropped``).
+        reports: report of each process, by name.
+        costs: cost of each step, (steps,).
+        sends: whether a packet was sent at each step, by link, (steps,).
+        arrived: sequence numbers of the packets that arrived, by link, in the order in which the receiver logged them.
+        seed: seed of the plant and the links.
+        nominal: whether the loop and the links are those of the design; if not, no guarantee holds.
         seconds: wall time.
-        notes: what the reader must know.
+        notes: warnings and remarks for the reader.
     """
+
+    index: ClassVar[str] = "tick"
+    heading: ClassVar[tuple[str, ...]] = ("cost", "rates", "unit", "rate_unit", "method", "seed", "notes")
+    method: ClassVar[str] = "simulation"
 
     loop: Loop
     unit: Unit
@@ -81,21 +88,17 @@ class NetworkRun:
 
     @property
     def rate_unit(self) -> TimeUnit:
-        """What rates count per."""
+        """Unit of time of the rates."""
         return rate_unit(self.unit)
 
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a table with one row per tick: what it cost, and whether a packet was sent, by link.
-
-        Raises:
-            ProblemError: pandas is not installed.
-        """
-        columns: dict[str, object] = {"cost": self.costs}
+    def columns(self) -> Columns:
+        """Return one row per step: its cost, and whether a packet was sent on each link."""
+        columns: dict[str, Column] = {"tick": range(len(self.costs)), "cost": self.costs}
         columns |= {f"sent_{link}": sent > 0 for link, sent in self.sends.items()}
-        return data_frame(columns, "tick", range(len(self.costs)))
+        return columns
 
-    def plot(self) -> Figure:
-        """Return a figure: what each tick cost, and every send."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure with the cost of each step, and every send."""
         ticks = [float(tick) for tick in range(len(self.costs))]
         marks = [
             Series(
@@ -107,8 +110,8 @@ class NetworkRun:
             )
             for i, (link, sent) in enumerate(self.sends.items())
         ]
-        costs = Panel([Series(ticks, self.costs.tolist(), "cost of a tick")], ylabel="cost")
-        return draw([costs, Panel(marks, xlabel="tick", ylabel="sends")])
+        costs = Panel([Series(ticks, self.costs.tolist(), "cost of a step")], ylabel="cost")
+        return draw([costs, Panel(marks, xlabel="step", ylabel="sends")], ax, figsize)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --json``."""
@@ -124,6 +127,7 @@ class NetworkRun:
             "rates": {link: measured(rate) for link, rate in self.rates.items()},
             "datagrams": {link: dict(found) for link, found in self.datagrams.items()},
             "seed": self.seed,
+            "method": self.method,
             "seconds": round(self.seconds, 4),
             "ticks": len(self.costs),
             "degraded": {name: report["degraded"] for name, report in self.reports.items() if "degraded" in report},
@@ -135,36 +139,44 @@ class NetworkRun:
 def run_network(
     file: str | Path,
     *,
+    settings: Sequence[str] = (),
     ticks: int | None = None,
     tick: float | None = None,
     seed: int = 0,
     key: bytes | None = None,
     fates: Mapping[LinkName, Fate] | None = None,
     namespaces: bool = False,
+    functions: bool = True,
     progress: Progress | None = None,
     meanwhile: Callable[[Processes], None] | None = None,
 ) -> NetworkRun:
-    """Run a plant and its nodes as processes of this machine, and return what they cost.
+    """Run a plant and its nodes as processes on this machine, and return their cost and packets.
 
-    They run on the loopback with a relay on each link, or in network namespaces where the kernel loses packets.
+    The processes use the loopback interface with a relay on each link, or network namespaces in which the kernel drops
+    packets.
 
     Args:
         file: problem file, or the name of a built-in problem.
-        ticks: to run; omitted: the mission, or 5000.
-        tick: real seconds per tick; omitted: virtual time, in which nothing is late and a seed gives the same run.
-        seed: of the plant, the draws and the losses.
-        key: that authenticates the packets; omitted: of the environment, or none.
-        fates: what befalls the packets of each link, by relays; omitted: the losses of ``[network]``.
-        namespaces: run each node in a namespace of its own, and let the kernel lose what ``[network]`` loses.
-        progress: called with the fraction done.
-        meanwhile: called in a thread of its own once everything runs, to disturb it.
+        settings: changes of the keys, each of the form NAME=VALUE as in ``--set``.
+        ticks: number of steps; default: the horizon of a finite-horizon run, or 5000.
+        tick: real seconds per step; default: virtual time, in which no packet is late and a run is reproducible for a
+            given seed.
+        seed: seed of the plant, the random draws and the losses.
+        key: key that authenticates the packets; default: the key in the environment, or no key.
+        fates: impairments of the packets on each link, applied by relays; default: the losses of ``[network]``.
+        namespaces: whether each node runs in its own network namespace, in which the kernel drops packets with the
+            losses of ``[network]``.
+        functions: whether the file may name functions, which are executed.
+        progress: callback that receives the fraction done.
+        meanwhile: function that is called in a separate thread when all processes run, to disturb them.
 
     Raises:
-        ProblemError: data that do not fit, nodes that cannot be separated, a process that has ended; with namespaces,
-            fates, losses in bursts or not in permille, or missing rights or programs.
+        ProblemError: the data are inconsistent, the nodes cannot be separated, or a process has ended; with namespaces,
+            also if fates are given, losses are in bursts or not in permille, or rights or programs are missing.
     """
     instance("file, which the processes read,", file, str, Path)
-    problem = load(file)
+    problem, changes = load(file, functions=functions), parse_settings(list(settings))
+    problem = problem.changed(changes) if changes else problem
     policy = problem.design()
     loop = problem.close(policy)
     count("seed", seed, 0)
@@ -172,37 +184,41 @@ def run_network(
     key = read_key() if key is None else key
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
-        raise ProblemError("fates are given with namespaces, where no relay runs; expected one of them")
+        raise ProblemError("fates and namespaces are both given, but no relay runs in namespaces; expected one of them")
     if fates is not None:
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
     chosen = fates if fates is not None else losses(problem.network, seed)
     began = time.monotonic()
     with (
-        tempfile.TemporaryDirectory(prefix="taciturn-") as name,
+        temporary_folder() as folder,
         Namespaces(policy, drops) if namespaces else nullcontext() as spaces,
     ):
-        folder = Path(name)
+        changed = [part for text in settings for part in ("--set", text)]
+        changed += [] if functions else ["--no-functions"]
         processes = Processes(
             str(file), policy, {**losses(Network(), seed), **chosen}, tick=tick, folder=folder,
-            keeps=meanwhile is not None, options=["--seed", str(seed)],
-            environment={KEY: "" if key is None else key.hex()}, namespaces=spaces,
+            keeps=meanwhile is not None, options=["--seed", str(seed), "--log-part", str(PART), *changed],
+            key=key, namespaces=spaces,
         )  # fmt: skip
+        logs = Logs(processes)
         with nullcontext() if spaces is None else spaces.visit("plant"):
             plant = Endpoint(parse_address("the plant", processes.addresses["plant"]))
         try:
             processes.start()
             sensor = parse_address("the sensor", processes.addresses[processes.measuring])
             simulated = SimulatedPlant(loop, seed)
-            shown = None if progress is None else _shown(progress, ticks)
+            bar = in_notebook(progress)
+            shown = None if bar is None else _shown(bar, ticks)
             server = PlantServer([simulated], wire, plant, sensor, tick=tick, told=shown)
-            if meanwhile is None:
-                server.run(ticks, processes.ended)
-            else:
-                _disturbed(server, ticks, processes, meanwhile)
-            if processes.ended():
-                raise ProblemError(processes.sentence())
-            reports = {**processes.stop(), "plant": server.report()}
+            with logs.followed():
+                if meanwhile is None:
+                    server.run(ticks, processes.ended)
+                else:
+                    _disturbed(server, ticks, processes, meanwhile)
+                if processes.ended():
+                    raise ProblemError(processes.sentence())
+                reports = {**processes.stop(), "plant": server.report()}
             seen: dict[LinkName, Counted] = {}
             if spaces is not None:
                 seen = {link: spaces.counted(link) for link in processes.links}
@@ -210,8 +226,7 @@ def run_network(
             processes.kill()
             plant.close()
         costs = np.array(server.costs[0])
-        logs = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
-    sends = {link: _sends(logs[processes.sender(link)], link, len(costs)) for link in processes.links}
+    sends = {link: logs.sends(link, len(costs)) for link in processes.links}
     datagrams = {link: _datagrams(link, reports) for link in processes.links}
     for link, counts in seen.items():
         found = predict_drops(drops[link].seed, drops[link].permille, range(datagrams[link]["sent"]))
@@ -219,7 +234,7 @@ def run_network(
     cost, notes = cost_of_ticks(loop, costs, simulated.final_cost())
     pace = base_rate(loop)
     skipped = settled(loop)
-    departures = loop.departures + _other_links(chosen, losses(problem.network, seed))
+    differences = loop.violated_assumptions + _other_links(chosen, losses(problem.network, seed))
     return NetworkRun(
         loop=loop,
         unit=cost_unit(problem),
@@ -229,21 +244,21 @@ def run_network(
         reports=reports,
         costs=costs,
         sends=sends,
-        arrived={link: _arrived(logs[processes.receiver(link)], link) for link in processes.links},
+        arrived={link: logs.arrived(link) for link in processes.links},
         seed=seed,
-        nominal=not departures,
+        nominal=not differences,
         seconds=time.monotonic() - began,
         notes=notes
         + _unheard(loop, datagrams)
         + _unforeseen(datagrams)
-        + tuple(f"{text}: no guarantee holds" for text in departures),
+        + tuple(f"{text}: no guarantee holds" for text in differences),
     )
 
 
 def losses(
     network: Network, seed: int, outages: Mapping[LinkName, tuple[int, int] | None] | None = None
 ) -> dict[LinkName, Fate]:
-    """Return the links of a network as what befalls their packets; in an outage they are dead."""
+    """Return the impairments of the packets on each link of a network; during an outage, a link drops every packet."""
     links: tuple[LinkName, ...] = ("actuator", "sensor")
     return {
         link: Fate(
@@ -257,40 +272,40 @@ def losses(
 
 
 def _check_fates(fates: Mapping[LinkName, Fate], policy: Policy) -> None:
-    """Refuse fates of links that a policy does not have, and what is no fate."""
+    """Reject fates for links that the policy does not have, and values of another type."""
     instance("fates", fates, Mapping)
     links = [step.link for step in policy.steps if isinstance(step, Send)]
     for link, fate in fates.items():
         if link not in links:
-            raise ProblemError(f"fates has the link {link!r}; expected of {policy.kind}: {', '.join(links)}")
+            raise ProblemError(f"fates has the link {link!r}; expected links of {policy.kind}: {', '.join(links)}")
         instance(f"fates[{link!r}]", fate, Fate)
 
 
 def _other_links(fates: Mapping[LinkName, Fate], stated: Mapping[LinkName, Fate]) -> tuple[str, ...]:
-    """Say which links lose, delay or change packets otherwise than the network says."""
+    """Return the links whose losses, delays or changes of packets differ from those of the network."""
     other = [link for link, fate in fates.items() if replace(fate, seed=stated[link].seed) != stated[link]]
-    return tuple(f"the {link} link treats packets otherwise than the network of the design" for link in other)
+    return tuple(f"the {link} link treats packets differently from the network of the design" for link in other)
 
 
 def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
-    """Return the links of a network as what the kernel drops there.
+    """Return the losses that the kernel applies on each link of a network.
 
     Raises:
-        ProblemError: losses in bursts, or no whole number of permille.
+        ProblemError: losses come in bursts, or are not an integer number of permille.
     """
     found: dict[LinkName, KernelLoss] = {}
     for link, fate in losses(network, seed).items():
         if fate.burst is not None:
-            raise ProblemError(f"{link}_burst is given; expected {link}_loss: the kernel loses no packets in bursts")
+            raise ProblemError(f"{link}_burst is given, but the kernel cannot drop in bursts; expected {link}_loss")
         permille = round(1000 * fate.loss)
         if abs(permille - 1000 * fate.loss) > 1e-9:
-            raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, as the kernel takes it")
+            raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, the kernel's resolution")
         found[link] = KernelLoss(fate.seed & 0xFFFFFFFF, permille)  # of 32 bits
     return found
 
 
 def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile: Callable[[Processes], None]) -> None:
-    """Run the plant while somebody disturbs the nodes in a thread; what goes wrong there ends the run."""
+    """Run the plant while a function disturbs the nodes in a thread; an exception in this thread ends the run."""
     with ThreadPoolExecutor(1) as pool:
         disturbance = pool.submit(meanwhile, processes)
         server.run(ticks, lambda: disturbance.done() and (disturbance.exception() is not None or processes.ended()))
@@ -298,7 +313,7 @@ def _disturbed(server: PlantServer, ticks: int, processes: Processes, meanwhile:
 
 
 def _rate(sends: Array, skipped: int) -> Estimate:
-    """Return the share of ticks with a send; where none or all have one, it may still be as rare as one in them."""
+    """Return the share of steps with a send; its standard error is at least one event in all these steps."""
     kept = sends[skipped:]
     if len(kept) < 10 * BATCHES:
         return Estimate(float(sends.mean()), float(sends.std() / np.sqrt(max(len(sends) - 1, 1))), "simulation")
@@ -306,59 +321,40 @@ def _rate(sends: Array, skipped: int) -> Estimate:
     return Estimate(found.value, max(found.standard_error, 1 / len(kept)), found.method)
 
 
-def logged_lines(log: Path) -> list[dict[str, Any]]:
-    """Return what a node has logged."""
-    lines: list[dict[str, Any]] = []
-    for text in log.read_text(encoding="utf-8").splitlines():
-        with suppress(ValueError):  # the last line of a process that was killed
-            lines.append(json.loads(text))
-    return lines
-
-
-def _sends(lines: Iterable[Mapping[str, Any]], link: LinkName, ticks: int) -> Array:
-    """Return whether a packet was sent at each tick, as its sender has logged."""
-    sent = np.zeros(ticks)
-    for line in lines:
-        if line["tick"] < ticks and line[f"sent_{link}"]:
-            sent[line["tick"]] = 1.0
-    return sent
-
-
-def _arrived(lines: Iterable[Mapping[str, Any]], link: LinkName) -> tuple[int, ...]:
-    """Return the sequence numbers of the packets that came, as their receiver has logged."""
-    return tuple(sequence for line in lines for sequence in line[f"arrived_{link}"])
-
-
 def _unheard(loop: Loop, datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
-    """Return on which links nothing has arrived, of a plant that needs it."""
+    """Return a warning for each link on which no packet arrived, if the plant does not come to rest without packets."""
     return tuple(
-        f"nothing has arrived on the {link} link, and the plant does not come to rest by itself: the cost is how far "
-        "it got, not an average"
+        f"no packet arrived on the {link} link, and the plant does not come to rest by itself: the cost depends on the "
+        "length of the run and is not an average"
         for link, counted in datagrams.items()
         if counted["delivered"] == 0 and loop.horizon is None and comes_never_to_rest(loop)
     )
 
 
 def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
-    """Return on which links the kernel has lost something else than it was asked to."""
+    """Return a warning for each link on which the number of dropped packets differs from the prediction."""
     return tuple(
-        f"the {link} link has lost {counted['lost']} packets, and not the {counted['predicted']} of its rule"
+        f"the {link} link dropped {counted['lost']} packets, but {counted['predicted']} were predicted"
         for link, counted in datagrams.items()
         if counted.get("predicted", counted["lost"]) != counted["lost"]
     )
 
 
 def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
-    """Return what became of the packets of a link."""
-    sent = sum(report["counters"].get(f"sent data {link}", 0) for report in reports.values() if "counters" in report)
+    """Return the numbers of packets of a link that were sent, delivered and lost."""
+    sent, marks = (
+        sum(report["counters"].get(f"sent {kind} {link}", 0) for report in reports.values() if "counters" in report)
+        for kind in ("data", "mark")
+    )
     if f"relay {link}" not in reports:
         delivered = sum(report["arrived"].get(link, 0) for report in reports.values() if "arrived" in report)
-        return {"sent": sent, "delivered": delivered, "lost": sent - delivered}
+        return {"sent": sent, "delivered": delivered, "lost": sent - delivered, "marks": marks}
     counted = reports[f"relay {link}"]["counters"]
     return {
         "sent": sent,
         "delivered": counted.get("delivered", 0),
         "lost": counted.get("lost", 0),
+        "marks": marks,
         **{name: counted[name] for name in ("duplicated", "reordered", "corrupted") if name in counted},
         **({"pending": reports[f"relay {link}"]["pending"]} if reports[f"relay {link}"]["pending"] else {}),
     }

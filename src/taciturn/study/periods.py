@@ -1,4 +1,4 @@
-"""Period and threshold together: how often to look at an error that is sent at a given rate."""
+"""Joint tuning of the period of the checks and the threshold, at a given rate."""
 
 from __future__ import annotations
 
@@ -10,25 +10,40 @@ from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next
-ENOUGH = 0.01  # of what the cost is above that of sending always: a gain that ends the search
+ENOUGH = 0.01  # share of the excess over the cost of sending every sample: a smaller gain ends the search
 MOST = 20
 
 
-@dataclass(frozen=True, eq=False)
-class TunedPeriod:
+@dataclass(frozen=True, eq=False, repr=False)
+class TunedPeriod(Tabular):
     """The period of the checks and the parameter that meet a rate at the least cost.
 
     Args:
-        best: of all that were tried.
-        tried: from the longest period to the shortest, all at the rate asked for.
+        best: the result with the least cost.
+        tried: all results, from the longest period to the shortest, all at the requested rate.
     """
 
     best: Tuned
     tried: tuple[Tuned, ...]
+
+    def columns(self) -> Columns:
+        """Return one row per period: the parameter, the cost, and whether the policy is consistent."""
+        return columns_of(
+            [
+                {
+                    "period": one.problem.parameters["period"],
+                    one.parameter.name: one.parameter.beside(None),
+                    "cost": one.evaluation.cost,
+                    "consistency": one.evaluation.consistency,
+                }
+                for one in self.tried
+            ]
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tune --least-period --json``."""
@@ -56,22 +71,22 @@ def tune_period(
 ) -> TunedPeriod:
     """Return the period and the parameter with which a policy sends at a rate and costs least.
 
-    The theorem of ``consistent`` ties δ to the period τ. At an equal rate it costs less to look more often and to ask
-    for more: τ is halved, δ found anew from the exact rate, until a halving gains less than a hundredth of what the
-    cost is above sending always, or τ would be below the least one. Whether the result is consistent is then verified
-    by its numbers (``Evaluation.consistency``) and no longer guaranteed.
+    The theorem of ``consistent`` relates δ to the period τ. At an equal rate, more frequent checks with a larger
+    threshold cost less. So τ is halved, and δ is determined again from the exact rate, until a halving reduces the
+    excess over the cost of sending every sample by less than a hundredth, or until τ would be below ``least``. The
+    consistency of the result is then verified numerically (``Evaluation.consistency``) and no longer guaranteed.
 
     Args:
-        problem: a continuous plant, and a policy that looks every ``period``, from which the search starts.
+        problem: a problem with a continuous plant and a policy that checks every ``period``, the start of the search.
         rate: sends per second.
-        least: the shortest period that may be asked of the sensor, in seconds.
-        link: whose rate; omitted where the policy decides one only.
-        seed: of the draws, where anything is simulated.
-        standard_error: absolute, of the cost; omitted: 1e-4 of it.
-        progress: called with the fraction done.
+        least: the shortest period of the sensor, in seconds.
+        link: link whose rate is meant; may be omitted if the policy decides on a single link.
+        seed: seed of the random draws, if anything is simulated.
+        standard_error: absolute standard error of the cost; default: 1e-4 of the cost.
+        progress: callback that receives the fraction done.
 
     Raises:
-        ProblemError: no period to seek, no rate that can be met, or a least period above the one to start from.
+        ProblemError: the policy has no period, the rate cannot be met, or ``least`` is above the period at the start.
 
     Source: khashooei2017
 
@@ -86,15 +101,13 @@ def tune_period(
     expect_problem("problem", problem)
     period = problem.parameters.get("period")
     if not isinstance(problem.plant, ContinuousPlant) or not isinstance(period, int | float):
-        raise ProblemError(
-            f"{problem.kind} has no period here, which is to be sought; expected a continuous plant and policy.period"
-        )
+        raise ProblemError(f"{problem.kind} has no period to tune here; expected a continuous plant and policy.period")
     rate, least = number("rate", rate, 0.0), number("least", least, 0.0)
     period = min(float(period), 1 / (FASTER * rate))
     if period < least:
         raise ProblemError(
-            f"the least period is {least:g} s, and {rate:g} sends per second want one of at most {period:g} s to start "
-            "from; expected a shorter least period, or a lower rate"
+            f"the least period is {least:g} s, but at {rate:g} sends per second the search starts from at most "
+            f"{period:g} s; expected a shorter least period, or a lower rate"
         )
     tried: list[Tuned] = []
     parameters = dict(problem.parameters)
@@ -103,7 +116,7 @@ def tune_period(
 
         def report(fraction: float, done: int = len(tried)) -> None:
             if progress is not None:
-                progress(1 - 0.7 ** (done + fraction))  # how many there will be is not known
+                progress(1 - 0.7 ** (done + fraction))  # the number of periods is not known in advance
 
         found = tune(here, rate=rate, link=link, seed=seed, standard_error=standard_error, progress=report)
         tried.append(found)
@@ -111,7 +124,7 @@ def tune_period(
             break
         name, value = found.parameter.name, found.parameter.value
         if isinstance(value, float) and name == "delta":
-            value /= FASTER  # δ is a cost per look: the same error is sent
+            value /= FASTER  # δ is a cost per check, so this threshold sends the same error
         parameters[name] = value
         period /= FASTER
     best = min(tried, key=lambda one: one.evaluation.cost.value)
@@ -119,7 +132,7 @@ def tune_period(
 
 
 def _gains(before: Tuned, after: Tuned) -> bool:
-    """Tell whether a shorter period is worth the next."""
+    """Return whether the last halving of the period gained enough to try another one."""
     cost, base = after.evaluation.cost, after.evaluation.cost_all_time
     above = cost.value - (0.0 if base is None else base)
     return before.evaluation.cost.value - cost.value > max(ENOUGH * above, cost.standard_error)

@@ -1,4 +1,4 @@
-"""What loops send at a price, tabulated price by price; the price that loads a channel, and what none can beat."""
+"""Rates of loops as a function of the price per send; the price for a given load, and a lower bound."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import Array, symmetrised
+from taciturn._display import Displayed
 from taciturn._modes import stationary
 from taciturn._progress import Progress
 from taciturn.analyse.limits import USUAL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
-from taciturn.model.trigger import Bell, Form
+from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
-from taciturn.renewal.rare import bound_rare_sends
+from taciturn.renewal.rare_sends import bound_rare_sends
 from taciturn.simulation.channel import ERROR, Group, measure_freely
 from taciturn.simulation.statistics import rate_of
 from taciturn.study.kinds import Kind
@@ -29,38 +30,38 @@ if TYPE_CHECKING:
     from taciturn.renewal.dual import Sampled
     from taciturn.renewal.fitted import Fitted
 
-PER_OCTAVE = 2  # prices of a table
-USUAL_SLOPE = 0.25  # octaves that a load falls by from one price of a table to the next, about
-FARTHEST = 8  # prices of a table that a step of a search passes
-FEW, MORE = 300, 600  # errors that the schedules of a table are fitted to, and those that are played
-LOOPS, FEWEST = 4096, 256  # that a rate is measured on
-MEASURED = 1 << 20  # looks of all of them
+PER_OCTAVE = 2  # prices of the table per octave
+USUAL_SLOPE = 0.25  # approximate decrease of the load between neighbouring prices of the table, in octaves
+FARTHEST = 8  # largest step of a search, in prices of the table
+FEW, MORE = 300, 600  # errors to which schedules are fitted: for the table, and for simulation
+LOOPS, FEWEST = 4096, 256  # most and fewest loops on which a rate is measured
+MEASURED = 1 << 20  # checks of all these loops together
 SETTLE = 8  # mean intervals between sends that are dropped first, and that are measured
-SHORTEST, LONGEST = 64, 16_384  # looks that are measured
-CLOCK = 4.0  # times the price of triggers, about, is that of clocks: 3 of a random walk, 5 of two masses
-FACTORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5)  # of the price: thresholds that are tried
-OFF = 0.1  # relative, by which a fit's gain and what is measured may differ
-HALVINGS = 8  # of a price at which there is no bound
-CHEAPEST = 1e-9  # of the price from where a search begins: next to nothing
-RAREST = 1 / LONGEST  # sends per look: what sends less often never sends
-QUADRATURE = 2  # states up to which a bound by quadrature takes less time than one by draws
-ACCURATE = 1e-3  # relative, of a bound by quadrature, from which its error is taken
-PRECISE = 1e-3  # of the least cost of all loops, sends at their price included: what the confidence should cost
-CLOSE = 5e-4  # relative: bounds that are so near to what can be had need not be better
-MOST_KNOWN = 4096  # answers that a process remembers
+SHORTEST, LONGEST = 64, 16_384  # least and most checks that are measured
+CLOCK = 4.0  # approximate price of periodic control over that of triggers: 3 for a random walk, 5 for two masses
+FACTORS = (1.0, 1.5, 2.2, 3.3, 5.0, 7.5)  # thresholds that are tried, relative to the price
+OFF = 0.1  # largest relative difference between the gain of a fit and the measured gain
+HALVINGS = 8  # times that a price without a bound is halved
+CHEAPEST = 1e-9  # least price of a search, relative to the start
+RAREST = 1 / LONGEST  # sends per check below which a loop counts as silent
+QUADRATURE = 2  # largest number of states for which a bound by quadrature is faster than one by sampling
+ACCURATE = 1e-3  # relative accuracy of a bound by quadrature, before its error is subtracted
+PRECISE = 1e-3  # target loss of the bound due to the confidence, relative to the least cost including sends
+CLOSE = 5e-4  # relative distance to an attainable cost below which a bound is not improved
+MOST_KNOWN = 4096  # largest number of cached answers
 ALWAYS = Form(constant=1.0)
 Answer = TypeVar("Answer")
 _KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 
-@dataclass(frozen=True, eq=False)
-class Schedule:
-    """Nearly the best schedule of a kind's errors at a price.
+@dataclass(frozen=True, eq=False, repr=False)
+class Schedule(Displayed):
+    """A nearly optimal schedule for the errors of a kind at a price.
 
     Args:
-        price: of a send, in the units of the cost times ticks.
-        urgency: over the error: what silence costs more than a send.
-        rate: sends per look.
+        price: price per send, in the units of the cost times steps.
+        urgency: cost of silence minus cost of a send, as a function of the error.
+        rate: sends per check.
     """
 
     price: float
@@ -68,30 +69,30 @@ class Schedule:
     rate: Estimate
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """What is known of a kind at a price.
+@dataclass(frozen=True, eq=False, repr=False)
+class Settled(Displayed):
+    """Estimates of a kind at a price.
 
     Args:
-        schedule: nearly the best.
-        least: what bounds the mean cost of a look from below, sends at their price included: a number, or what draws
-            tell of one; None where no bound was asked for.
+        schedule: a nearly optimal schedule.
+        least: lower bound on the mean cost of a check, including the price of sends: a number, or a sampled bound; None
+            if no bound was requested.
     """
 
     schedule: Schedule
     least: float | Sampled | None
 
 
-@dataclass(frozen=True, eq=False)
-class Job:
-    """A kind that is worked on.
+@dataclass(frozen=True, eq=False, repr=False)
+class Job(Displayed):
+    """A computation for one kind of loops.
 
     Args:
-        kind: of loops.
-        price: of a send.
-        seed: of the draws.
-        confidence: of a bound of the sum over kinds; 0: none.
-        precise: what the confidence should cost the bound of a look.
+        kind: kind of loops.
+        price: price per send.
+        seed: seed of the random draws.
+        confidence: confidence of the bound on the sum over kinds; 0 for no bound.
+        precise: target loss of the bound per check that is due to the confidence.
     """
 
     kind: Kind
@@ -102,17 +103,17 @@ class Job:
 
     @property
     def key(self) -> Hashable:
-        """All that an answer depends on."""
+        """Key of all data that the answer depends on."""
         return _numbers(self.kind), self.price, self.seed, self.confidence, self.precise
 
 
-@dataclass(frozen=True)
-class DualBound:
-    """No scheduler of some loops costs less.
+@dataclass(frozen=True, repr=False)
+class DualBound(Displayed):
+    """Lower bound on the cost of any scheduler of some loops.
 
     Args:
-        cost: summed over all loops, in the units of the cost.
-        confidence: with which that holds; None where all of it is by quadrature.
+        cost: sum over all loops, in the units of the cost.
+        confidence: confidence of the bound, or None if it is computed entirely by quadrature.
     """
 
     cost: float
@@ -120,17 +121,17 @@ class DualBound:
 
 
 class Curves:
-    """Rates of the nearly best schedules of some kinds over the price of a send, tabulated at the prices asked about.
+    """Rates of nearly optimal schedules of some kinds as functions of the price per send, tabulated on demand.
 
-    Prices of the table are half an octave apart; in between log rate is linear in log price, as a power law is. Kinds
-    of equal numbers are one. What is found of a kind depends on its numbers and the seed, not on the others, and draws
-    of different kinds are independent.
+    Prices of the table are half an octave apart; in between, log rate is interpolated linearly in log price. Kinds with
+    equal matrices are computed once. The estimates of a kind depend only on its matrices and the seed, and the draws of
+    different kinds are independent.
 
     Args:
-        kinds: of loops.
-        seed: of the draws.
-        executor: works on the kinds; None: here, one after the other.
-        progress: called with a fraction that grows to 1 with the prices.
+        kinds: kinds of loops.
+        seed: seed of the random draws.
+        executor: executor that processes the kinds; None for one after the other in this process.
+        progress: callback that receives a fraction, which approaches 1 with the number of prices.
     """
 
     def __init__(
@@ -140,7 +141,7 @@ class Curves:
         executor: Executor | None = None,
         progress: Progress = idle,
     ) -> None:
-        """Tabulate nothing yet."""
+        """Prepare an empty table."""
         self.kinds, self._seed, self._executor, self._progress, self._rounds = kinds, seed, executor, progress, 0
         places: dict[bytes, int] = {}
         self._which = np.array([places.setdefault(_numbers(kind), len(places)) for kind in kinds])
@@ -150,7 +151,7 @@ class Curves:
         self.table: dict[int, Array] = {}
 
     def rates(self, price: float) -> Array:
-        """Return the sends per look of each kind at a price."""
+        """Return the sends per check of each kind at a price."""
         place = PER_OCTAVE * np.log2(price)
         below = int(np.floor(place))
         share = float(place - below)
@@ -160,25 +161,25 @@ class Curves:
         return np.where(np.minimum(low, high) > 0, power, (1 - share) * low + share * high)[self._which]
 
     def load(self, price: float) -> float:
-        """Return the sends per tick of all loops at a price, if none has to wait."""
+        """Return the sends per step of all loops at a price, if no loop has to wait."""
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return each kind's schedule at a price; with a confidence, its bound.
+        """Return each kind's schedule at a price and, if a confidence is given, its lower bound.
 
         Args:
-            price: of a send.
-            confidence: of a bound of the sum; 0: none.
+            price: price per send.
+            confidence: confidence of the bound on the sum; 0 for no bound.
         """
         found = self._ask(_settle, price, confidence, self._precise(price) if confidence else 0.0)
         return [found[which] for which in self._which]
 
     def price_of(self, capacity: float, guess: float) -> float:
-        """Return the common price per send at which the loops load the channel as much as asked; 0 if they never do.
+        """Return the common price per send at which the load equals the capacity; 0 if the load is always below.
 
         Args:
-            capacity: sends per tick.
-            guess: price from where the search begins.
+            capacity: sends per step.
+            guess: price at which the search begins.
         """
         if sum(kind.looks for kind in self.kinds if kind.clocked.forever) <= capacity:
             return 0.0
@@ -196,26 +197,26 @@ class Curves:
                 continue
             off = np.log2(max(loads[place], RAREST * capacity) / capacity) / USUAL_SLOPE
             place += int(np.clip(round(off), 1, FARTHEST) if low is not None else np.clip(round(off), -FARTHEST, -1))
-            if 2.0 ** (place / PER_OCTAVE) < CHEAPEST * guess:  # whoever gains by a send makes it
+            if 2.0 ** (place / PER_OCTAVE) < CHEAPEST * guess:  # every loop that gains from a send makes it
                 return CHEAPEST * guess
         crossing = _scipy.crossing(lambda k: self.load(2.0 ** (k / PER_OCTAVE)) - capacity, low, high)
         return float(2.0 ** (crossing / PER_OCTAVE))
 
     def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = USUAL) -> DualBound:
-        """Return what no scheduler of these loops can cost less than, whatever it knows, with so many sends per tick.
+        """Return a lower bound on the cost of any scheduler of these loops at a capacity, even with full information.
 
-        The dual function at a price λ per send: with g_i the least mean of e'Γe + λσ over the looks of a loop alone,
-        one look in m_i ticks,
+        It is the dual function at a price λ per send. Let g_i be the least mean of e'Γe + λσ over the checks of a loop
+        alone, with one check in m_i steps. Then
 
             Σ J_i ≥ Σ (J_all,i + g_i(λ)/m_i) − λ·capacity.
 
-        Of what is sampled only the sum needs the confidence.
+        The confidence applies only to the sum of the sampled bounds.
 
         Args:
-            settled: what is known of each kind at the price, bounds included.
-            capacity: sends per tick.
-            price: λ; the bound holds for any, and is best where the load meets the capacity.
-            confidence: with which it holds, where some of it is sampled.
+            settled: the estimates of each kind at the price, including bounds.
+            capacity: sends per step.
+            price: λ; the bound holds for any price and is largest if the load equals the capacity.
+            confidence: confidence of the bound, if a part of it is sampled.
 
         Source: everett1963, brown2010
         """
@@ -226,7 +227,7 @@ class Curves:
             return DualBound(base, None)
         looks = np.bincount(self._which, self._looks).tolist()
         first = [settled[int(np.argmax(self._which == place))].least for place in range(len(looks))]
-        assert None not in first, "no bounds were asked for"
+        assert None not in first, "no bounds were requested"
         known = sum(look * least for look, least in zip(looks, first, strict=True) if isinstance(least, float))
         terms = [(look, least) for look, least in zip(looks, first, strict=True) if isinstance(least, Sampled)]
         gains = float(known + bound_sum(terms, confidence))
@@ -240,7 +241,7 @@ class Curves:
     def _ask(
         self, question: Callable[[Job], Answer], price: float, confidence: float = 0.0, precise: float = 0.0
     ) -> list[Answer]:
-        """Return the answers for all different kinds; those that this process knows already are not computed again."""
+        """Return the answers for all different kinds; answers that this process has cached are not computed again."""
         jobs = [
             Job(kind, price, _seed_of(kind, self._seed), confidence, precise / float(looks))
             for kind, looks in zip(self._different, np.bincount(self._which, self._looks), strict=True)
@@ -256,7 +257,7 @@ class Curves:
         return [found[key] for key in keys]
 
     def _precise(self, price: float) -> float:
-        """Return what the confidence may cost each kind, so that independent ones together cost as little as asked."""
+        """Return the target loss per kind due to the confidence; independent kinds together then meet ``PRECISE``."""
         clocks = [look * clock_cost(kind, price) for look, kind in zip(self._looks, self.kinds, strict=True)]
         return PRECISE * float(np.sum(clocks)) / len(self._different) ** 0.5
 
@@ -265,7 +266,7 @@ class Curves:
 
 
 def _numbers(kind: Kind) -> bytes:
-    """Return what all that is computed here of a kind depends on."""
+    """Return the bytes of the matrices of a kind, on which all its estimates depend."""
     return b"".join(np.ascontiguousarray(part + 0.0).tobytes() for part in (kind.F, kind.noise, kind.Gamma))
 
 
@@ -275,21 +276,21 @@ def _seed_of(kind: Kind, seed: int) -> int:
 
 
 def _rate(job: Job) -> float:
-    """Return the sends per look of a kind at a price."""
+    """Return the sends per check of a kind at a price."""
     fitted = _fit(job.kind, job.price, job.seed, FEW)
     return _schedule(job.kind, job.price, fitted, job.seed).rate.value
 
 
 def _settle(job: Job) -> Settled:
-    """Return what is known of a kind at a price."""
+    """Return the estimates of a kind at a price."""
     fitted = _fit(job.kind, job.price, job.seed, MORE)
     least = _least_gain(job, fitted) if job.confidence else None
     return Settled(_schedule(job.kind, job.price, fitted, job.seed), least)
 
 
 def _fit(kind: Kind, price: float, seed: int, points: int) -> Fitted | None:
-    """Return a schedule that is fitted at a price, or None where there is hardly a send or nothing to fit."""
-    from taciturn.renewal.fitted import fit_schedule  # statistics, that take a while to import
+    """Return a schedule that is fitted at a price, or None if sends are too rare or there is nothing to fit."""
+    from taciturn.renewal.fitted import fit_schedule  # slow to import
 
     error = kind.F, kind.noise, kind.Gamma
     if kind.clocked.forever == 0 or bound_rare_sends(*error, price).rate < RAREST:
@@ -301,23 +302,23 @@ def _fit(kind: Kind, price: float, seed: int, points: int) -> Fitted | None:
 
 
 def _schedule(kind: Kind, price: float, fitted: Fitted | None, seed: int) -> Schedule:
-    """Return nearly the best schedule of a kind at a price: the one that is fitted, or thresholds that are better."""
+    """Return a nearly optimal schedule of a kind at a price: the fitted one, or a threshold if it is better."""
     if kind.clocked.forever == 0:  # silence costs nothing
         return Schedule(price, Form(constant=-price), Estimate(0.0, 0.0, "exact"))
     if fitted is None:
         if bound_rare_sends(kind.F, kind.noise, kind.Gamma, price).rate < RAREST:
             return Schedule(price, _saving(kind, np.inf, price), Estimate(0.0, 0.0, "bound"))
         return _threshold(kind, price, seed)
-    urgency = Form((ERROR,), kind.Gamma, -fitted.gain, bell=Bell(-fitted.height, fitted.Pi))
+    urgency = Form((ERROR,), kind.Gamma, -fitted.gain, bell=GaussianTerm(-fitted.height, fitted.Pi))
     rate, excess = measure_alone(kind, urgency, 1 / fitted.interval, seed)
     gain, found = excess + price * rate.value, Schedule(price, urgency, rate)
     if abs(gain - fitted.gain) <= OFF * fitted.gain:
         return found
-    return _threshold(kind, price, seed, found, gain)  # it has not converged
+    return _threshold(kind, price, seed, found, gain)  # the fit has not converged
 
 
 def _threshold(kind: Kind, price: float, seed: int, best: Schedule | None = None, least: float = np.inf) -> Schedule:
-    """Return the best threshold on what silence costs at once, or until a clock sends, if no other is better."""
+    """Return the best threshold on the immediate cost of silence, or on its cost until periodic control sends."""
     interval = kind.clocked.interval(CLOCK * price)
 
     def measured(looks: float, factor: float) -> tuple[Schedule, float]:
@@ -335,7 +336,7 @@ def _threshold(kind: Kind, price: float, seed: int, best: Schedule | None = None
 
 
 def _lowest(places: Array, values: Array) -> float:
-    """Return where the parabola through the least of some values and its neighbours is lowest: it moves smoothly."""
+    """Return the minimiser of the parabola through the least value and its neighbours, which varies smoothly."""
     at = int(np.clip(np.argmin(values), 1, len(values) - 2))
     near = places[at - 1 : at + 2]
     off = near - places[at]
@@ -345,13 +346,13 @@ def _lowest(places: Array, values: Array) -> float:
 
 
 def clock_cost(kind: Kind, price: float) -> float:
-    """Return what the best clock costs per look, sends at their price included: the least mean is no more."""
+    """Return the cost per check of the best periodic control, including sends at their price."""
     interval = kind.clocked.interval(price)
     return kind.clocked.cost(1 / interval) + price / interval
 
 
 def _saving(kind: Kind, interval: float, price: float) -> Form:
-    """Return e'Se − price, S = Σ F'ʲΓFʲ over the looks of an interval."""
+    """Return e'Se − price, S = Σ F'ʲΓFʲ over the checks of an interval."""
     F, S = kind.F, kind.Gamma
     if np.isinf(interval):
         S = stationary(F.T, S)
@@ -361,7 +362,7 @@ def _saving(kind: Kind, interval: float, price: float) -> Form:
 
 
 def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[Estimate, float]:
-    """Return sends and cost per look of loops that send whenever they want to, about so often."""
+    """Return sends and cost per check of loops whose sends are never blocked, at approximately the rate ``about``."""
     looks = int(np.clip(SETTLE / max(about, RAREST), SHORTEST, LONGEST))
     while True:
         loops = int(np.clip(MEASURED // looks, FEWEST, LOOPS))
@@ -373,7 +374,7 @@ def measure_alone(kind: Kind, urgency: Form, about: float, seed: int) -> tuple[E
 
 
 def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
-    """Return what bounds the least mean cost of a look at a price from below."""
+    """Return a lower bound on the least mean cost of a check at a price."""
     from taciturn.renewal.dual import sample_dual
     from taciturn.renewal.fitted import fit_schedule
     from taciturn.renewal.optimal import solve_optimal
@@ -394,5 +395,5 @@ def _least_gain(job: Job, fitted: Fitted | None) -> float | Sampled:
             fitted = fitted or fit_schedule(*error, price, job.seed, MORE)
             return sample_dual(*error, price, fitted, job.confidence, [job.seed, 1], job.precise)
         except ProblemError:
-            price, fitted = price / 2, None  # hardly anything is sent at it; the least mean grows with the price
+            price, fitted = price / 2, None  # sends are too rare at this price; the least mean grows with it
     return rare.gain

@@ -1,4 +1,4 @@
-"""Results as text that gives the same bits again, and digests of what they were computed from."""
+"""Results as text from which they are restored bit by bit, and digests of the data they were computed from."""
 
 from __future__ import annotations
 
@@ -10,33 +10,35 @@ from typing import Any, cast
 
 import numpy as np
 
+from taciturn._version import __version__
 from taciturn.analyse.limits import LowerBound
 from taciturn.model.dynamics import Dynamics
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
+from taciturn.model.theory import Linearisation
 from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
 from taciturn.study.clock import ClockMix, ClockPoint
-from taciturn.study.evaluate import Evaluation, Linearisation
+from taciturn.study.evaluate import Evaluation
 
-KIND = "kind of data"  # key of what a mapping stands for
+KIND = "kind of data"  # key for the class of the data in a mapping
 RECORDED = {
     known.__name__: known for known in (Evaluation, Estimate, Linearisation, LowerBound, Schedule, ClockMix, ClockPoint)
 }
 
 
 def encode(value: object) -> str:
-    """Return JSON text of data classes, arrays, mappings, sequences, numbers and words; equal data give equal text."""
+    """Return data classes, arrays, mappings, sequences, numbers and words as JSON; equal data give equal text."""
     return json.dumps(_plain(value), sort_keys=True, separators=(",", ":"))
 
 
 def decode(text: str) -> Any:
-    """Return what was encoded; sequences come back as tuples.
+    """Return the data of an encoded text; sequences become tuples.
 
     Raises:
-        ValueError: the text is not JSON, or names data that are unknown here.
+        ValueError: the text is not JSON, or it names an unknown class of data.
     """
     return _restored(json.loads(text))
 
@@ -47,13 +49,34 @@ def digest(text: str) -> str:
 
 
 def fingerprint(problem: Problem) -> str:
-    """Return the digest of all that a problem states."""
+    """Return the digest of all data of a problem."""
     stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
     return digest(encode([stated, problem.kind, problem.parameters]))
 
 
+def origin(
+    problem: Problem | Mapping[str, Problem] | None = None, seed: int | None = None, method: str | None = None
+) -> dict[str, Any]:
+    """Return the data needed to reproduce a result, as JSON documents and files contain them.
+
+    Args:
+        problem: the problem that was solved, or several by name; None for no problem.
+        seed: seed of the random numbers; None if nothing was drawn.
+        method: method that gave the numbers; None if nothing was computed.
+
+    Returns:
+        ``version``, ``seed``, ``method``, and ``problem_digest``: one digest, or one for each name.
+    """
+    found: dict[str, Any] = {"version": __version__}
+    found |= {} if seed is None else {"seed": seed}
+    found |= {} if method is None else {"method": method}
+    if isinstance(problem, Mapping):
+        return found | {"problem_digest": {name: fingerprint(one) for name, one in problem.items()}}
+    return found if problem is None else found | {"problem_digest": fingerprint(problem)}
+
+
 def _operations(plant: Plant, function: Dynamics) -> Program:
-    """Return what a plant's function computes, in which all shows that its text, or values in its scope, decide."""
+    """Return the operations of a plant's function, which include the effect of variables in its scope."""
     builder, sizes = Builder(), {"x": plant.states, "u": plant.inputs, "w": plant.states}
     given = {name: [builder.input(f"{name} {i}") for i in range(size)] for name, size in sizes.items()}
     moved = trace(builder, function.function, given, {"x": plant.states})["x"]
@@ -92,7 +115,7 @@ def _restored(value: object) -> Any:
     if kind == "array":
         return np.array(held["values"], dtype=held["type"]).reshape(held["shape"])
     if kind not in RECORDED:
-        raise ValueError(f"{kind} is no data of a result")
+        raise ValueError(f"{kind} is not a class of result data")
     try:
         return RECORDED[kind](**{key: _restored(one) for key, one in held.items()})
     except TypeError as error:

@@ -1,10 +1,10 @@
-"""The thesis's tables and figures, printed beside computed."""
+"""Tables and figures of the thesis, with printed and computed numbers side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from taciturn._progress import Progress
+from taciturn._progress import Progress, in_notebook
 from taciturn.errors import ProblemError
 from taciturn.problem.tables import suggest
 from taciturn.study.chapter2 import chapter2
@@ -29,26 +29,25 @@ def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> 
     """Compute the tables and figures of a chapter of the thesis.
 
     Args:
-        name: such as ``"chapter2"``.
-        seed: of the draws.
-        progress: called with the fraction done.
+        name: name of the chapter, such as ``"chapter2"``.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
 
     Returns:
-        The tables, printed beside computed, and the pictures.
+        The tables, with printed and computed numbers side by side, and the pictures.
 
     Raises:
-        ProblemError: no such chapter.
+        ProblemError: there is no such chapter.
 
     Source: khashooei2017
     """
     if name not in CHAPTERS:
         raise no_chapter(name, list(CHAPTERS))
-    return CHAPTERS[name](seed, progress or (lambda fraction: None))
+    return CHAPTERS[name](seed, in_notebook(progress) or (lambda fraction: None))
 
 
 def no_chapter(name: str, known: Sequence[str]) -> ProblemError:
-    """Return the refusal of a name that is none of these chapters."""
+    """Return the error for an unknown chapter name."""
     return ProblemError(
-        f"there is nothing to reproduce by the name {name!r}; expected one of {', '.join(known)}, or all"
-        f"{suggest(name, known)}"
+        f"{name!r} is not a reproducible chapter; expected one of {', '.join(known)}, or all{suggest(name, known)}"
     )

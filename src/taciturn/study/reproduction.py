@@ -1,25 +1,28 @@
-"""What reproducing a chapter of the thesis gives: tables of numbers, printed beside computed, and pictures."""
+"""Reproduction of a chapter of the thesis: tables of printed and computed numbers, and figures."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
+from taciturn._display import Displayed
 from taciturn.model.estimate import Estimate
+from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.problem import Problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True)
-class Row:
-    """One line of a table: what was set, what the thesis prints, what is computed.
+@dataclass(frozen=True, repr=False)
+class Row(Displayed):
+    """One line of a table: its setting, the numbers printed in the thesis, and the computed numbers.
 
     Args:
         setting: names and values that identify the line.
-        printed: numbers of the thesis, by column; a missing column is not printed there.
-        computed: ours, by column.
+        printed: numbers of the thesis, by column; the thesis does not print missing columns.
+        computed: computed numbers, by column.
     """
 
     setting: Mapping[str, Any]
@@ -27,36 +30,62 @@ class Row:
     computed: Mapping[str, Estimate]
 
 
-@dataclass(frozen=True)
-class Table:
+@dataclass(frozen=True, repr=False)
+class Table(Tabular):
     """A table or figure of the thesis.
 
     Args:
-        name: as in the thesis.
-        rows: its lines, or the points of a figure.
-        notes: what explains the differences.
-        headings: of columns that are shown by another name.
+        name: name in the thesis.
+        rows: lines of the table, or points of a figure.
+        notes: explanations of the differences.
+        headings: headings of columns that are shown under another name.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("name", "notes")
 
     name: str
     rows: tuple[Row, ...]
     notes: tuple[str, ...]
     headings: Mapping[str, str] = field(default_factory=dict[str, str])
 
+    def columns(self) -> Columns:
+        """Return one row per setting, with each printed number next to the computed one."""
+        return columns_of(
+            [
+                {
+                    **row.setting,
+                    **{
+                        name: value
+                        for key, computed in row.computed.items()
+                        for name, value in ((f"{key}, printed", row.printed.get(key)), (key, computed))
+                        if value is not None
+                    },
+                }
+                for row in self.rows
+            ]
+        )
 
-@dataclass(frozen=True)
-class Reproduction:
-    """The tables of a chapter and its pictures.
+
+@dataclass(frozen=True, repr=False)
+class Reproduction(Displayed):
+    """Tables and pictures of a chapter.
 
     Args:
-        name: of the chapter.
-        tables: its tables.
-        pictures: its figures, by the name under which they are saved; figures over one axis share a picture.
+        name: name of the chapter.
+        tables: tables of the chapter.
+        pictures: figures of the chapter, by the name under which they are saved; figures over the same axis share a
+            picture.
+        problems: problems that the chapter solves, each with the parameters of the tables.
     """
 
     name: str
     tables: tuple[Table, ...]
     pictures: Mapping[str, Figure]
+    problems: Mapping[str, Problem]
+
+    def html(self) -> str:
+        """Return the tables as HTML."""
+        return "".join(table.html() for table in self.tables)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of one reproduction."""

@@ -1,4 +1,4 @@
-"""The schedulers of a channel: what each plays, and how a play is measured."""
+"""Schedulers of a channel: their trigger and access rules, and the measurement of their cost."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from math import ceil, lcm
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn._progress import Progress
 from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
-from taciturn.renewal.allocation import Allocation, Sharer, allocate
+from taciturn.renewal.allocation import Allocation, LoopClass, allocate
 from taciturn.simulation.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
 from taciturn.simulation.channel import ERROR, Group, SharedChannel, Stretch
 from taciturn.simulation.statistics import mean
@@ -23,24 +24,24 @@ from taciturn.study.kinds import Kind
 from taciturn.study.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
 from taciturn.study.workers import idle
 
-PATHS = 16_384  # loops that are simulated side by side, where there are fewer on the channel: on several channels
-CHANNELS = 32  # at most
-BURN_IN = 20  # mean intervals between sends that are dropped, and that a stretch has
-SETTLE = 12  # time constants that are dropped, of errors that decay by themselves
-SHORTEST = 64  # ticks of a stretch
-STRETCHES = 32  # at least, of all channels
-BUDGET = 20_000_000_000  # looks of all loops together
-RELATIVE_ERROR = 1e-3  # of the cost, where no standard error is asked
-LOST = 1e6  # times its all-time cost: a loop that costs more is not controlled
-LOADS = (1.6, 0.15)  # of what random access carries at best: where its price is sought
-TRIALS = 9  # prices that random access is tried at, at most
-PREPARED = 0.6  # of the progress, about: what comes before loops are simulated
-RISES = 3  # of which cost more and more: no more are tried
+PATHS = 16_384  # loops that are simulated side by side; if the channel has fewer, several channels are simulated
+CHANNELS = 32  # largest number of channels
+BURN_IN = 20  # length of the burn-in and of a stretch, in mean intervals between sends
+SETTLE = 12  # length of the burn-in for errors that decay without a send, in time constants
+SHORTEST = 64  # least steps of a stretch
+STRETCHES = 32  # least number of stretches, over all channels
+BUDGET = 20_000_000_000  # checks of all loops together
+RELATIVE_ERROR = 1e-3  # default standard error, relative to the cost
+LOST = 1e6  # a loop that costs more than this multiple of its all-time cost is not stabilised
+LOADS = (1.6, 0.15)  # range of loads for the price of random access, relative to the largest throughput
+TRIALS = 9  # largest number of prices that are tried for random access
+PREPARED = 0.6  # approximate share of the progress before loops are simulated
+RISES = 3  # consecutive increases of the cost that end these trials
 
 
-@dataclass(frozen=True, eq=False)
-class Plan:
-    """How a scheduler plays: the urgency of each kind, and a fresh access for so many channels."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Plan(Displayed):
+    """The rules of a scheduler: the urgency of each kind, and a function that creates the access rule."""
 
     urgencies: Sequence[Form]
     access: Callable[[], Access]
@@ -50,7 +51,7 @@ class Plan:
 
 
 class Game:
-    """The loops, the capacity, and what all schedulers are measured by."""
+    """The loops, the capacity, and the references for all schedulers: best periodic allocation and lower bound."""
 
     def __init__(
         self,
@@ -61,7 +62,7 @@ class Game:
         executor: Executor | None = None,
         progress: Progress = idle,
     ) -> None:
-        """Find the best clock."""
+        """Find the best periodic allocation."""
         self.kinds, self.capacity, self.seed, self.confidence = kinds, capacity, seed, confidence
         self.progress = progress
         self.counts = np.array([kind.count for kind in kinds], dtype=np.float64)
@@ -69,36 +70,36 @@ class Game:
         self.loops = int(self.counts.sum())
         self.cost_all_time = float(self.counts @ [kind.cost_all_time for kind in kinds])
         self.cycle = lcm(*(kind.every for kind in kinds))
-        self.sharers = [Sharer(kind.clocked, kind.count, kind.every) for kind in kinds]
+        self.sharers = [LoopClass(kind.clocked, kind.count, kind.every) for kind in kinds]
         self.clocked: Allocation = allocate(self.sharers, capacity)
         self.refuse_starved(self.clocked)
         self.curves = Curves(kinds, seed, executor, lambda fraction: progress(PREPARED * fraction))
 
     @cached_property
     def price(self) -> float:
-        """The common price at which the expected load meets the capacity."""
+        """Common price per send at which the expected load equals the capacity."""
         return self.curves.price_of(self.capacity, self.clocked.price / CLOCK or 1.0)
 
     @cached_property
     def settled(self) -> list[Settled]:
-        """What is known of each kind at the common price."""
+        """Estimates of each kind at the common price."""
         return self.curves.settle(self.price, self.confidence) if self.price else []
 
     @property
     def bound(self) -> DualBound | None:
-        """What no scheduler can cost less than; None where no confidence was asked for."""
+        """Lower bound on the cost of any scheduler, or None if no confidence was requested."""
         if not self.confidence:
             return None
         return self.curves.bound(self.settled, self.capacity, self.price, self.confidence)
 
     def refuse_starved(self, best: Allocation) -> None:
-        """Refuse loops that are not controlled by the best clock there is."""
+        """Raise an error if even the best periodic control does not stabilise the loops."""
         every = np.array([kind.every for kind in self.kinds])
         self.refuse_lost(every * best.costs, best.rates)
 
     def priced(self, price: float) -> tuple[list[Form], Estimate]:
-        """Return the urgency of each kind at a common price, and the load if none has to wait."""
-        if not price:  # whoever gains anything by a send wants it
+        """Return the urgency of each kind at a common price, and the load if no loop has to wait."""
+        if not price:  # every loop that gains anything from a send requests it
             load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
             return [Form((ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
         settled = self.settled if price == self.price else self.curves.settle(price)
@@ -110,14 +111,14 @@ class Game:
 
     @cached_property
     def clashes(self) -> tuple[int, int]:
-        """How many ticks of a cycle have fewer looks than slots while others have more, and how many there are."""
+        """Number of steps in a cycle with fewer checks than slots (0 if no step has more checks), and cycle length."""
         ticks = np.arange(self.cycle)
         looks = sum(-(-(kind.count - ticks % kind.every) // kind.every) for kind in self.kinds)
         few = int(np.sum(looks < self.capacity))
         return few if np.any(looks > self.capacity) else 0, self.cycle
 
     def play(self, plan: Plan, channels: int) -> SharedChannel:
-        """Return channels that a plan is played on, the errors still 0."""
+        """Return channels on which a plan is simulated; all errors are initially 0."""
         groups = [
             Group(kind.F, kind.noise, kind.Gamma, urgency, kind.count, kind.every)
             for kind, urgency in zip(self.kinds, plan.urgencies, strict=True)
@@ -126,39 +127,39 @@ class Game:
 
     @property
     def channels(self) -> int:
-        """How many are simulated side by side."""
+        """Number of channels that are simulated side by side."""
         return int(np.clip(PATHS // self.loops, 1, CHANNELS))
 
     @property
     def burn_in(self) -> int:
-        """Ticks that forget errors of 0: intervals of the best clock, or time constants of errors that decay."""
+        """Steps until the initial errors of 0 have no effect, from send intervals or time constants of the errors."""
         longest = SHORTEST
         for kind, rate in zip(self.kinds, self.clocked.rates.tolist(), strict=True):
             sends = BURN_IN / rate if rate else np.inf
             decays = SETTLE / (1 - kind.clocked.growth) if kind.clocked.growth < 1 else np.inf
-            if np.isfinite(forgets := min(sends, decays)):  # else no noise moves it
+            if np.isfinite(forgets := min(sends, decays)):  # else no noise acts on the error
                 longest = max(longest, ceil(kind.every * forgets))
         return -(-longest // self.cycle) * self.cycle
 
     def refuse_uncontrolled(self, stretch: Stretch) -> None:
-        """Refuse loops that are lost in what was just simulated."""
+        """Raise an error if loops were not stabilised in a simulated stretch."""
         self.refuse_lost(stretch.cost.mean(axis=0) / self.looks, stretch.sends.mean(axis=0) / self.looks)
 
     def refuse_lost(self, cost: Array, rates: Array) -> None:
-        """Refuse loops that are unstable and not controlled.
+        """Raise an error if unstable loops send too rarely to be stabilised.
 
         Args:
-            cost: of a look of each kind, beyond sending always.
-            rates: sends per look of one loop of each kind.
+            cost: cost of a check of each kind, beyond sending every sample.
+            rates: sends per check of one loop of each kind.
         """
         for kind, each, rate in zip(self.kinds, cost.tolist(), rates.tolist(), strict=True):
             limit = LOST * max(kind.every * kind.cost_all_time, float(np.sum(kind.Gamma * kind.noise)))
             if kind.clocked.growth >= 1 and not each <= limit:
                 raise UnstableError(
-                    f"{kind.name}: its loops are unstable (an error grows by {kind.clocked.growth:.4g} per look) and "
-                    f"get {rate:.3g} sends per look each, with which one costs over {LOST:.0e} times what it does if "
-                    f"it always sends; expected at least {kind.clocked.least_rate(limit):.3g}, as a clock needs, and "
-                    "more where sends come by chance: raise capacity, or share the channel among fewer loops"
+                    f"{kind.name}: its loops are unstable (an error grows by {kind.clocked.growth:.4g} per check) and "
+                    f"send {rate:.3g} times per check each, so a loop costs over {LOST:.0e} times as much as with a "
+                    f"send at every check; expected at least {kind.clocked.least_rate(limit):.3g} sends per check for "
+                    "periodic control, and more for random sends: raise capacity, or reduce the number of loops"
                 )
 
 
@@ -189,7 +190,7 @@ def _tdma(game: Game) -> Plan:
 
 
 def _random_access(game: Game) -> Plan:
-    """Try prices at which the loops would load a channel without collisions with shares of what ALOHA carries."""
+    """Try prices for which the load without collisions is a given share of the largest throughput of ALOHA."""
     game.refuse_starved(allocate(game.sharers, game.capacity / np.e))
     tried: list[tuple[float, Plan, float]] = []
     price = game.price
@@ -205,7 +206,7 @@ def _random_access(game: Game) -> Plan:
         if len(latest) == RISES and latest == sorted(latest):
             break
     best = min(tried, key=lambda one: one[0])
-    note = f"the price is the best of {len(tried)} that were tried, for a load of {best[2]:.2g} of what ALOHA carries"
+    note = f"the price is the best of {len(tried)} tried; its load is {best[2]:.2g} times the largest ALOHA throughput"
     return Plan(best[1].urgencies, best[1].access, best[1].load, best[1].price, (note,))
 
 
@@ -219,9 +220,9 @@ SCHEDULERS: Mapping[str, Callable[[Game], Plan]] = {
 }
 
 
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What stretches found, one row each: costs beyond sending always and sends per tick by kind, busy and waiting."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Measured(Displayed):
+    """Results of stretches, one row each: costs beyond every sample, sends per step by kind, busy, and waiting."""
 
     costs: Array
     sends: Array
@@ -232,7 +233,7 @@ class Measured:
 
 
 def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | None) -> Measured:
-    """Run channels side by side, stretch by stretch, until the sum of costs is known well enough."""
+    """Run channels side by side, in stretches, until the sum of costs has the requested standard error."""
     channels, channel, kept = game.channels, game.play(plan, game.channels), list[Stretch]()
     length = game.burn_in if ticks is None else min(game.burn_in, -(-ticks // 2 // game.cycle) * game.cycle)
     game.refuse_uncontrolled(channel.run(game.burn_in))

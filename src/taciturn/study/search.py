@@ -1,4 +1,4 @@
-"""The search for the value of a knob that meets a budget: a walk past it, a root, a correction at full precision."""
+"""Search for a parameter that meets a budget: bracketing, root finding, and a correction at full precision."""
 
 from __future__ import annotations
 
@@ -9,36 +9,46 @@ from typing import Never
 import numpy as np
 
 from taciturn import _scipy
+from taciturn._display import Displayed
 from taciturn._progress import Progress
-from taciturn.design.catalogue import Knob
+from taciturn._text import per_unit
+from taciturn.design.catalogue import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.looks import look_at
+from taciturn.study.trials import look_at
 
-EFFORT = 2_000_000  # steps of a look; all looks see the same draws
-LONGER = 8  # times as many where a loop has not settled, and for the last look
-FIRST, GROWTH, FARTHEST = 1.4, 1.5, 45.0  # of the walk in log(value), from where it starts
-HALVINGS = 12  # towards the end of what can be designed
-CLOSE = 0.25  # standard errors of a look that a root may be off
-JUMP = 1e-11  # width in log(value) over which what is sought jumps
-SPAN, STRIDE = 0.02, 0.1  # of log(value): for slopes, and that a correction goes at most
-ROUNDS = 3  # of corrections at full precision
-KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: at least, what a correction aims at, and at most
-PASSED = 20  # whole numbers on either side that are passed over where nothing can be designed
-SURE = 3.0  # standard errors by which a look at the end of what can be reached may miss the budget
-EXACT = 1e-9  # relative
+EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
+LONGER = 8  # factor on these steps if a loop has not settled, and for the last trial
+FIRST, GROWTH, FARTHEST = (
+    1.4,
+    1.5,
+    45.0,
+)  # of the bracketing in log(value): first step, growth, farthest
+HALVINGS = 12  # bisections towards the limit of values for which a policy can be designed
+CLOSE = 0.25  # largest error of a root, in standard errors of a trial
+JUMP = 1e-11  # width in log(value) below which a change counts as a jump
+SPAN, STRIDE = 0.02, 0.1  # in log(value): half-width for slopes, and longest step of a correction
+ROUNDS = 3  # corrections at full precision
+KEPT, AIMED, FAR = 2.0, 3.0, 8.0  # standard errors below the budget: least, target of a correction, and most
+PASSED = 20  # integers on either side that are skipped if no policy can be designed for them
+SURE = 3.0  # standard errors by which a trial at the limit of the range may miss the budget
+EXACT = 1e-9  # relative tolerance of the budget
 
 
-@dataclass(frozen=True)
-class Goal:
-    """What is to be met: ``rate`` or ``cost``, and how large it may be."""
+@dataclass(frozen=True, repr=False)
+class Goal(Displayed):
+    """The budget to meet: an upper limit on the ``rate`` or the ``cost``."""
 
     name: str
     budget: float
     link: LinkName | None
+
+    def short(self) -> str:
+        """Return the budget as text."""
+        return f"{self.name} at most {self.budget:.6g}"
 
     def rate(self, evaluation: Evaluation) -> Estimate:
         """Return the rate of the link.
@@ -55,21 +65,28 @@ class Goal:
         return evaluation.rates[link]
 
     def of(self, evaluation: Evaluation) -> Estimate:
-        """Return what is to be met, as it was found."""
+        """Return the estimate of the rate or cost that the budget limits."""
         return evaluation.cost if self.name == "cost" else self.rate(evaluation)
 
-    def confidence(self, evaluation: Evaluation) -> float:
-        """Return the probability with which a normal error leaves what was found within the budget."""
+    def confidence(self, evaluation: Evaluation) -> float | None:
+        """Return the probability that the answer meets the budget, for normally distributed errors.
+
+        It is 1 for a rate that no policy exceeds, and None if the standard error cannot be trusted.
+        """
         found = self.of(evaluation)
+        if self.name == "rate" and evaluation.base_rate is not None and self.budget >= evaluation.base_rate:
+            return 1.0
+        if not evaluation.trusted:
+            return None
         below = self.budget - found.value - found.error
         if found.standard_error > 0:
             return 0.5 * math.erfc(-below / found.standard_error / math.sqrt(2))
         return float(below >= -EXACT * self.budget)
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """One value of the knob: what was found, and by how much it is above the budget."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Look(Displayed):
+    """A trial of one value of the tuning parameter: its evaluation, and the excess over the budget."""
 
     value: float
     evaluation: Evaluation
@@ -78,31 +95,33 @@ class Look:
 
 
 class Search:
-    """Looks at values of the knob.
+    """A search over values of the tuning parameter.
 
     Args:
-        problem: what is tuned.
-        knob: what is turned.
-        goal: what is sought.
-        seed: of the draws.
-        progress: called with the fraction done.
+        problem: the problem that is tuned.
+        tuning: the tuning parameter.
+        goal: the budget.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
     """
 
-    def __init__(self, problem: Problem, knob: Knob, goal: Goal, seed: int, progress: Progress | None) -> None:
-        """Look at nothing yet."""
-        self.problem, self.knob, self.goal, self.seed, self.progress = problem, knob, goal, seed, progress
-        self.rising = knob.falls == (goal.name == "cost")  # whether what is sought rises with the value
+    def __init__(
+        self, problem: Problem, tuning: TradeoffParameter, goal: Goal, seed: int, progress: Progress | None
+    ) -> None:
+        """Prepare the search; no value is tried yet."""
+        self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
+        self.rising = tuning.falls == (goal.name == "cost")  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
 
     def look(self, value: float) -> Look | None:
-        """Return what a value leads to; None where nothing can be designed or the loop diverges."""
+        """Return the trial of a value, or None if no policy can be designed or the loop diverges."""
         if value not in self._seen:
             try:
                 self._seen[value] = self._settled(value)
             except TaciturnError as error:
                 self._seen[value] = error
             if self.progress is not None:
-                self.progress(1 - 0.93 ** len(self._seen))  # how many there will be is not known
+                self.progress(1 - 0.93 ** len(self._seen))  # the number of trials is not known in advance
         found = self._seen[value]
         return found if isinstance(found, Look) else None
 
@@ -111,26 +130,26 @@ class Search:
         if not found.evaluation.reached:
             found = self._look(value, LONGER * EFFORT)
         if not found.evaluation.reached:
-            given = f"{self.problem.kind} with {self.knob.name} = {value:g}"
+            given = f"{self.problem.kind} with {self.tuning.name} = {value:g}"
             raise UnstableError(f"{given} does not settle within {LONGER * EFFORT} steps")
         return found
 
     def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
-        changed = self.problem.changed({self.knob.name: value})
+        changed = self.problem.changed({self.tuning.name: value})
         evaluation = look_at(changed, self.seed, steps, standard_error)
         found = self.goal.of(evaluation)
         return Look(value, evaluation, found.value - self.goal.budget, found.standard_error + found.error)
 
     def meets_exactly(self, look: Look) -> bool:
-        """Tell whether a look is on the budget."""
+        """Return whether a trial equals the budget within its error."""
         return abs(look.above) <= max(EXACT * self.goal.budget, CLOSE * look.error)
 
     def keeps(self, look: Look) -> bool:
-        """Tell whether a look is below the budget by more than its error."""
+        """Return whether a trial is below the budget by more than its error."""
         return look.above + KEPT * look.error <= EXACT * self.goal.budget
 
     def bracket(self) -> tuple[Look, Look]:
-        """Return the looks next to the budget, not above it and above it, as far as a walk finds them.
+        """Return two trials that bracket the budget: one that is not above it, and one that is above it.
 
         Raises:
             ProblemError: no value reaches the budget.
@@ -145,17 +164,17 @@ class Search:
             nearest = min(self._looks(), key=lambda look: abs(look.above))
             if abs(nearest.above) > SURE * nearest.error:
                 self._refuse()
-            return nearest, nearest  # a rate of 1, which a vanishing threshold approaches
+            return nearest, nearest  # such as a rate of 1, which is the limit of a vanishing threshold
         before, after = found
         if self.meets_exactly(after):
             return after, after
         low, high = (before, after) if before.above <= 0 else (after, before)
-        while self.knob.whole and (middle := self._between(low, high)) is not None:
+        while self.tuning.whole and (middle := self._between(low, high)) is not None:
             low, high = (middle, high) if middle.above <= EXACT * self.goal.budget else (low, middle)
         return low, high
 
     def _between(self, low: Look, high: Look) -> Look | None:
-        """Return the look at the whole number nearest to the middle that can be designed, or None."""
+        """Return the trial at the integer nearest to the middle for which a policy can be designed, or None."""
         first, last = sorted((int(low.value), int(high.value)))
         for away in range(min(PASSED, (last - first) // 2)):
             for value in (middle := (first + last) // 2) - away, middle + away:
@@ -165,7 +184,7 @@ class Search:
         return None
 
     def close_in(self, low: Look, high: Look) -> tuple[Look, Look]:
-        """Return a look on the budget, twice; or those on both sides of a jump."""
+        """Return the trials on both sides of a jump, or twice the same trial if it equals the budget."""
         ends = [low, high]
 
         def above(place: float) -> float:
@@ -181,7 +200,7 @@ class Search:
             return look.above
 
         places = self._place(low.value), self._place(high.value)
-        if above(places[0]) * above(places[1]) > 0:  # at the end of what can be reached a digit decides the side
+        if above(places[0]) * above(places[1]) > 0:  # at the limit of the range, rounding decides the side
             nearest = min(ends, key=lambda look: abs(look.above))
             return nearest, nearest
         _scipy.crossing(above, *places, JUMP)
@@ -191,10 +210,10 @@ class Search:
         return abs(self._place(ends[0].value) - self._place(ends[1].value))
 
     def refine(self, look: Look, standard_error: float | None) -> tuple[Look, float | None, float | None]:
-        """Return a look at full precision, corrected along the slope of the looks around it.
+        """Return a trial at full precision, corrected along the slope of the neighbouring trials.
 
-        Beside it, the standard error of its value as an answer to the budget, None where the budget does not depend on
-        the value here; and the change of the cost with the rate, None where the rate does not change.
+        Also return the standard error of its value as a solution of the budget, or None if the budget does not depend
+        on the value here, and the derivative of the cost with respect to the rate, or None if the rate does not change.
         """
         place = self._place(look.value)
         around = [self.look(self._value(place + step)) for step in (-SPAN, SPAN)]
@@ -206,7 +225,7 @@ class Search:
             pace = (rates[1] - rates[0]) / (2 * SPAN)
         measured = self._look(look.value, LONGER * EFFORT) if look.error and slope else look
         for _ in range(ROUNDS):
-            blur = measured.error  # of what decides the place
+            blur = measured.error  # error of the trial that determines the next place
             missing = measured.above + AIMED * blur
             place -= float(np.clip(missing / slope, -STRIDE, STRIDE)) if slope else 0.0
             measured = self._look(self._value(place), standard_error=standard_error)
@@ -216,32 +235,32 @@ class Search:
         else:
             if not self.keeps(measured):
                 measured = replace(measured, evaluation=replace(measured.evaluation, reached=False))
-        changes = slope / (measured.value - self.knob.least)
+        changes = slope / (measured.value - self.tuning.least)
         error = blur / abs(changes) if changes else None
         costs = [one.evaluation.cost.value for one in near]
         along = (costs[1] - costs[0]) / (2 * SPAN) / pace if pace else None
         return measured, error, along
 
     def measure(self, look: Look, standard_error: float | None) -> Look:
-        """Return a look at full precision."""
+        """Return a trial at full precision."""
         return self._look(look.value, standard_error=standard_error)
 
     def measure_within(self, look: Look, standard_error: float | None) -> Look:
-        """Return a look at full precision that is not above the budget: at this whole number, or at one beside it."""
+        """Return a trial at full precision within the budget, at this integer or at a neighbouring one."""
         found, step = self.measure(look, standard_error), -1 if self.rising else 1
-        for away in range(1, PASSED if self.knob.whole else 1):
+        for away in range(1, PASSED if self.tuning.whole else 1):
             value = int(look.value) + away * step
-            if found.above <= EXACT * self.goal.budget or value < self.knob.least:
+            if found.above <= EXACT * self.goal.budget or value < self.tuning.least:
                 break
             if (other := self.look(value)) is not None:
                 found = self.measure(other, standard_error)
         return found
 
     def _start(self) -> Look:
-        """Return the look at the value that is given, or at the nearest that can be designed."""
-        given = self.problem.parameters.get(self.knob.name)
-        usual = max(self.knob.least, 1) if self.knob.whole else self.knob.least + 1.0
-        start = given if isinstance(given, int | float) and given > self.knob.least else usual
+        """Return the trial of the given value, or of the nearest value for which a policy can be designed."""
+        given = self.problem.parameters.get(self.tuning.name)
+        usual = max(self.tuning.least, 1) if self.tuning.whole else self.tuning.least + 1.0
+        start = given if isinstance(given, int | float) and given > self.tuning.least else usual
         for k in range(9):
             for sign in (1.0, -1.0):
                 found = self.look(self._moved(start, sign * k * FIRST))
@@ -252,29 +271,29 @@ class Search:
         raise why
 
     def expect_possible(self, found: Evaluation) -> None:
-        """Refuse what sending at every tick shows to be out of reach, whatever the value.
+        """Reject a budget that no value can meet, by comparison with sending at every step.
 
         Raises:
-            ProblemError: more sends than ticks, or less cost than with all of them.
+            ProblemError: the rate is above, or the cost below, that of sending at every step.
         """
         budget, most, least = self.goal.budget, found.base_rate, found.cost_all_time
-        if self.problem.network.protocol == "udp":  # sending at every tick need not cost least there
+        if self.problem.network.protocol == "udp":  # without acknowledgement, sending every sample may not cost least
             least = None
-        if self.knob.name == "period":  # which moves both
+        if self.tuning.name == "period":  # both limits depend on the period
             return
         if self.goal.name == "rate" and most is not None and budget > most * (1 + EXACT):
             raise ProblemError(
-                f"the rate {budget:g} per {found.rate_unit} is above that of sending at every tick; "
+                f"the rate {budget:g} per {found.rate_unit} is above that of sending at every step; "
                 f"expected at most {most:g}"
             )
         if self.goal.name == "cost" and least is not None and budget < least * (1 - EXACT):
             raise ProblemError(
-                f"the cost {budget:g} per {found.unit} is below that of sending at every tick; "
+                f"the cost {budget:g} {per_unit(found.unit)} is below that of sending at every step; "
                 f"expected at least {least:.6g}"
             )
 
     def _walk(self, here: Look, outwards: float) -> tuple[Look, Look] | None:
-        """Return the last two looks of a walk that passes the budget, or None where it ends before."""
+        """Return the last two trials of a walk that passes the budget, or None if the walk ends before."""
         side, start, distance, step = here.above > 0, here.value, 0.0, FIRST
         while distance < FARTHEST:
             distance += step
@@ -288,7 +307,7 @@ class Search:
         return None
 
     def _edge(self, last: Look, outwards: float, start: float, beyond: float) -> Look:
-        """Return the farthest look short of where nothing can be designed any more."""
+        """Return the farthest trial for which a policy can still be designed."""
         inside = abs(self._place(last.value) - self._place(start))
         for _ in range(HALVINGS):
             middle = (inside + beyond) / 2
@@ -300,7 +319,7 @@ class Search:
         return last
 
     def _refuse(self) -> Never:
-        """Say what can be reached.
+        """Raise an error that states the range that can be reached.
 
         Raises:
             ProblemError: always.
@@ -313,26 +332,26 @@ class Search:
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
-            f"no {self.knob.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: from "
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: from "
             f"{values[0]:.4g} to {values[-1]:.4g} it reaches {self.goal.name}s from {found[0]:.5g} to {found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
-            + f"; expected a {self.goal.name} in between"
+            + f"; expected a {self.goal.name} within this range"
         )
 
     def _looks(self) -> list[Look]:
         return [look for look in self._seen.values() if isinstance(look, Look)]
 
     def _place(self, value: float) -> float:
-        """Return where a value is on the axis that is searched."""
-        return float(np.log(value - self.knob.least + self.knob.whole))
+        """Return the coordinate of a value on the logarithmic axis of the search."""
+        return float(np.log(value - self.tuning.least + self.tuning.whole))
 
     def _value(self, place: float) -> float:
-        return self.knob.least + float(np.exp(place))
+        return self.tuning.least + float(np.exp(place))
 
     def _moved(self, start: float, by: float) -> float:
-        """Return the value that is so far from another; of whole numbers at least the next."""
+        """Return the value at a distance from another value; for integers, at least the next one."""
         place = self._place(start) + by
-        if not self.knob.whole:
+        if not self.tuning.whole:
             return self._value(place) if by else start
-        value = round(min(np.exp(place), 1e9)) - 1 + int(self.knob.least)
-        return int(max(self.knob.least, value if value != start or by == 0 else start + np.sign(by)))
+        value = round(min(np.exp(place), 1e9)) - 1 + int(self.tuning.least)
+        return int(max(self.tuning.least, value if value != start or by == 0 else start + np.sign(by)))

@@ -1,38 +1,47 @@
-"""A folder that keeps one file for each cell of a sweep, so that nothing that was computed is lost."""
+"""A folder with one file per cell of a sweep, so that an interrupted sweep can continue, and the file of the result."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
 import logging
 import time
 import warnings
 from contextlib import suppress
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from taciturn._files import PART, write_whole
 from taciturn.errors import ProblemError
 from taciturn.study.record import decode, digest, encode
 
+if TYPE_CHECKING:
+    import xarray
+
 LABEL = "store.json"
 TOLD = logging.getLogger(__name__)
-FORGOTTEN = 3600.0  # seconds after which a file that never became whole is nobody's
+_READ_ONLY = errno.EROFS, errno.EACCES, errno.EPERM
+FORGOTTEN = 3600.0  # seconds after which an incomplete file is deleted
 
 
 class Store:
-    """Answers on disk, each under the digest of everything that it depends on.
+    """Answers on disk, each under the digest of all data that it depends on.
 
-    A file holds the digest of its text and the text, and has its name only once it is whole: whatever dies at whatever
-    moment, the store holds answers that are complete. What was kept for another problem or version stays, unused.
+    A file contains a digest of its key and its text, then the text, and is renamed to its final name only when it is
+    complete. So all stored answers are complete, even after a crash, and a file under the name of another answer is
+    detected. Answers for another problem or version stay in the store but are not used. A store on a read-only disk can
+    be read.
 
     Args:
-        folder: empty, missing, or a store.
-        label: what the answers belong to, as words for people.
+        folder: an empty folder, a new folder, or a store.
+        label: problem and version of the answers, as readable text.
 
     Raises:
-        ProblemError: the folder cannot be made or written to, or holds other files.
+        ProblemError: the folder cannot be created, is new and cannot be written to, or contains other files.
     """
 
     def __init__(self, folder: str | Path, label: dict[str, str]) -> None:
-        """Open the folder, and see whether it was filled by another problem or version."""
+        """Open the folder, and check whether another problem or version filled it."""
         self.folder, self._filled_by = Path(folder), ""
         try:
             self._open(label)
@@ -42,34 +51,37 @@ class Store:
             ) from None
 
     def count(self) -> int:
-        """Return how many answers are kept, whatever they belong to."""
+        """Return the number of stored answers, of any problem and version."""
         return sum(path.suffix != PART for path in self.folder.glob("cells/*/*"))
 
     def holds(self, key: str) -> bool:
-        """Tell whether an answer is kept under a key, damaged or not."""
+        """Return whether an answer, possibly damaged, is stored under a key."""
         return self._path(key).is_file()
 
     def tell(self, found: int, asked: int) -> None:
-        """Say how many of the answers that are asked for are found, and how many others there are.
+        """Log the number of requested answers that are stored, and the number of other answers.
 
-        Warns where none is found in a store that another problem or version filled.
+        Warn if no requested answer is found in a store that another problem or version filled.
         """
         others = self.count() - found
         if self._filled_by and not found:
             warnings.warn(
-                f"the store {str(self.folder)!r} was filled by another {self._filled_by}: what it holds for that "
-                "stays, and is not used here",
+                f"the store {str(self.folder)!r} was filled by another {self._filled_by}: its answers stay in the "
+                "store and are not used here",
                 stacklevel=2,
             )
         elif found or others:
             rest = (
-                f"; {others} more that it holds have other values, another precision, seed, problem or version: "
-                "they stay, unused"
+                f"; {others} other answers in it are for other values, or for another precision, seed, problem or "
+                "version: they stay in the store, unused"
             )
             TOLD.info("%d of %d cells are read from %s%s", found, asked, self.folder, rest if others else "")
 
     def read(self, key: str) -> object | None:
-        """Return the answer that is kept under a key, or None; a damaged file is warned of and taken away."""
+        """Return the answer that is stored under a key, or None.
+
+        A file that is damaged, or that is the file of another key under this name, is deleted with a warning.
+        """
         path = self._path(key)
         try:
             content = path.read_bytes()
@@ -77,28 +89,32 @@ class Store:
             return None
         try:
             kept, _, text = content.decode().partition("\n")
-            if digest(text) == kept:
+            if _digest_under(key, text) == kept:
                 return decode(text)
         except ValueError:
             pass
-        warnings.warn(f"the file {str(path)!r} of the store is damaged; its cell is computed again", stacklevel=2)
+        warnings.warn(
+            f"the file {str(path)!r} of the store is damaged, or is the file of another cell under this name; the cell "
+            "is computed again",
+            stacklevel=2,
+        )
         with suppress(OSError):
             path.unlink()
         return None
 
     def write(self, key: str, answer: object) -> None:
-        """Keep an answer.
+        """Store an answer.
 
         Raises:
-            ProblemError: the disk does not take it; what was kept before stays.
+            ProblemError: the answer cannot be written; the answers stored before remain.
         """
         text = encode(answer)
         try:
-            write_whole(self._path(key), f"{digest(text)}\n{text}".encode())
+            write_whole(self._path(key), f"{_digest_under(key, text)}\n{text}".encode())
         except OSError as error:
             raise ProblemError(
-                f"the store {str(self.folder)!r} cannot be written to ({error.strerror}); what it holds is whole: "
-                "make room, or mend what is wrong, and run again to go on"
+                f"the store {str(self.folder)!r} cannot be written to ({error.strerror}); its answers are intact: "
+                "free disk space, or correct the cause, and run again to continue"
             ) from None
 
     def _path(self, key: str) -> Path:
@@ -106,33 +122,73 @@ class Store:
 
     def _open(self, label: dict[str, str]) -> None:
         if self.folder.is_file():
-            raise ProblemError(f"the store {str(self.folder)!r} is a file; expected a folder, or a name that is free")
+            raise ProblemError(f"the store {str(self.folder)!r} is a file; expected a folder or an unused name")
         sign, cells = self.folder / LABEL, self.folder / "cells"
         self.folder.mkdir(parents=True, exist_ok=True)
         others = sorted(found.name for found in self.folder.iterdir() if found.suffix != PART)
         if others and LABEL not in others and "cells" not in others:
             raise ProblemError(
-                f"the folder {str(self.folder)!r} is no store and holds other files, as {others[0]!r}; expected an "
-                "empty folder, one that is not there yet, or a store"
+                f"the folder {str(self.folder)!r} is not a store and contains other files, such as {others[0]!r}; "
+                "expected an empty folder, a new folder, or a store"
             )
         text = encode(label)
         before = sign.read_text(encoding="utf-8", errors="replace") if LABEL in others else text
         if before != text:
             self._filled_by = self._differences(before, label)
-        if before != text or LABEL not in others:  # a store that is complete may be read only
-            write_whole(sign, text.encode())
+        if before != text or LABEL not in others:
+            try:
+                write_whole(sign, text.encode())
+            except OSError:
+                if "cells" not in others:  # otherwise the answers can be read
+                    raise
         for part in (*self.folder.glob(f"*{PART}"), *cells.glob(f"*/*{PART}")):
             with suppress(OSError):
                 if time.time() - part.stat().st_mtime > FORGOTTEN:
                     part.unlink()
 
     def _differences(self, before: str, label: dict[str, str]) -> str:
-        """Return in what the problem or version that filled the store differs from those of the label."""
+        """Return the differences between the label of the store and the given label."""
         try:
             kept = dict(decode(before))
         except (ValueError, TypeError):
-            warnings.warn(f"{LABEL} of the store {str(self.folder)!r} is damaged; it is written again", stacklevel=4)
+            warnings.warn(f"{LABEL} of the store {str(self.folder)!r} is damaged and is written again", stacklevel=4)
             return ""
         return "; ".join(
             f"{name} {kept.get(name)!s:.12}, now {now:.12}" for name, now in label.items() if kept.get(name) != now
         )
+
+
+def _digest_under(key: str, text: str) -> str:
+    """Return the digest of an answer's text under its key."""
+    return digest(f"{key}\n{text}")
+
+
+def save_whole(result: xarray.Dataset, path: Path) -> tuple[bool, str]:
+    """Write a result as netCDF atomically; another result of the same name is renamed, an equal one is left as it is.
+
+    Returns:
+        Whether the file contains the result, which is not the case on a read-only disk; and a note, or "".
+
+    Raises:
+        ProblemError: a file cannot be written although the disk is not read-only.
+    """
+    whole: Any = result  # xarray's types are incomplete
+    content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # in memory, as HDF5 aborts the process on a full disk
+    note = ""
+    try:
+        before = path.read_bytes() if path.exists() else None
+        if before == content:
+            return True, ""
+        if before is not None:
+            aside = path.with_stem(f"{path.stem}-{hashlib.sha256(before).hexdigest()[:12]}")
+            write_whole(aside, before)
+            note = f"{path} contained another result, which was renamed to {aside.name}"
+        write_whole(path, content)
+        return True, note
+    except OSError as error:
+        if error.errno in _READ_ONLY:
+            return False, f"{path} is not written ({error.strerror}); --table writes the results to another folder"
+        raise ProblemError(
+            f"{str(path)!r} cannot be written ({error.strerror}); the results are in the store: free disk space, or "
+            "correct the cause, and run again"
+        ) from None

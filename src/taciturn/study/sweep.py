@@ -1,8 +1,7 @@
-"""Sweeps: a problem over a grid of its values, as labelled arrays."""
+"""Sweeps: evaluations of a problem over a grid of its values, as labelled arrays."""
 
 from __future__ import annotations
 
-import hashlib
 import itertools
 import json
 import math
@@ -17,23 +16,23 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from taciturn._arrays import instance, quoted
-from taciturn._files import write_whole
-from taciturn._progress import Progress
+from taciturn._progress import Progress, in_notebook
+from taciturn._text import per_unit
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.record import digest, encode, fingerprint
+from taciturn.study.record import digest, encode, fingerprint, origin
 from taciturn.study.store import Store
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-LARGEST = 2**63  # of whole numbers that a file holds
-TAKEN = ("drop", "method", "tolerance")  # what the selection of labelled arrays calls its own arguments
+LARGEST = 2**63  # limit of the integers that a file can hold
+TAKEN = ("drop", "method", "tolerance")  # argument names of the selection methods of labelled arrays
 
 
 def sweep(
@@ -50,31 +49,32 @@ def sweep(
 ) -> xarray.Dataset:
     """Return cost and rates of a problem's policy over a grid, one dimension per name.
 
-    Each cell has a seed of its own, from ``seed`` and its values alone, so that a cell is the same in every grid, in
-    every order, on every worker. What a cell cannot answer is missing there (NaN, an empty word), its reason in the
-    variable ``refusal``, and a warning says how many there are.
+    The seed of a cell is derived from ``seed`` and the cell's values only, so a cell gives the same result in every
+    grid, in every order and on every worker. A cell without an answer contains NaN or an empty string; the variable
+    ``refusal`` gives the reason, and a warning reports the number of such cells.
 
     Args:
-        problem: each cell changes the named keys.
-        over: the values of each key (of ``[policy]``, or dotted); several keys make a grid.
-        executor: runs blocks of cells: threads, processes, ``dask.distributed``'s ``Client.get_executor()``,
-            ``mpi4py.futures.MPIPoolExecutor``, or any other; omitted: cell after cell here, on all processors.
-        store: folder that keeps one file per cell; a second run computes only what is missing, or belonged to another
+        problem: the problem in which each cell changes the named keys.
+        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
+        executor: executor that runs blocks of cells: threads, processes, ``dask.distributed``'s
+            ``Client.get_executor()``, ``mpi4py.futures.MPIPoolExecutor``, or any other; default: one cell after the
+            other in this process, on all processors.
+        store: folder with one file per cell; a second run computes only the cells that are missing or belong to another
             problem or version.
-        seed: of all draws, at least 0.
-        standard_error: absolute, of each cost; omitted: 1e-4 of it.
-        steps: of each simulation, instead of a standard error.
-        confidence: with which a lower bound is to hold of the cost of any scheduling, in cells that have one; omitted:
-            none is sought.
-        progress: called with the fraction done.
+        seed: seed of all random draws, at least 0.
+        standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
+        steps: number of steps of each simulation, instead of a standard error.
+        confidence: confidence of a lower bound on the cost of any scheduling, in cells that have one; default: no lower
+            bound.
+        progress: callback that receives the fraction done.
 
     Returns:
-        ``cost``, ``cost_standard_error``, ``rate_actuator``, ``rate_sensor``, … over the swept names; units, problem,
-        version, seed and machine in the attributes.
+        A dataset with ``cost``, ``cost_standard_error``, ``rate_actuator``, ``rate_sensor``, … over the swept names;
+        its attributes contain units, problem, version, seed, methods and machine.
 
     Raises:
-        ProblemError: no values, values that are given twice, an unknown key, data that do not fit, a store that cannot
-            be used, or an executor that fails; what was computed stays in the store.
+        ProblemError: no values are given, a value is given twice, a key is unknown, the data are inconsistent, the
+            store cannot be used, or the executor fails; finished cells stay in the store.
 
     Example:
         >>> from taciturn import load
@@ -88,25 +88,27 @@ def sweep(
     for name in listed:
         if _path(name) == ["policy", "seed"]:
             raise ProblemError(
-                "seed is no key of a problem; expected a sweep for each seed (--seed, seed=), all into one store"
+                "seed is not a key of a problem; expected one sweep for each seed (--seed, seed=), with the same store"
             )
         if name in TAKEN:
-            raise ProblemError(f"{name} names a dimension that labels cannot select; expected policy.{name}")
+            raise ProblemError(f"the dimension name {name} is reserved by xarray; expected policy.{name}")
     axes = {name: _labels(name, values) for name, values in listed.items()}
     _check_axes(problem, listed, confidence)
     cells = _Grid(listed, seed)
     label = label_of(problem)
     table = _Table(cells.shape)
     kept = None if store is None else Store(store, label)
-    for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, progress):
+    bar = in_notebook(progress)
+    for index, answer in run_cells(problem, cells, Effort(standard_error, confidence, steps), executor, kept, bar):
         table.put(index, cells[index].seed, answer)
     table.tell(cells)
-    label |= {"seed": str(seed), "machine": f"{platform.machine()}, {platform.system()}"}
-    return table.dataset(axes, label)
+    methods = ", ".join(sorted(table.methods))
+    told = {name: str(value) for name, value in origin(problem, seed, methods).items()}
+    return table.dataset(axes, label | told | {"machine": f"{platform.machine()}, {platform.system()}"})
 
 
 def label_of(problem: Problem) -> dict[str, str]:
-    """Return what tells a sweep's results from others': problem and version."""
+    """Return the label of a sweep's results: digest of the problem, and version."""
     return {"problem": fingerprint(problem), "version": __version__}
 
 
@@ -114,7 +116,7 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
     """Return the values of each name as lists.
 
     Raises:
-        ProblemError: no names, no values, a value twice, or no list.
+        ProblemError: there are no names or no values, a value is given twice, or the values are not a list.
     """
     instance("over", over, Mapping)
     listed: dict[str, list[object]] = {}
@@ -122,29 +124,29 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
         instance("a name in over", name, str)
         plain = _plain(name, values)
         if not isinstance(plain, list):
-            raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list of values, as [0.1, 1.0]")
+            raise ProblemError(f"the values of {name} are {quoted(values)}; expected a list such as [0.1, 1.0]")
         listed[name] = cast("list[object]", plain)
         _labels(name, listed[name])
         path = _path(name)
         for other in itertools.islice(listed, len(listed) - 1):
             if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
-                raise ProblemError(f"{other} and {name} are the same, or one in the other; expected one of them")
+                raise ProblemError(f"{other} and {name} are the same, or one contains the other; expected one of them")
     if not listed or not all(listed.values()):
-        raise ProblemError("there are no values; expected a name with at least one value, as theta=0.1,1")
+        raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
     return listed
 
 
 def _path(name: str) -> list[str]:
-    """Return the tables and the key that a name stands for."""
+    """Return the path of a name: its tables, then its key."""
     path = name.split(".")
     return path if len(path) > 1 else ["policy", *path]
 
 
 def _plain(name: str, value: object) -> object:
-    """Return a value as a file would state it: arrays as rows.
+    """Return a value in the form of a problem file: arrays as lists of rows.
 
     Raises:
-        ProblemError: no file can state it.
+        ProblemError: a problem file cannot contain the value.
     """
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
         value = cast("Any", value).tolist()
@@ -161,31 +163,31 @@ def _plain(name: str, value: object) -> object:
 
 
 def grid_of(listed: Mapping[str, Sequence[object]]) -> list[dict[str, object]]:
-    """Return every combination of values, the last name fastest."""
+    """Return every combination of the values; the last name varies fastest."""
     return [dict(zip(listed, values, strict=True)) for values in itertools.product(*listed.values())]
 
 
 def _labels(name: str, values: Sequence[object]) -> list[Any]:
-    """Return the coordinates of a dimension: numbers or words as they are, anything else as JSON.
+    """Return the coordinates of a dimension: numbers and words unchanged, other values as JSON.
 
     Raises:
-        ProblemError: two are the same.
+        ProblemError: a value occurs twice.
     """
     numbers = all(isinstance(one, float) or (isinstance(one, int) and abs(one) < LARGEST) for one in values)
     plain = numbers or all(isinstance(one, str) for one in values)
     labels: list[Any] = [one if plain else json.dumps(json.loads(encode(one))) for one in values]
     twice = next((one for one in labels if labels.count(one) > 1), None) if len(set(labels)) < len(labels) else None
     if twice is not None:
-        raise ProblemError(f"{name} has the value {twice} twice; expected each once")
+        raise ProblemError(f"{name} has the value {twice} twice; expected each value once")
     return labels
 
 
 def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confidence: float | None) -> None:
-    """Design the policy at the first value of every name, and at the end of each; tell mistakes before cells run.
+    """Design the policy at the first and last value of every name, to report mistakes before cells run.
 
     Raises:
-        TaciturnError: what is wrong with the first of them, where no other is right, or that none has the lower bound
-            that is asked for.
+        TaciturnError: every one of these designs fails, or none of them has the requested lower bound; the message is
+            that of the first.
     """
     first = {name: values[0] for name, values in listed.items()}
     checked = [first] + [first | {name: values[-1]} for name, values in listed.items() if len(values) > 1]
@@ -203,24 +205,24 @@ def _check_axes(problem: Problem, listed: Mapping[str, Sequence[object]], confid
 
 
 class _Grid:
-    """The cells of a grid, the last name fastest; each is made when it is asked for, since there may be millions.
+    """The cells of a grid, created on demand, since there may be millions; the last name varies fastest.
 
     Args:
         listed: the values of each name.
-        seed: of the sweep.
+        seed: seed of the sweep.
     """
 
     def __init__(self, listed: dict[str, list[object]], seed: int) -> None:
-        """Make none yet."""
+        """Store the values; no cell is created yet."""
         self.shape = tuple(len(values) for values in listed.values())
         self._listed, self._seed = listed, seed
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of cells."""
         return math.prod(self.shape)
 
     def __getitem__(self, index: int, /) -> Cell:
-        """Return one of them."""
+        """Return the cell at an index."""
         values: dict[str, object] = {}
         for name, listed in reversed(self._listed.items()):
             index, place = divmod(index, len(listed))
@@ -230,14 +232,14 @@ class _Grid:
 
 
 def _seed_of(seed: int, values: Mapping[str, object]) -> int:
-    """Return a cell's own seed, one that ``taciturn evaluate --seed`` takes."""
+    """Return the seed of a cell, which ``taciturn evaluate --seed`` accepts."""
     stated = {".".join(_path(name)): _as_float(value) for name, value in values.items()}
     words = np.frombuffer(bytes.fromhex(digest(encode(stated))), dtype=np.uint32)
     return int(np.random.SeedSequence(seed, spawn_key=tuple(int(word) for word in words[:4])).generate_state(1)[0])
 
 
 def _as_float(value: object) -> object:
-    """Return a value in which 1 is 1.0, and −0 is 0."""
+    """Return a value with integers converted to floats and −0 to 0."""
     if isinstance(value, list):
         return [_as_float(one) for one in cast("list[object]", value)]
     if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) >= LARGEST:
@@ -247,7 +249,7 @@ def _as_float(value: object) -> object:
 
 @dataclass(frozen=True)
 class _Column:
-    """A number or a word of every answer, None where it has none; what stands there instead, and the unit."""
+    """A variable of the result: its value in an answer (or None), its unit, and the value that replaces None."""
 
     of: Callable[[Evaluation], float | str | None]
     unit: Callable[[Evaluation], str] = lambda found: ""
@@ -255,7 +257,7 @@ class _Column:
 
 
 def _per(found: Evaluation) -> str:
-    return f"cost per {found.unit}"
+    return f"cost {per_unit(found.unit)}"
 
 
 def _sends(found: Evaluation) -> str:
@@ -295,7 +297,7 @@ COLUMNS = {
 
 
 class _Table:
-    """The columns of a sweep, filled as answers come."""
+    """The columns of a sweep, filled as answers arrive."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape, size = shape, math.prod(shape)
@@ -303,6 +305,7 @@ class _Table:
         self.columns: dict[str, np.ndarray[Any, Any]] = {}
         self.units: dict[str, str] = {}
         self.refused: list[int] = []
+        self.methods: set[str] = set()
 
     def put(self, index: int, seed: int, answer: Evaluation | Refusal) -> None:
         """Write the answer of a cell."""
@@ -311,6 +314,7 @@ class _Table:
             self.refusals[index] = str(answer.error)
             self.refused.append(index)
             return
+        self.methods.add(answer.method)
         for name, column in COLUMNS.items():
             value = column.of(answer)
             if value is None:
@@ -321,15 +325,15 @@ class _Table:
                 self.units[name] = column.unit(answer)
             elif self.units[name] != column.unit(answer):
                 raise ProblemError(
-                    f"the grid mixes {self.units[name]} and {column.unit(answer)}; expected one: sweep them apart"
+                    f"the grid mixes {self.units[name]} and {column.unit(answer)}; expected one unit: use two sweeps"
                 )
             self.columns[name][index] = value
 
     def tell(self, cells: Cells) -> None:
-        """Warn of cells without an answer.
+        """Warn about cells without an answer.
 
         Raises:
-            ProblemError: none has one.
+            ProblemError: no cell has an answer.
         """
         if not self.refused:
             return
@@ -341,7 +345,7 @@ class _Table:
         warnings.warn(sentence, stacklevel=3)
 
     def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
-        """Return the columns over the grid, in the order in which they are listed here."""
+        """Return the columns over the grid, in the order of ``COLUMNS``."""
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
@@ -351,34 +355,8 @@ class _Table:
         return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))
 
 
-def save_whole(result: xarray.Dataset, path: Path) -> Path | None:
-    """Write a result as netCDF, under its name once it is whole.
-
-    Returns:
-        Where another result that had the name is kept: its digest is put after the name.
-
-    Raises:
-        ProblemError: a file cannot be written.
-    """
-    whole: Any = result  # whose types are open
-    content = bytes(whole.to_netcdf(None, engine="h5netcdf"))  # HDF5 itself ends the process where a disk is full
-    aside: Path | None = None
-    try:
-        before = path.read_bytes() if path.exists() else content
-        if before != content:
-            aside = path.with_stem(f"{path.stem}-{hashlib.sha256(before).hexdigest()[:12]}")
-            write_whole(aside, before)
-        write_whole(path, content)
-        return aside
-    except OSError as error:
-        raise ProblemError(
-            f"{str(path)!r} cannot be written ({error.strerror}); what was computed is kept: make room, or mend "
-            "what is wrong, and run again"
-        ) from None
-
-
 def table_of(result: xarray.Dataset) -> pandas.DataFrame:
-    """Return a result as a table: a row for each cell, a column for each name; its attributes in ``attrs``.
+    """Return a result as a table with a row for each cell and a column for each name; attributes are in ``attrs``.
 
     Raises:
         ProblemError: pandas is not installed.

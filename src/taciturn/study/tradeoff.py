@@ -1,4 +1,4 @@
-"""Cost against rate: a policy over its parameters, beside fair clocks and the guarantee."""
+"""Cost against rate of a policy over its parameters, with fair periodic control and the guarantee."""
 
 from __future__ import annotations
 
@@ -6,62 +6,107 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from taciturn._figure import Panel, Series, draw
-from taciturn._progress import Progress
+from taciturn._display import Displayed
+from taciturn._figure import HEIGHT, Panel, Series, Size, draw
+from taciturn._progress import Progress, in_notebook
+from taciturn._text import per_unit
 from taciturn.errors import ProblemError
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.fair import clock_of
+from taciturn.study.lines import least_cost, proved
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
-from taciturn.study.units import Unit
+from taciturn.study.units import TimeUnit, Unit, rate_unit
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LINE = 200  # points of the line above what no scheduling reaches
+LINE = 200  # points of the boundary of the region that no schedule reaches
+ROOM = 1.25  # top of the figure, as a multiple of the highest extra cost of the policy
+GRAY = 7
 
 
-@dataclass(frozen=True)
-class Point:
-    """One evaluation.
+@dataclass(frozen=True, repr=False)
+class Point(Displayed):
+    """One point of the trade-off.
 
     Args:
-        values: what was varied.
-        evaluation: of the policy, with the fair clock at its rate.
+        values: values of the varied keys.
+        evaluation: evaluation of the policy, with fair periodic control at its rate.
     """
 
     values: Mapping[str, Any]
     evaluation: Evaluation
 
+    def short(self) -> str:
+        """Return the values of the varied keys."""
+        return ", ".join(f"{name} = {value}" for name, value in self.values.items())
+
     @property
     def cost_periodic_same_rate(self) -> float | None:
-        """Exact cost of the fair clock; None where there is none."""
+        """Exact cost of fair periodic control, or None if there is none."""
         return self.evaluation.cost_periodic_same_rate
 
 
-@dataclass(frozen=True)
-class Tradeoff:
-    """Cost against rate.
+@dataclass(frozen=True, repr=False)
+class Tradeoff(Tabular):
+    """Cost against rate of a policy.
 
     Args:
-        points: in the order of the grid.
-        periodic: the curve of the fair clock, by its kind: time-triggered control with the measurements and the
-            actuation of the policy; none where plant, cost or period differ between points.
-        unit: what the cost counts per: ``"step"``, ``"second"`` or ``"mission"``.
-        guarantee: the theorem behind the bounds, or None.
+        points: points in the order of the grid.
+        periodic: curves of fair periodic control by actuation, that is, of time-triggered control with the measurements
+            and the actuation of the policy; empty if plant, cost or period differ between points.
+        unit: unit of time or run that the cost refers to: ``"step"``, ``"second"`` or ``"mission"``.
+        guarantee: the theorem that proves the bounds, or None.
     """
+
+    heading: ClassVar[tuple[str, ...]] = ("unit", "rate_unit", "method", "guarantee")
 
     points: tuple[Point, ...]
     periodic: Mapping[ClockKind, tuple[ClockPoint, ...]]
     unit: Unit
     guarantee: str | None
+
+    @property
+    def rate_unit(self) -> TimeUnit:
+        """Unit of time of the rates."""
+        return rate_unit(self.unit)
+
+    @property
+    def method(self) -> str:
+        """Methods that gave the points."""
+        return ", ".join(dict.fromkeys(point.evaluation.method for point in self.points))
+
+    @property
+    def one_controller(self) -> bool:
+        """Whether all points have the same sampling rate and cost of sending every sample."""
+        return len({(one.evaluation.base_rate, one.evaluation.cost_all_time) for one in self.points}) == 1
+
+    def columns(self) -> Columns:
+        """Return one row per point: varied values, rates, cost, bounds, and cost of periodic control at its rate."""
+        bounded = any(point.evaluation.lower_bound is not None for point in self.points)
+        return columns_of(
+            [
+                {
+                    **point.values,
+                    **{f"rate_{link}": rate for link, rate in point.evaluation.rates.items()},
+                    "cost": point.evaluation.cost,
+                    "guarantee": proved(point.evaluation.cost_bound),
+                    "guarantee_at_rate": proved(point.evaluation.cost_bound_at_rate),
+                    "periodic_same_rate": point.cost_periodic_same_rate,
+                    **({"no_schedule_below": least_cost(point.evaluation)} if bounded else {}),
+                }
+                for point in self.points
+            ]
+        )
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tradeoff --json``."""
@@ -71,22 +116,29 @@ class Tradeoff:
                 kind: [{"rate": p.rate, "cost": p.cost} for p in curve] for kind, curve in self.periodic.items()
             },
             "unit": self.unit,
+            "rate_unit": self.rate_unit,
+            "method": self.method,
             "guarantee": self.guarantee,
         }
 
-    def plot(self) -> Figure:
-        """Return a figure of cost against the rate of each link: the policy, periodic control, the guarantee."""
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of cost against the rate of each link.
+
+        It shows the policy, its guarantee (the one at the measured rate, if there is one), periodic control, and the
+        cost of sending every sample.
+
+        Args:
+            ax: existing axes to draw in instead of a new figure, one for each link.
+            figsize: width and height of a new figure, in inches.
+        """
         links = list(self.points[0].evaluation.rates)
         panels = [self._panel(link, f"of the {link} link " if len(links) > 1 else "") for link in links]
-        return draw(panels, height=4.2 * len(panels))
+        return draw(panels, ax, figsize, height=HEIGHT * len(panels))
 
     def _panel(self, link: str, named: str) -> Panel:
         series: list[Series] = []
         families: dict[tuple[tuple[str, Any], ...], list[Point]] = {}
-        lead, top = (
-            _lead([point.values for point in self.points]),
-            1.6 * max(p.evaluation.cost.value for p in self.points),
-        )
+        lead = _lead([point.values for point in self.points])
         for point in self.points:
             families.setdefault(tuple((k, v) for k, v in point.values.items() if k != lead), []).append(point)
         for index, (family, points) in enumerate(families.items()):
@@ -94,31 +146,48 @@ class Tradeoff:
             label = ", ".join([found[0].policy, *(_name(key, value) for key, value in family)])
             x, y = [one.rates[link].value for one in found], [one.cost.value for one in found]
             series.append(Series(x, y, label, error=[one.cost.standard_error for one in found], color=index))
-            bounds = [one.cost_bound for one in found]
-            inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None and b <= top]
+            bounds = [one.cost_bound if one.cost_bound_at_rate is None else one.cost_bound_at_rate for one in found]
+            inside = [(a, b) for a, b in zip(x, bounds, strict=True) if b is not None]
             if len(inside) > 1:
-                series.append(Series([a for a, _ in inside], [b for _, b in inside], "", "dotted", color=index))
+                proved = "" if len(families) > 1 else "guarantee"
+                series.append(Series([a for a, _ in inside], [b for _, b in inside], proved, "dotted", color=index))
         for kind, curve in self.periodic.items():
             style = "dashed" if len(self.periodic) == 1 or kind == "hold" else "line"
-            shown, color = [p for p in curve if p.cost <= top], 7 if kind == "hold" else 5
-            x, y = [p.rate for p in shown], [p.cost for p in shown]
-            series.append(Series(x, y, f"fair clock, {kind}", style, color=color))
-        series += self._impossible()
-        title = "dotted: guaranteed bound" if any(s.style == "dotted" for s in series) else ""
-        rate_unit = self.points[0].evaluation.rate_unit
-        return Panel(series, f"sends {named}per {rate_unit}", f"cost per {self.unit}", title)
+            x, y = [p.rate for p in curve], [p.cost for p in curve]
+            series.append(Series(x, y, f"periodic control, {kind}", style, color=GRAY))
+        series += self._every_sample() + self._impossible()
+        title = "dotted: guarantee" if any(s.style == "dotted" and not s.label for s in series) else ""
+        return Panel(
+            series, f"sends {named}per {self.rate_unit}", f"cost {per_unit(self.unit)}", title, ylim=self._limits()
+        )
+
+    def _limits(self) -> tuple[float, float]:
+        """Return the cost limits of the figure, from the policy only, so that a large bound does not compress it."""
+        costs = [point.evaluation.cost.value for point in self.points]
+        bases = [one.evaluation.cost_all_time for one in self.points if one.evaluation.cost_all_time is not None]
+        low, high = min([*costs, *bases]), max(costs)
+        spread = (high - low) or abs(high) or 1.0
+        return low - 0.05 * spread, low + ROOM * spread
+
+    def _every_sample(self) -> list[Series]:
+        """Return the line of sending every sample, if its cost is the same for all points."""
+        found = [point.evaluation for point in self.points]
+        if found[0].cost_all_time is None or len({one.cost_all_time for one in found}) > 1:
+            return []
+        rates = [rate.value for one in found for rate in one.rates.values()]
+        most = max([*rates, *(p.rate for curve in self.periodic.values() for p in curve)])
+        return [Series([min(rates), most], [found[0].cost_all_time] * 2, "sending every sample", color=2)]
 
     def _impossible(self) -> list[Series]:
-        """Return what no scheduling reaches: below every line that a lower bound draws through its point."""
+        """Return the region that no schedule reaches: below the lines of the lower bounds of all points."""
         found = [point.evaluation for point in self.points]
         bounds = [one.lower_bound for one in found if one.lower_bound is not None]
-        paces, bases = {one.base_rate for one in found}, {one.cost_all_time for one in found}
         pace, base = found[0].base_rate, found[0].cost_all_time
-        if not bounds or len(paces) > 1 or len(bases) > 1 or pace is None or base is None:
-            return []  # of one controller that looks at one pace
+        if not bounds or not self.one_controller or pace is None or base is None:
+            return []
         rates = [float(rate) for rate in np.linspace(min(one.rate for one in bounds), 1.0, LINE)]
         lowest = [max(base, *(one.at_rate(rate) for one in bounds)) for rate in rates]
-        return [Series([pace * rate for rate in rates], lowest, "no scheduling", "below")]
+        return [Series([pace * rate for rate in rates], lowest, "no schedule costs less", "below")]
 
 
 def tradeoff(
@@ -135,33 +204,35 @@ def tradeoff(
     """Return cost against rate of a problem's policy over a grid of its parameters.
 
     Args:
-        problem: the problem; each point changes the named keys.
-        over: the values of each key (of ``[policy]``, or dotted); several keys make a grid.
-        seed: of the draws, the same at every point: the errors of two points are correlated.
-        standard_error: absolute, of each cost; omitted: 1e-4 of it.
-        confidence: with which lower bounds are to hold of the cost of any scheduling at the rates found; omitted: none
-            is sought. Points that have none go without, unless that is all of them.
-        executor: runs the points, as in ``sweep``; omitted: here.
-        store: folder that keeps the points, as in ``sweep``; a second run computes only what is missing.
-        progress: called with the fraction done.
+        problem: the problem in which each point changes the named keys.
+        over: the values of each key: a key of ``[policy]``, or a dotted path; several keys make a grid.
+        seed: seed of the random draws, the same at every point, so the errors of two points are correlated.
+        standard_error: absolute standard error of each cost; default: 1e-4 of the cost.
+        confidence: confidence of lower bounds on the cost of any scheduling at the measured rates; default: no lower
+            bounds. Points without a lower bound are allowed unless no point has one.
+        executor: executor that runs the points, as in ``sweep``; default: this process.
+        store: folder that stores the points, as in ``sweep``; a second run computes only the missing points.
+        progress: callback that receives the fraction done.
 
     Returns:
-        The points with the periodic curve of the same plant and cost.
+        The points, with the curve of periodic control for the same plant and cost.
 
     Raises:
-        ProblemError: no values, an unknown key, or data that do not fit.
+        ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
     expect_problem("problem", problem)
     grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
-        changed.designed()  # a mistake in the last cell is told before the first one runs
+        changed.designed()  # reports a mistake in the last cell before the first one runs
     if len({changed.cost.mission for changed in problems}) > 1:
-        raise ProblemError("the grid mixes averages and missions, whose costs count differently; expected one of them")
+        raise ProblemError(
+            "the grid mixes averages and finite-horizon runs, whose costs have different units; expected one kind"
+        )
     check_confidence(problems, confidence)
     effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]
     kept = None if store is None else Store(store, label_of(problem))
-    found = evaluate_cells(problem, cells, effort, executor, kept, progress)
+    found = evaluate_cells(problem, cells, effort, executor, kept, in_notebook(progress))
     points = [Point(cell, evaluation) for cell, evaluation in zip(grid, found, strict=True)]
     unit, statement = points[0].evaluation.unit, points[0].evaluation.statement
     return Tradeoff(tuple(points), _curves(problems, points, over), unit, statement)
@@ -170,7 +241,7 @@ def tradeoff(
 def _curves(
     problems: Sequence[Problem], points: Sequence[Point], over: Mapping[str, object]
 ) -> dict[ClockKind, tuple[ClockPoint, ...]]:
-    """Return the curves of the clocks that all points share: none where what a clock depends on was varied."""
+    """Return the curves of periodic control that all points share; there are none if plant, cost or period varies."""
     if any(name.removeprefix("policy.") == "period" or "." in name.removeprefix("policy.") for name in over):
         return {}
     fastest = max(point.evaluation.base_rate or 2 * _rate(point) for point in points)
@@ -186,13 +257,13 @@ def _curves(
 
 
 def _lead(cells: Sequence[Mapping[str, Any]]) -> str:
-    """Return the key along which points are joined: the first whose values are numbers."""
+    """Return the key along which points are connected, which is the first key with numerical values."""
     names = list(cells[0])
     return next((n for n in names if all(isinstance(cell[n], int | float) for cell in cells)), names[0])
 
 
 def _name(key: str, value: object) -> str:
-    """Return a value as a legend shows it: words speak for themselves."""
+    """Return a value as the legend shows it; the key is omitted for words."""
     return value if isinstance(value, str) else f"{key} = {value}"
 
 

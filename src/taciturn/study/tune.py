@@ -1,11 +1,11 @@
-"""The parameter of a policy that meets a budget: a rate, or a cost."""
+"""Tuning: the parameter with which a policy meets a budget, which is a rate or a cost."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from taciturn._progress import Progress
-from taciturn.design.catalogue import KNOBS, Knob
+from taciturn._progress import Progress, in_notebook
+from taciturn.design.catalogue import TRADEOFF_PARAMETERS, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
@@ -29,51 +29,52 @@ def tune(
     standard_error: float | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Return the parameter with which a problem's policy sends at a rate, or costs so much.
+    """Return the parameter with which a problem's policy meets a budget on its rate or its cost.
 
-    The parameter is the knob of the policy kind; rate and cost are taken to be monotone in it. The search looks at the
-    same draws again and again, and corrects its answer once it is measured more precisely, until it is at least two
-    standard errors within the budget. Where the rate jumps, as with whole numbers, the answer is the policy next to the
-    budget that keeps it.
+    The parameter is the tuning parameter of the policy kind; rate and cost are assumed to be monotone in it. All trials
+    of the search use the same draws. The answer is then measured more precisely and corrected, until it is at least two
+    standard errors within the budget. If the rate jumps across the budget, as for integer parameters, the answer is the
+    policy on the side of the jump that meets the budget.
 
     Args:
-        problem: its policy; the value that its parameter has is where the search starts.
-        rate: at most so many sends per step or per second, or ``"50%"`` of the rate of sending always; the answer
-            sends as little less as it can.
-        cost: at most so much per step, per second or per mission, or ``"+5%"`` above the cost of sending always; the
-            answer costs as little less as it can.
-        link: whose rate; omitted where the policy decides one only.
-        seed: of the draws.
-        standard_error: absolute, of the cost of the answer; omitted: 1e-4 of it.
-        progress: called with the fraction done.
+        problem: the problem whose policy is tuned; the search starts at its value of the parameter.
+        rate: largest rate, in sends per step or per second, or ``"50%"`` of the rate of sending every sample; the
+            answer is as close to this limit as possible.
+        cost: largest cost, per step, per second or per finite-horizon run, or ``"+5%"`` above the cost of sending every
+            sample; the answer is as close to this limit as possible.
+        link: link whose rate is meant; may be omitted if the policy decides on a single link.
+        seed: seed of the random draws.
+        standard_error: absolute standard error of the cost of the answer; default: 1e-4 of the cost.
+        progress: callback that receives the fraction done.
 
     Returns:
-        The parameter with the standard error that it has as an answer to the budget, the evaluation at this parameter,
-        whose standard errors are those of any evaluation, and the confidence with which the budget is kept.
+        The parameter with its standard error as a solution of the budget, the evaluation at this parameter with its own
+        standard errors, and the confidence with which the budget is met.
 
     Raises:
-        ProblemError: a budget that no value reaches, none or two budgets, a policy without such a parameter.
-        UnstableError: no value has a stable loop.
+        ProblemError: no value reaches the budget, no budget or two budgets are given, or the policy has no such
+            parameter.
+        UnstableError: no value gives a stable loop.
 
     Example:
         >>> from taciturn import load
-        >>> found = tune(load("two-mass"), rate=0.3, standard_error=1e-3)
+        >>> found = tune(load("two-mass-lqg"), rate=0.3, standard_error=1e-3)
         >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
         (1.1, 0.3)
     """
     expect_problem("problem", problem)
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
-        got = "both" if rate is not None else "neither"
-        raise ProblemError(f"of rate and cost {got} is given; expected one of them, the budget: --rate or --cost")
+        got = "both rate and cost are given" if rate is not None else "neither rate nor cost is given"
+        raise ProblemError(f"{got}; expected one of them as the budget: --rate or --cost")
     name, budget = ("rate", rate) if rate is not None else ("cost", cost)
-    knob = _knob(problem, link)
-    goal = Goal(name, budget_of(problem, knob, name, budget), link or knob.link)
-    search = Search(problem, knob, goal, seed, progress)
-    if knob.cycles and (cycles := _next_to(problem, knob, goal, search)) is not None:
+    tuning = _tuning(problem, link)
+    goal = Goal(name, budget_of(problem, tuning, name, budget), link or tuning.link)
+    search = Search(problem, tuning, goal, seed, in_notebook(progress))
+    if tuning.cycles and (cycles := _next_to(problem, tuning, goal, search)) is not None:
         return cycles
     low, high = search.bracket()
-    if not knob.whole:
+    if not tuning.whole:
         low, high = search.close_in(low, high)
         if low is high:
             return _tuned(search, *search.refine(low, standard_error))
@@ -83,9 +84,9 @@ def tune(
     return replace(found, beyond=_tuned(search, search.measure(high, standard_error), 0.0, None))
 
 
-def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned | None:
-    """Return the cycle next to the budget that keeps it, and the one beyond; None where no exact cost tells them."""
-    always = problem.changed({knob.name: 1})
+def _next_to(problem: Problem, tuning: TradeoffParameter, goal: Goal, search: Search) -> Tuned | None:
+    """Return the periodic cycle that meets the budget, with the one beyond it, or None if no exact cost is known."""
+    always = problem.changed({tuning.name: 1})
     policy = always.designed()
     clock = clock_of(always, policy)
     clock = clock.ticked if isinstance(clock, Either) else clock
@@ -105,31 +106,33 @@ def _next_to(problem: Problem, knob: Knob, goal: Goal, search: Search) -> Tuned 
 
 def _at_cycle(search: Search, cycle: Cycle | None) -> Tuned:
     assert cycle is not None
-    name, value = search.knob.name, cycle[0] if len(cycle) == 1 else cycle
+    name, value = search.tuning.name, cycle[0] if len(cycle) == 1 else cycle
     changed = search.problem.changed({name: value})
     return Tuned(search.goal, Parameter(name, value, 0.0), changed, evaluate(changed), None, None)
 
 
 def _tuned(search: Search, look: Look, error: float | None, slope: float | None) -> Tuned:
-    name = search.knob.name
+    name = search.tuning.name
     changed = search.problem.changed({name: look.value})
     return Tuned(search.goal, Parameter(name, look.value, error), changed, look.evaluation, None, slope)
 
 
-def _knob(problem: Problem, link: LinkName | None) -> Knob:
-    """Return the parameter that is turned, for the rate of a link."""
+def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
+    """Return the tuning parameter for the rate of a link."""
     continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
-    knobs = [
-        knob
-        for knob in KNOBS[problem.kind]
-        if knob.continuous in (None, continuous)
-        and (knob.link is None or (knob.name in given and link in (None, knob.link)))
+    tunings = [
+        tuning
+        for tuning in TRADEOFF_PARAMETERS[problem.kind]
+        if tuning.continuous in (None, continuous)
+        and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
     ]
-    knobs = [knob for knob in knobs if knob.name in given] or knobs[:1]
-    if len(knobs) > 1 and all(knob.link is None for knob in knobs):
-        knobs = knobs[:1]
-    if len(knobs) > 1:
-        raise ProblemError(f"{problem.kind} decides on two links; expected link, one of {[k.link for k in knobs]}")
-    if not knobs:
+    tunings = [tuning for tuning in tunings if tuning.name in given] or tunings[:1]
+    if len(tunings) > 1 and all(tuning.link is None for tuning in tunings):
+        tunings = tunings[:1]
+    if len(tunings) > 1:
+        raise ProblemError(
+            f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
+        )
+    if not tunings:
         raise ProblemError(f"{problem.kind} has no parameter for this rate; expected another kind, such as lqg")
-    return knobs[0]
+    return tunings[0]

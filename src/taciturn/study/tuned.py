@@ -1,59 +1,65 @@
-"""What a search for a budget found."""
+"""Result of the search for a parameter that meets a budget."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from taciturn._display import Displayed
 from taciturn.model.estimate import Estimate
+from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.study.clock import Cycle
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.lines import text_of, tuned_lines
+from taciturn.study.lines import budget_text, tuned_text
 
 if TYPE_CHECKING:
     from taciturn.study.search import Goal
 
 
-@dataclass(frozen=True)
-class Parameter:
-    """A parameter and how well it is known.
+@dataclass(frozen=True, repr=False)
+class Parameter(Displayed):
+    """A tuned parameter with its standard error.
 
     Args:
         name: key of ``[policy]``.
-        value: a number; of time-triggered control perhaps a cycle of intervals.
-        standard_error: None where the budget does not depend on it here.
+        value: a number, or for time-triggered control possibly a cycle of intervals.
+        standard_error: standard error of the value, or None if the budget does not depend on the value here.
     """
 
     name: str
     value: float | Cycle
     standard_error: float | None
 
+    def short(self) -> str:
+        """Return the name and the value."""
+        return f"{self.name} = {self}"
+
     def __str__(self) -> str:
-        """Return its value, with its standard error where it has one."""
+        """Return the value, with its standard error if there is one."""
         if isinstance(self.value, tuple):
             return "[" + ", ".join(map(str, self.value)) + "]"
         return str(Estimate(self.value, self.standard_error or 0.0, "simulation"))
 
     def beside(self, other: Parameter | None) -> str:
-        """Return its value with as many digits as tell it from another's, if there is one."""
+        """Return the value with enough digits to distinguish it from another value, if one is given."""
         if isinstance(self.value, tuple):
             return str(self)
         alike = other is not None and not isinstance(other.value, tuple) and f"{other.value:.6g}" == f"{self.value:.6g}"
         return f"{self.value:.{17 if alike else 6}g}"
 
 
-@dataclass(frozen=True, eq=False)
-class Tuned:
-    """The policy that meets a budget.
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuned(Tabular):
+    """A policy that meets a budget.
 
     Args:
         goal: the budget.
-        parameter: that was sought.
-        problem: with this parameter.
-        evaluation: of it.
-        beyond: where rate and cost jump across the budget, the policy on the other side of the jump.
-        slope: change of the cost with the rate at the budget, along the parameter; None at a jump.
+        parameter: the tuned parameter.
+        problem: the problem with this parameter.
+        evaluation: the evaluation of this problem.
+        beyond: the policy on the other side of the jump, if rate and cost jump across the budget.
+        slope: derivative of the cost with respect to the rate at the budget, along the parameter; None at a jump.
     """
 
     goal: Goal
@@ -64,13 +70,24 @@ class Tuned:
     slope: float | None
 
     @property
-    def confidence(self) -> float:
-        """With which the budget is kept, by the errors of the evaluation: 1 where it is computed exactly."""
+    def confidence(self) -> float | None:
+        """Confidence with which the budget is met, by the errors of the evaluation; 1 if the evaluation is exact.
+
+        It is None if the standard error cannot be trusted, as the notes of the evaluation state.
+        """
         return self.goal.confidence(self.evaluation)
 
+    def about(self) -> dict[str, object]:
+        """Return the parameter, the budget and the description of the evaluation, by name."""
+        return {"parameter": self.parameter.short(), "budget": budget_text(self), **self.evaluation.about()}
+
+    def columns(self) -> Columns:
+        """Return the rows of the evaluation at the tuned parameter."""
+        return columns_of(self.evaluation.records())
+
     def __str__(self) -> str:
-        """Return what ``taciturn tune`` prints."""
-        return text_of(tuned_lines(self))
+        """Return the text that ``taciturn tune`` prints."""
+        return tuned_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tune --json``."""

@@ -1,10 +1,9 @@
-"""What costs and rates count per: a step, a second, or a mission."""
+"""Units of costs and rates: per step, per second, or per finite-horizon run."""
 
 from __future__ import annotations
 
 from typing import Literal, TypeAlias
 
-from taciturn.loop import Loop
 from taciturn.model.plant import ContinuousPlant
 from taciturn.problem import Problem
 
@@ -13,20 +12,15 @@ Unit: TypeAlias = Literal["step", "second", "mission"]
 
 
 def time_unit(problem: Problem) -> TimeUnit:
-    """Return what the weights of a problem's cost count per, and averages with them."""
+    """Return the unit of time of a problem's cost weights and average cost."""
     return "second" if isinstance(problem.plant, ContinuousPlant) else "step"
 
 
 def cost_unit(problem: Problem) -> Unit:
-    """Return what a problem's cost counts per: that of a mission is a total."""
+    """Return the unit that a problem's cost refers to; the cost of a finite-horizon run is a total."""
     return "mission" if problem.cost.mission else time_unit(problem)
 
 
 def rate_unit(unit: Unit) -> TimeUnit:
-    """Return what a rate counts per beside a cost in this unit: the steps of a mission."""
+    """Return the unit of time of a rate for a given unit of the cost; a finite-horizon run counts in steps."""
     return "step" if unit == "mission" else unit
-
-
-def base_rate(loop: Loop) -> float:
-    """Return the rate of sending at every tick."""
-    return 1.0 if loop.problem.cost.mission else 1 / loop.policy.tick

@@ -1,4 +1,4 @@
-"""The body of a robot: its rigid-body physics, and what disturbs it; the same of the same seed and calls."""
+"""The body of a robot: rigid-body simulation with disturbing forces, reproducible for a given seed."""
 
 from __future__ import annotations
 
@@ -11,28 +11,27 @@ from taciturn._arrays import Array, ArrayLike, array, choice, count, number
 from taciturn._mujoco import FREE, Motion
 from taciturn.twin.robot import Robot
 
-CORRELATION = 0.2  # seconds over which a disturbing force forgets
-SETTLING = 200  # steps in which the wheels come to rest on the floor
-_AXES = (0, 1, 5)  # of a wrench: force along x and y, torque about z
-_SLACK = 1e-6  # of a step: a time that is a multiple of the step but for rounding is one
+CORRELATION = 0.2  # correlation time of a disturbing force in seconds
+SETTLING = 200  # number of simulation steps in which the wheels come to rest on the ground
+_AXES = (0, 1, 5)  # indices in a wrench: force along x and y, torque about z
+_SLACK = 1e-6  # tolerance, in steps, with which a time is rounded up to a multiple of the step
 
 
 class Body:
-    """Rigid-body physics of one robot, with wheels, motors and friction.
+    """A rigid-body simulation of one robot, with wheels, motors and friction.
 
-    Forces on the chassis disturb it: Ornstein–Uhlenbeck processes, stationary from the start.
+    Disturbing forces act on the chassis: Ornstein–Uhlenbeck processes, stationary from the start.
 
     Args:
-        robot: which one.
-        seed: of the disturbance.
-        start: what the camera would measure at the start, (n,) in metres and radians; the robot's own unless given.
-        gain_error: how far the motors' gains are off, as a fraction: all by this of the rover, each by a share of it
-            of the omni-directional robot.
-        disturbance: size of the disturbing forces, as a multiple of the robot's own; 0: none.
-        variant: how the wheels are modelled, one of the robot's variants.
+        robot: the robot.
+        seed: seed of the disturbance.
+        start: pose at the start, (n,), in metres and radians; default: the start pose in the robot's data.
+        gain_error: relative gain error of the motors; the robot's ``motor_errors`` scale it for each motor.
+        disturbance: size of the disturbing forces relative to those in the robot's data; 0: no disturbance.
+        variant: wheel model, one of the robot's variants.
 
     Raises:
-        ProblemError: MuJoCo is missing, or an argument is malformed.
+        ProblemError: MuJoCo is missing, or an argument is not valid.
 
     Example:
         >>> from taciturn.twin.catalogue import ROBOTS
@@ -53,7 +52,7 @@ class Body:
         disturbance: float = 1.0,
         variant: str = "capsule",
     ) -> None:
-        """Put it on the floor and let it come to rest."""
+        """Place the robot on the ground, and simulate until it is at rest."""
         n = len(robot.states)
         placed = array("start", robot.start if start is None else start, (n,), "states")
         self._robot = robot
@@ -72,7 +71,7 @@ class Body:
         self._inputs = np.zeros(len(robot.inputs))
         self._limit = np.array(robot.input_limit)
         self._steps = 0
-        self._pushes: list[tuple[int, float, float]] = []  # step at which it ends, and the force along x and y
+        self._pushes: list[tuple[int, float, float]] = []  # step at which the push ends, and its force along x and y
         self._forget = math.exp(-self._dt / CORRELATION)
         self._force = self._size * self._random.standard_normal(n)
         self.kidnap(placed - self.pose)
@@ -84,29 +83,29 @@ class Body:
 
     @property
     def pose(self) -> Array:
-        """What the camera would measure of the marker if it made no mistake, (n,); a heading goes on beyond ±π."""
+        """Pose of the marker, (n,), as an ideal camera would measure it; a heading is not wrapped at ±π."""
         self._motion.settle()
         place = self._motion.site("marker")
         return np.array([place[0], place[1], self._heading]) if self._robot.turns else place[:1]
 
     @property
     def snapshot(self) -> tuple[float, ...]:
-        """All that a camera sees: coordinates of the body and of its wheels, `Robot.seen` of them."""
+        """Coordinates of the body and its wheels, (`Robot.seen`,), from which the camera renders a picture."""
         return tuple(float(self._motion.position[k]) for k in self._kept)
 
     def act(self, inputs: Sequence[float] | Array) -> None:
-        """Hold an input from now on, (m,), clipped at the robot's limits.
+        """Set the input, (m,), clipped at the robot's limits, until the next call.
 
         Raises:
-            ProblemError: not m finite numbers.
+            ProblemError: the input is not a vector of m finite numbers.
         """
         self._inputs = np.clip(array("inputs", inputs, (len(self._limit),), "inputs"), -self._limit, self._limit)
 
     def flow(self, until: float) -> None:
-        """Let time pass, in whole steps of the physics and never beyond ``until``.
+        """Simulate up to the time ``until``, in whole simulation steps.
 
         Raises:
-            ProblemError: not a finite time, or the bodies have left the range of numbers.
+            ProblemError: the time is not finite, or the simulation diverges.
         """
         last = math.floor(number("until", until) / self._dt + _SLACK)
         for _ in range(self._steps, last):
@@ -114,20 +113,20 @@ class Body:
         self._motion.check()
 
     def push(self, newtons: float, seconds: float, direction: float = 0.0) -> None:
-        """Push the chassis from now on, in a direction in radians from the x axis.
+        """Push the chassis for some time from now, in a direction given by its angle to the x axis in radians.
 
         Raises:
-            ProblemError: a number that is not finite, or a negative time.
+            ProblemError: a number is not finite, or the duration is negative.
         """
         size, angle = number("newtons", newtons), number("direction", direction)
         ends = self._steps + round(number("seconds", seconds, 0.0, closed=True) / self._dt)
         self._pushes.append((ends, size * math.cos(angle), size * math.sin(angle)))
 
     def kidnap(self, offset: Sequence[float] | Array) -> None:
-        """Move the robot at once, by an offset (n,) in metres and radians; a heading turns about the marker.
+        """Move the robot instantly by an offset (n,) in metres and radians; rotation is about the marker.
 
         Raises:
-            ProblemError: not n finite numbers.
+            ProblemError: the offset is not a vector of n finite numbers.
         """
         by = array("offset", offset, (len(self._robot.states),), "states")
         motion, q = self._motion, self._motion.position

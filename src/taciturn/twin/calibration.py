@@ -1,4 +1,4 @@
-"""What is known of a camera, and how it becomes known: by a board in the hand and landmarks at known places."""
+"""The calibration of a camera: lens parameters from pictures of a board, and pose from landmarks at known positions."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from taciturn._cv2 import (
     unproject,
     write_png,
 )
+from taciturn._display import Displayed
 from taciturn._mujoco import Scene
 from taciturn._scipy import least_squares
 from taciturn.errors import ProblemError
@@ -34,25 +35,25 @@ from taciturn.twin.polygons import measure_outside, measure_polygon
 from taciturn.twin.robot import HEIGHT, WIDTH, Cube, Robot, Tag
 from taciturn.twin.scenery import placed_sheet, printed_sheet
 
-VIEWS = 14  # of the board
-AVERAGED = 8  # pictures of the landmarks, whose noise is averaged
+VIEWS = 14  # number of pictures of the board
+AVERAGED = 8  # number of pictures of the landmarks that are averaged to reduce noise
 SQUARE, PIXELS = 0.04, 100  # side of a square of the board, in metres and in pixels of its texture
 _SHAPES = {"K": (3, 3), "distortion": (4,), "rotation": (3,), "translation": (3,)}
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """A camera as it was measured.
+@dataclass(frozen=True, repr=False)
+class Calibration(Displayed):
+    """A measured camera model.
 
     Args:
         K: camera matrix, (3, 3), in pixels.
         distortion: k1, k2, p1, p2 of Brown and Conrady, (4,).
-        rotation: vector of the rotation from the world to the camera, (3,), in radians.
-        translation: the world's origin as the camera sees it, (3,), in metres.
-        error: root mean square of what separates the landmarks from where they should be, in pixels.
+        rotation: rotation vector from the world to the camera, (3,), in radians.
+        translation: origin of the world in camera coordinates, (3,), in metres.
+        error: root mean square reprojection error of the landmarks, in pixels.
 
     Raises:
-        ProblemError: a wrong shape, or a number that is not finite.
+        ProblemError: an array has the wrong shape, or a number is not finite.
     """
 
     K: Array
@@ -69,48 +70,49 @@ class Calibration:
 
     @property
     def place(self) -> Array:
-        """Where the camera is, (3,) in metres."""
+        """Position of the camera, (3,) in metres."""
         return -rotation_matrix(self.rotation).T @ self.translation
 
     def see(self, points: Array) -> Array:
-        """Return where points (points, 3) are in the picture, (points, 2) in pixels."""
+        """Return the pixel coordinates, (points, 2), of points in space, (points, 3)."""
         return project(points, self.rotation, self.translation, self.K, self.distortion)
 
     def meet(self, seen: Array, height: float) -> Array:
-        """Return where the rays of pixels (points, 2) meet the plane at a height above the floor, (points, 2)."""
+        """Return the points of a horizontal plane that appear at given pixels; both arrays are (points, 2)."""
         rays = unproject(seen, self.K, self.distortion) @ rotation_matrix(self.rotation)
         place = self.place
         return (place + rays * ((height - place[2]) / rays[:, 2])[:, None])[:, :2]
 
     def document(self) -> Mapping[str, object]:
-        """Return it as JSON takes it."""
+        """Return the calibration as a JSON object."""
         return {name: getattr(self, name).tolist() for name in _SHAPES} | {"error": self.error}
 
     @classmethod
     def from_document(cls, document: Mapping[str, object]) -> Calibration:
-        """Return what `document` has written.
+        """Return the calibration in a JSON object of ``document``.
 
         Raises:
-            ProblemError: something is missing, or malformed.
+            ProblemError: a key is missing, or a value is malformed.
         """
         missing = [name for name in (*_SHAPES, "error") if name not in document]
         if missing:
-            raise ProblemError(f"the calibration lacks {', '.join(missing)}; expected what Calibration.document gives")
+            raise ProblemError(f"the calibration lacks {', '.join(missing)}; expected a result of Calibration.document")
         return cls(**{name: document[name] for name in (*_SHAPES, "error")})  # type: ignore[arg-type]
 
 
 def calibrate(robot: Robot, seed: int = 0) -> Calibration:
-    """Calibrate the camera of a robot from its pictures alone.
+    """Calibrate the camera of a robot from its pictures only.
 
-    A ChArUco board held before it in ``VIEWS`` poses gives the lens. Landmarks at known places give where the camera
-    is: tags by their corners; cubes by their outlines, from where the tape says that the camera is.
+    Pictures of a ChArUco board in ``VIEWS`` poses determine the lens parameters. Landmarks at known positions determine
+    the pose of the camera: tags by their corners, cubes by their outlines. The search starts at a pose measured by
+    hand.
 
     Args:
-        robot: whose camera it is.
-        seed: of poses and noise.
+        robot: robot that the camera observes.
+        seed: seed of board poses and picture noise.
 
     Raises:
-        ProblemError: a landmark is not found, MuJoCo or OpenCV is missing, or there is nothing to draw with.
+        ProblemError: a landmark is not found, or MuJoCo, OpenCV or a graphics driver is missing.
 
     Example:
         >>> from taciturn.twin.catalogue import ROBOTS
@@ -128,7 +130,7 @@ def calibrate(robot: Robot, seed: int = 0) -> Calibration:
 
 
 def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
-    """Show the board in many poses: near, turned, and all over the picture."""
+    """Return the lens parameters from pictures of the board at many distances, angles and positions."""
     board, random = Board(SQUARE), np.random.default_rng((seed, 0))
     wide, high = (side * SQUARE for side in board.SHAPE)
     focal = robot.lens.focal
@@ -158,13 +160,13 @@ def _calibrate_lens(robot: Robot, seed: int) -> tuple[Array, Array]:
             break
     optics.painter.close()
     if len(points) < VIEWS:
-        raise ProblemError(f"the board was found in {len(points)} pictures; expected {VIEWS}: is there light?")
+        raise ProblemError(f"the board was found in {len(points)} pictures; expected {VIEWS}: check the lighting")
     K, distortion, _ = calibrate_lens(points, seen, WIDTH, HEIGHT)
     return K, distortion
 
 
 def _still(robot: Robot, seed: int) -> Pixels:
-    """Return the mean of some pictures of a robot at its start."""
+    """Return the mean of ``AVERAGED`` pictures of a robot in its start pose."""
     camera, at_rest = Camera(robot, seed), Body(robot, disturbance=0.0).snapshot
     total = np.zeros((HEIGHT, WIDTH, 3))
     for k in range(AVERAGED):
@@ -179,7 +181,7 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
     found = find_tags(picture)
     missing = [tag.number for tag in tags if tag.number not in found]
     if missing:
-        raise ProblemError(f"the tags {missing} are not seen; expected all {len(tags)} of the field: clear the view")
+        raise ProblemError(f"the tags {missing} are not seen; expected all {len(tags)} tags: clear the view")
     points, seen = np.concatenate([t.corners for t in tags]), np.concatenate([found[t.number] for t in tags])
     rotation, translation = solve_pose(points, seen, K, distortion)
     off = project(points, rotation, translation, K, distortion) - seen
@@ -187,10 +189,10 @@ def _place_by_tags(picture: Pixels, tags: list[Tag], K: Array, distortion: Array
 
 
 def _place_by_cubes(picture: Pixels, cubes: list[Cube], guess: Calibration) -> Calibration:
-    """Move the camera until the cubes are where they are seen, and then until they have the outlines that are seen.
+    """Return the pose from a fit of the cubes' centres, followed by a fit of their outlines.
 
-    The outlines may all be a margin larger or smaller: a mask ends at a threshold of colour, not at the edge, and that
-    is not to move the camera.
+    The second fit contains a common offset of all outlines: a mask ends at a colour threshold and not exactly at the
+    edge of a cube, and this must not change the fitted pose.
     """
     outlines = [_outline(picture, cube, guess) for cube in cubes]
 
@@ -215,7 +217,7 @@ def _place_by_cubes(picture: Pixels, cubes: list[Cube], guess: Calibration) -> C
 
 
 def _outline(picture: Pixels, cube: Cube, guess: Calibration) -> Array:
-    """Return the outline that has the colour and about the size of a cube, and is nearest to where it should be."""
+    """Return the outline nearest to a cube's expected position, among those of its colour and about its size."""
     area, centre = measure_polygon(convex_hull(guess.see(cube.corners)))
     best, nearest = None, math.inf
     for outline in find_outlines(find_colour(picture, cube.colour)):
@@ -227,13 +229,13 @@ def _outline(picture: Pixels, cube: Cube, guess: Calibration) -> Array:
             best, nearest = outline, away
     if best is None:
         raise ProblemError(
-            f"the cube at {cube.centre} is not seen; expected all of them: clear the view, or turn on the light"
+            f"the cube at {cube.centre} is not seen; expected all cubes: clear the view, or turn on the light"
         )
     return best
 
 
-_SIZES = (0.6, 1.6)  # area of a cube in the picture, as a share of what the tape says
-_WIDER = 0.92  # focal length of what is drawn, as a share of the lens's, which sees less
+_SIZES = (0.6, 1.6)  # permitted area of a cube in the picture, relative to the area at the pose measured by hand
+_WIDER = 0.92  # focal length of the rendered picture relative to the lens, so that it shows a wider view
 _STUDIO = """
 <mujoco model="studio">
   <visual>

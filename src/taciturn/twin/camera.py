@@ -1,4 +1,4 @@
-"""A webcam: what it takes of a scene is bent by a lens, noisy, and a JPEG."""
+"""A simulated webcam: pictures of a scene with lens distortion, noise and JPEG compression."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from taciturn._mujoco import Painter, Scene
 from taciturn.errors import ProblemError
 from taciturn.twin.robot import HEIGHT, WIDTH, Lens, Robot
 
-LARGEST = 60_000  # bytes of a picture: what one packet holds
-_ROOM = 64  # pixels by which the noise may be moved
+LARGEST = 60_000  # largest picture in bytes that fits into one packet
+_ROOM = 64  # largest shift of the noise field in pixels
 
 
 class Optics:
-    """A lens and a sensor before a scene: `Camera` is one before a robot's.
+    """A lens and an image sensor that observe a scene; `Camera` uses this class for the scene of a robot.
 
-    The noise of a picture is a piece of one field of normal draws, which is drawn once: its place is drawn.
+    A field of normally distributed numbers is drawn once. The noise of a picture is a window of this field at a random
+    position.
 
     Args:
-        scene: what is seen, with a camera ``webcam`` whose field of view is wider than the lens's.
-        lens: its optics.
-        seed: of the noise.
+        scene: scene with a camera ``webcam`` whose field of view is wider than that of the lens.
+        lens: parameters of lens and sensor.
+        seed: seed of the noise.
     """
 
     def __init__(self, scene: Scene, lens: Lens, seed: int = 0) -> None:
-        """Prepare to draw."""
+        """Prepare the renderer, the lens distortion and the noise."""
         self._lens, self._seed = lens, count("seed", seed, 0)
         self.painter = Painter(scene, "webcam", WIDTH, HEIGHT)
         u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=np.float64))
@@ -39,26 +40,26 @@ class Optics:
         self._noise = np.rint(field).astype(np.int16)
 
     def take(self, position: Sequence[float], number: int) -> bytes:
-        """Return the picture of a scene whose coordinates are ``position``, as JPEG of at most ``LARGEST`` bytes."""
+        """Return a picture of the scene with coordinates ``position``, as JPEG of at most ``LARGEST`` bytes."""
         y, x = np.random.default_rng((self._seed, number)).integers(_ROOM, size=2)
-        bent = self._bend.apply(self.painter.paint(position)[..., ::-1])  # which has red first
+        bent = self._bend.apply(self.painter.paint(position)[..., ::-1])  # convert RGB to BGR
         noisy = add_noise(bent, self._noise[y : y + HEIGHT, x : x + WIDTH])
         for quality in range(self._lens.quality, 0, -10):
             coded = write_jpeg(noisy, quality)
             if len(coded) <= LARGEST:
                 return coded
-        raise ProblemError(f"the picture takes more than {LARGEST} bytes; expected less: lower the noise of the lens")
+        raise ProblemError(f"the picture has more than {LARGEST} bytes; expected fewer: reduce the noise of the lens")
 
 
 class Camera:
-    """The camera of a robot's scene. A camera belongs to the thread that made it.
+    """The camera of a robot's scene; only the thread that creates a camera can use it.
 
     Args:
-        robot: at whom it looks.
-        seed: of the sensor's noise.
+        robot: robot in the scene.
+        seed: seed of the sensor noise.
 
     Raises:
-        ProblemError: MuJoCo or OpenCV is missing, or there is nothing to draw with.
+        ProblemError: MuJoCo, OpenCV or a graphics driver is missing.
 
     Example:
         >>> from taciturn.twin.body import Body
@@ -70,7 +71,7 @@ class Camera:
     """
 
     def __init__(self, robot: Robot, seed: int = 0) -> None:
-        """Set it up."""
+        """Build the scene and its renderer."""
         self._seen = robot.seen
         self._optics = Optics(robot.build(robot.variants[0]), robot.lens, seed)
         self._lighting, self._covered = 1.0, False
@@ -79,40 +80,40 @@ class Camera:
         """Take a picture.
 
         Args:
-            snapshot: of a `Body`, `Robot.seen` coordinates.
-            number: of the picture, at least 0: with the seed it decides on the noise, whatever was taken before.
+            snapshot: coordinates of a `Body`, (`Robot.seen`,).
+            number: number of the picture, at least 0. Only seed and number determine the noise.
 
         Returns:
-            A JPEG of 640×480 pixels in colour, at most 60 000 bytes.
+            A colour JPEG of 640×480 pixels and at most 60 000 bytes.
 
         Raises:
-            ProblemError: not so many finite coordinates, or a negative number.
+            ProblemError: the number of coordinates is wrong, a coordinate is not finite, or ``number`` is negative.
         """
         placed = array("snapshot", snapshot, (self._seen,), "coordinates")
         return self._optics.take(placed.tolist(), count("number", number, 0))
 
     @property
     def lighting(self) -> float:
-        """How bright all lights are, as a multiple of how they usually are, in [0, 10]."""
+        """Brightness of all lights relative to normal brightness, in [0, 10]."""
         return self._lighting
 
     @lighting.setter
     def lighting(self, share: float) -> None:
-        """Turn the lights down or up."""
+        """Set the brightness of all lights."""
         self._lighting = number("lighting", share, 0.0, 10.0, closed=True)
         self._optics.painter.light(self._lighting)
 
     @property
     def covered(self) -> bool:
-        """Whether something lies over the marker."""
+        """Whether the marker is covered."""
         return self._covered
 
     @covered.setter
     def covered(self, covered: bool) -> None:
-        """Lay something over the marker, or take it away."""
+        """Cover or uncover the marker."""
         self._covered = covered
         self._optics.painter.show("cover", covered)
 
     def close(self) -> None:
-        """Free the graphics."""
+        """Release the graphics resources."""
         self._optics.painter.close()

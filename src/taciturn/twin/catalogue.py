@@ -1,4 +1,4 @@
-"""The robots by name, and what they follow."""
+"""The robots by name, and the trajectories that they follow."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ ROBOTS: Mapping[str, Robot] = {robot.name: robot for robot in (ROVER, OMNI)}
 
 
 def find_robot(name: str) -> Robot:
-    """Return the robot of a name.
+    """Return the robot with a given name.
 
     Raises:
-        ProblemError: there is none.
+        ProblemError: the name is unknown.
     """
     if name not in ROBOTS:
-        raise ProblemError(f"there is no robot by the name {name!r}; expected {' or '.join(ROBOTS)}")
+        raise ProblemError(f"the robot {name!r} does not exist; expected {' or '.join(ROBOTS)}")
     return ROBOTS[name]
 
 
 def reference(robot: Robot) -> Array | None:
-    """Return the states that a robot follows, one a tick, or None where it is driven to zero.
+    """Return the reference states of a robot, one per step, or None if the robot drives to the origin.
 
-    Those of the omni-directional robot are two tangent circles of 1 m radius in 250 ticks, (251, 3).
+    The omni-directional robot follows two tangent circles of 1 m radius in 250 steps, (251, 3).
     """
     return two_circles().states if robot.turns else None

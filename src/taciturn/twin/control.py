@@ -1,4 +1,4 @@
-"""What a control unit needs to have a camera for a sensor: an eye, and somebody to tell what it sees."""
+"""The camera as the sensor of a control unit: image processing converts a received picture to a measurement."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from taciturn.twin.wire import PictureWire
 
 
 def write_calibration(path: Path, robot: Robot, calibration: Calibration) -> None:
-    """Write what an eye must know."""
+    """Write a calibration to a file for the controller process."""
     path.write_text(json.dumps({"robot": robot.name, **calibration.document()}), encoding="utf-8")
 
 
 def read_eye(path: Path) -> Eye:
-    """Return the eye of a calibrated camera.
+    """Return the image processor for the calibration in a file.
 
     Raises:
-        ProblemError: no such file, or it holds no calibration.
+        ProblemError: the file is missing, or contains no valid calibration.
     """
     try:
         held: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -39,7 +39,7 @@ def read_eye(path: Path) -> Eye:
         raise
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise ProblemError(
-            f"the calibration {path} cannot be read ({error!r}); expected what a camera's calibration has written"
+            f"the calibration {path} cannot be read ({error!r}); expected a file written by a camera calibration"
         ) from None
 
 
@@ -53,24 +53,24 @@ def picture_wire(
     seen: str | None = None,
     watch: Path | None = None,
 ) -> Generator[PictureWire]:
-    """Give a wire that reads pictures as measurements.
+    """Yield a decoder that converts pictures to measurements.
 
     Args:
-        policy: whose controller reads.
-        network: how its packets are rounded.
-        key: that authenticates the packets.
-        eye: that sees.
-        seen: where a JSON line per picture goes, as ``taciturn.runtime.service.logged`` has it.
-        watch: where the newest picture of the first loop is kept, with what is seen drawn in.
+        policy: policy of the controller.
+        network: network, which defines the rounding of packets.
+        key: key that authenticates the packets.
+        eye: image processor.
+        seen: target of a JSON line per picture, as in ``taciturn.runtime.service.logged``.
+        watch: file for the newest picture of the first loop, with the detected marker.
 
     Raises:
-        ProblemError: the eye sees another number of things than the policy measures.
+        ProblemError: the number of measured outputs differs from that of the policy.
     """
     measured, outputs = len(eye.robot.states), policy.model.outputs
     if measured != outputs:
         raise ProblemError(
-            f"the calibration is of the {eye.robot.name}, whose camera measures {measured} numbers; "
-            f"expected {outputs}, as the policy does"
+            f"the calibration is for the {eye.robot.name}, whose camera measures {measured} numbers; "
+            f"expected {outputs}, as for the policy"
         )
     with logged(seen) as told:
 

@@ -1,7 +1,7 @@
-"""What the pages of a run are told, and what people ask of it: one log that any number of readers follow.
+"""The feed of a live page: a log of events for any number of readers, and a queue of user requests.
 
-Whoever writes never waits for a reader. A reader remembers no more than the number of the event that it wants next:
-a slow one holds nothing up and costs no memory, and one that joins late is told the round from its beginning.
+A writer never waits for a reader. Only the number of the next event is stored for each reader. Therefore a slow reader
+delays no other reader and needs no memory, and a reader that joins late receives the round from its beginning.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Any, NamedTuple
 from taciturn._arrays import choice, number
 from taciturn.errors import ProblemError
 
-HELD = 50_000  # latest events of a round that are kept for those who join late
-BATCH = 500  # events that a reader is given at once
-WAITING = 64  # requests that may wait for the run
+HELD = 50_000  # number of latest events of a round that are stored for readers that join late
+BATCH = 500  # largest number of events that a reader receives per call
+WAITING = 64  # largest number of requests that wait for the run
 ASKS = ("pause", "value", "push")
 
 
 class News(NamedTuple):
-    """What a reader is told next.
+    """The next part of the log for a reader.
 
     Args:
-        text: events, ready to be sent; may be empty.
-        since: the number of the event to ask for next.
-        picture: how many pictures there have been.
-        ended: whether nothing more will come.
+        text: events in the format of server-sent events; may be empty.
+        since: number of the next event.
+        picture: number of the newest picture.
+        ended: whether the log has ended.
     """
 
     text: bytes
@@ -37,7 +37,7 @@ class News(NamedTuple):
 
 
 class Feed:
-    """The events of a round, the newest picture, and the requests that wait for the run; for any threads.
+    """A thread-safe store of the events of a round, the newest picture, and the requests that wait for the run.
 
     Example:
         >>> feed = Feed()
@@ -48,91 +48,92 @@ class Feed:
     """
 
     def __init__(self) -> None:
-        """Nothing has begun."""
+        """Start with an empty log."""
         self._turn = threading.Condition()
-        self._run = secrets.token_hex(4)  # tells a server from the one that was here before it
+        self._run = secrets.token_hex(4)  # distinguishes this server from an earlier one at the same address
         self._events: list[bytes] = []
-        self._first = 1  # the number of the first event that is kept, after the one that begins the round
+        self._first = 1  # number of the first stored event after the event that begins the round
         self._beginning = self._event(0, "wait", None)
         self._picture, self._pictures = b"", 0
-        self._knob: tuple[str, float, float] | None = None
+        self._parameter: tuple[str, float, float] | None = None
         self._asked: list[tuple[str, float]] = []
         self._paused = self._ended = False
 
     @property
     def picture(self) -> bytes:
-        """The newest picture; empty: there has been none."""
+        """The newest picture; empty before the first picture."""
         return self._picture
 
-    def begin(self, about: dict[str, Any], knob: tuple[str, float, float]) -> None:
-        """Begin a round: what was told before is forgotten."""
+    def begin(self, about: dict[str, Any], parameter: tuple[str, float, float]) -> None:
+        """Begin a round, and remove earlier events from the log."""
         text = encode("about", about)
         with self._turn:
             self._beginning = self._event(self._next, "begin", text)
-            self._first, self._knob = self._next + 1, knob
+            self._first, self._parameter = self._next + 1, parameter
             self._events.clear()
             if self._paused:
                 self._append("asked", encode("pause", {"ask": "pause", "value": 1.0}))
             self._turn.notify_all()
 
     def tell(self, kind: str, text: str) -> None:
-        """Tell all readers, those who come later included."""
+        """Append an event for all current and later readers."""
         with self._turn:
             self._append(kind, text)
             self._turn.notify_all()
 
     def show(self, picture: bytes) -> None:
-        """Let the readers know of a newer picture."""
+        """Replace the newest picture, and notify all readers."""
         with self._turn:
             self._picture = picture
             self._pictures += 1
             self._turn.notify_all()
 
     def ask(self, ask: str, value: object) -> None:
-        """Leave a request for the run, and tell all pages.
+        """Store a request for the run, and show it on all pages.
 
         Raises:
-            ProblemError: no such request, a value out of range, no round yet, or a run that takes no requests.
+            ProblemError: the request is unknown, its value is out of range, no round has begun, or too many requests
+                are waiting.
         """
         choice("ask", ask, ASKS)
         with self._turn:
-            if self._knob is None:
-                raise ProblemError("no round has begun; expected one before anything is asked of it; try again")
-            name, least, largest = self._knob
+            if self._parameter is None:
+                raise ProblemError("no round has begun; expected a request during a round: try again")
+            name, least, largest = self._parameter
             known = number(name, value, least, largest, closed=True) if ask == "value" else number("value", value)
             if ask != "value" and known not in (0.0, 1.0):
                 raise ProblemError(f"value of {ask!r} is {known:g}; expected 0 or 1")
             if len(self._asked) >= WAITING:
-                raise ProblemError(f"{WAITING} requests wait for the run; expected it to take them: is it stuck?")
+                raise ProblemError(f"{WAITING} requests wait for the run; expected fewer: has the run stopped?")
             self._asked.append((ask, known))
             self._paused = known == 1.0 if ask == "pause" else self._paused
             self._append("asked", encode(ask, {"ask": ask, "value": known}))
             self._turn.notify_all()
 
     def asked(self) -> list[tuple[str, float]]:
-        """Return the requests since the last call, in their order."""
+        """Return the requests since the last call, in order."""
         with self._turn:
             found, self._asked = self._asked, []
         return found
 
     def end(self) -> None:
-        """Tell all readers that nothing more will come."""
+        """Append the event that ends the log."""
         with self._turn:
             self._ended = True
             self._append("end", "null")
             self._turn.notify_all()
 
     def resume(self, last: str) -> int:
-        """Return the number of the event that follows the last one of a reader, 0 where it was of another run."""
+        """Return the number of the event after a reader's last event, or 0 if that event belongs to another run."""
         run, _, told = last.rpartition(".")
         known = run == self._run and len(told) < 20 and told.isdecimal()
         return int(told) + 1 if known and int(told) < self._next else 0
 
     def news(self, since: int, picture: int, patience: float) -> News:
-        """Return what comes after what a reader has; wait so many seconds for it.
+        """Return the events after a reader's last event; wait for events for at most ``patience`` seconds.
 
-        Whoever has not heard the beginning of this round, or asks for what is no longer kept, gets the beginning and
-        all that is kept.
+        If the reader has not received the beginning of this round, or its next event is no longer stored, the result is
+        the beginning of the round and all stored events.
         """
         with self._turn:
             self._turn.wait_for(lambda: since < self._next or picture < self._pictures or self._ended, patience)
@@ -162,15 +163,15 @@ class Feed:
 
 
 def encode(name: str, value: object) -> str:
-    """Return a value as JSON on one line; arrays are lists.
+    """Return a value as JSON on one line; arrays become lists.
 
     Raises:
-        ProblemError: a number that is not finite, or what JSON does not know.
+        ProblemError: a number is not finite, or a value has no representation in JSON.
     """
     try:
         return json.dumps(value, allow_nan=False, default=_plain, separators=(",", ":"))
     except ValueError:
-        raise ProblemError(f"{name} holds a number that is not finite; expected None where there is none") from None
+        raise ProblemError(f"{name} holds a number that is not finite; expected None for a missing number") from None
     except TypeError as error:
         raise ProblemError(f"{name} cannot be sent ({error}); expected numbers, texts, lists and mappings") from None
 
@@ -178,4 +179,4 @@ def encode(name: str, value: object) -> str:
 def _plain(value: Any) -> Any:
     if hasattr(value, "tolist"):  # an array, or one of its numbers
         return value.tolist()
-    raise TypeError(f"it holds a {type(value).__name__}")
+    raise TypeError(f"a value has the type {type(value).__name__}")

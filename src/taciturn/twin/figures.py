@@ -1,14 +1,14 @@
-"""Pictures of what twins did."""
+"""Figures of runs of twins."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn._figure import Panel, Series, draw
+from taciturn._figure import Panel, Series, Size, draw
 from taciturn.twin.outcome import Trial
 from taciturn.twin.robot import Robot
 
@@ -18,26 +18,30 @@ if TYPE_CHECKING:
 RED, BLACK = 3, 7
 
 
-def figure_of(robot: Robot, trials: Mapping[str, Trial], run: int = 0) -> Figure:
-    """Return the picture of one run under each policy: where the robot went, what it was told, and what was sent.
+def figure_of(
+    robot: Robot, trials: Mapping[str, Trial], run: int = 0, ax: Any = None, figsize: Size | None = None
+) -> Figure:
+    """Return a figure of one run under each policy, with the path, the inputs and the packets.
 
     Args:
-        robot: which one.
-        trials: by name; the first one is that of the event-triggered policy.
-        run: which one.
+        robot: the robot.
+        trials: trials by name; the first trial has the event-triggered policy.
+        run: index of the run.
+        ax: axes to draw in, one for each panel; default: a new figure.
+        figsize: width and height of a new figure, in inches.
     """
     first = next(iter(trials.values()))
     panels = [Panel(path(trials, run), "x (m)", "y (m)", "path")] if robot.turns else []
     panels += [Panel(positions(trials, run), "step", robot.states[0])]
     panels += [Panel(inputs(trials, run), "step", robot.inputs[0]), Panel(sends(first, run), "step", "sent")]
-    figure = draw(panels, height=3.0 * len(panels))
+    figure = draw(panels, ax, figsize, height=3.0 * len(panels))
     if robot.turns:
-        figure.axes[0].set_aspect("equal")
+        (figure.axes[0] if ax is None else ax[0]).set_aspect("equal")
     return figure
 
 
 def positions(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
-    """Return the first state over time, and what the controller took it for."""
+    """Return curves of the first state and its estimate over time."""
     found: list[Series] = []
     for color, (name, trial) in enumerate(trials.items()):
         found.append(_over_ticks(trial.poses[run, :, 0], name, color))
@@ -46,7 +50,7 @@ def positions(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
 
 
 def inputs(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
-    """Return the first input over time."""
+    """Return curves of the first input over time."""
     return [
         Series(*_points(trial.inputs[run, :, 0]), name, "steps", color=color)
         for color, (name, trial) in enumerate(trials.items())
@@ -54,7 +58,7 @@ def inputs(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
 
 
 def sends(trial: Trial, run: int = 0) -> list[Series]:
-    """Return when something was sent on each link."""
+    """Return the steps with a packet, for each link."""
     found: list[Series] = []
     for color, (link, sent) in enumerate(trial.sent.items()):
         ticks = np.flatnonzero(sent[run]).astype(float).tolist()
@@ -64,7 +68,7 @@ def sends(trial: Trial, run: int = 0) -> list[Series]:
 
 
 def path(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
-    """Return the path in the plane, the one that was to be followed, and where the controller has sent."""
+    """Return the path in the plane, the reference, and the positions at which the controller sent a packet."""
     first = next(iter(trials.values()))
     found: list[Series] = []
     reference = first.problem.reference
@@ -77,11 +81,11 @@ def path(trials: Mapping[str, Trial], run: int = 0) -> list[Series]:
     sent = first.sent["actuator"][run] > 0
     x, y = (np.where(sent, axis, np.nan).tolist() for axis in first.poses[run, :-1].T[:2])
     label = f"sends: {int(sent.sum())} of {len(sent)}"
-    return [*found, Series(x, y, label, error=[0.0] * len(sent), color=RED)]  # the gaps keep the dots apart
+    return [*found, Series(x, y, label, error=[0.0] * len(sent), color=RED)]  # NaN separates the dots
 
 
 def running_costs(trials: Mapping[str, Trial]) -> list[Series]:
-    """Return the mean cost of each tick, with its standard error."""
+    """Return curves of the mean cost of each step, with standard errors."""
     found: list[Series] = []
     for color, (name, trial) in enumerate(trials.items()):
         runs, ticks = trial.costs.shape

@@ -1,4 +1,4 @@
-"""The model of a robot as an experiment finds it: inputs that are known, positions that the camera measures."""
+"""Identification of a robot's model from an experiment with known inputs and positions measured by the camera."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taciturn._arrays import Array, count, symmetrised
+from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 from taciturn.twin.body import Body
 from taciturn.twin.calibration import Calibration
@@ -16,31 +17,31 @@ from taciturn.twin.camera import Camera
 from taciturn.twin.robot import Robot
 from taciturn.twin.vision import Eye
 
-RUNS, HELD_OUT = 14, 4  # runs that the model is fitted to, and that it is tried on
-TICKS, HOLD = 25, 10  # of a run, and for which an input is held
-START = 5  # ticks of a run in which the robot gets going: they are left out
-PLACES, REPEATS = 8, 8  # at which the robot rests, and pictures of it there
-MARGIN = 0.15  # of the workspace, that the experiment leaves free on either side
-_SEEN = 0.9  # share of the pictures that must show the marker
+RUNS, HELD_OUT = 14, 4  # number of runs for the fit, and for its validation
+TICKS, HOLD = 25, 10  # number of steps of a run, and for which an input is held
+START = 5  # number of first steps excluded from the fit, while the robot accelerates
+PLACES, REPEATS = 8, 8  # number of places at which the robot rests, and of pictures at each place
+MARGIN = 0.15  # fraction of the workspace that the experiment does not use on either side
+_SEEN = 0.9  # fraction of the pictures that must show the marker
 
 
-@dataclass(frozen=True)
-class Identification:
-    """A model x⁺ = x + B u + w, y = x + v of a robot, per tick, with its errors; all matrices in m, rad and inputs.
+@dataclass(frozen=True, repr=False)
+class Identification(Displayed):
+    """An identified model x⁺ = x + B u + w, y = x + v of a robot, per step, in metres, radians and input units.
 
-    Standard errors are those of independent runs: within a run, what disturbs one tick disturbs the next as well.
+    The standard errors treat each run as one sample, because disturbances are correlated within a run.
 
     Args:
-        robot: its name.
-        samples: ticks that were fitted.
-        B: with A = I, (n, m).
-        B_standard_error: of each entry of B, (n, m).
-        B_nominal: what the data sheet says, (n, m).
-        A_free: A where it is fitted together with B, (n, n); it shows what A = I leaves out.
-        A_free_standard_error: of its entries, (n, n).
-        W: covariance of w, from the residuals less what the measurement contributes, (n, n).
+        robot: name of the robot.
+        samples: number of fitted steps.
+        B: fit with A = I, (n, m).
+        B_standard_error: standard error of each entry of B, (n, m).
+        B_nominal: B of the data sheet, (n, m).
+        A_free: A from a joint fit of A and B, (n, n); its difference from I shows the error of assuming A = I.
+        A_free_standard_error: standard error of each entry of ``A_free``, (n, n).
+        W: covariance of w: covariance of the residuals minus the contribution of the measurement noise, (n, n).
         V: covariance of v, from pictures of a robot at rest, (n, n).
-        held_out: standard deviation of x⁺ - x - B u over runs that were not fitted, (n,); it has w and twice v.
+        held_out: standard deviation of x⁺ - x - B u over validation runs, (n,); it contains w and two samples of v.
     """
 
     robot: str
@@ -55,25 +56,25 @@ class Identification:
     held_out: Array
 
     def document(self) -> Mapping[str, object]:
-        """Return it as JSON takes it."""
+        """Return the model as a JSON object."""
         return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
 
 
 def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identification:
-    """Identify a robot by an experiment in open loop, seen through its camera.
+    """Identify the model of a robot by an open-loop experiment with its camera.
 
-    In each run it starts at rest somewhere in the workspace, and gets random inputs of the kind that its mission has:
-    steps, or bends in the plane, that would keep it in the workspace if it did what the data sheet says. A robot with
-    inertia has another B for other inputs, and while it gets going. B minimises Σ|x⁺ - x - B u|².
+    Each run starts at rest at a random place of the workspace. The random inputs keep the nominal robot in the
+    workspace, and are of the same type as in the mission (steps, or curves in the plane): because of inertia, B depends
+    on the type of input, and differs during acceleration. B minimises Σ|x⁺ - x - B u|².
 
     Args:
-        robot: which one.
-        calibration: of its camera.
-        seed: of inputs, disturbance and noise.
+        robot: the robot.
+        calibration: calibration of its camera.
+        seed: seed of inputs, disturbance and noise.
 
     Raises:
-        ProblemError: the marker is not seen in a tenth of the pictures, the residuals are smaller than what the
-            measurement explains, MuJoCo or OpenCV is missing, or there is nothing to draw with.
+        ProblemError: more than 10 % of the pictures show no marker, the residuals are smaller than the measurement
+            noise explains, or MuJoCo, OpenCV or a graphics driver is missing.
     """
     random = np.random.default_rng((count("seed", seed, 0), 1))
     watch = _Watch(robot, calibration, seed)
@@ -92,7 +93,7 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
     residuals = np.concatenate([step - u @ B.T for _, u, step in fitted])
     W = symmetrised(residuals.T @ residuals / (len(residuals) - B.shape[1]) - 2 * V)
     if np.linalg.eigvalsh(W)[0] <= 0.0:
-        raise ProblemError("the residuals are smaller than what the measurement explains; expected a disturbance")
+        raise ProblemError("the residuals are smaller than the measurement noise explains; expected a disturbance")
     left = np.concatenate([step - u @ B.T for _, u, step in kept])
     return Identification(
         robot=robot.name,
@@ -109,7 +110,7 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
 
 
 class _Watch:
-    """A camera and an eye, and how often they see nothing."""
+    """A camera with image processing that counts the pictures without a marker."""
 
     def __init__(self, robot: Robot, calibration: Calibration, seed: int) -> None:
         self._camera, self._eye = Camera(robot, seed), Eye(robot, calibration)
@@ -126,7 +127,7 @@ class _Watch:
 
 
 def _rest(robot: Robot, watch: _Watch, random: np.random.Generator) -> Array:
-    """Return the covariance of measurements of a robot that does not move, within each place."""
+    """Return the covariance of measurements of a robot at rest, computed within each place."""
     off: list[Array] = []
     places = 0
     for _ in range(PLACES):
@@ -137,13 +138,13 @@ def _rest(robot: Robot, watch: _Watch, random: np.random.Generator) -> Array:
             off.extend(turned - turned.mean(axis=0))
             places += 1
     if len(off) < places + len(robot.states) + 1:
-        raise ProblemError("the marker is hardly ever seen at rest; expected it in most pictures: calibrate the camera")
+        raise ProblemError("the marker is rarely seen at rest; expected it in most pictures: calibrate the camera")
     spread = np.array(off)
     return symmetrised(spread.T @ spread / (len(spread) - places))
 
 
 def _run(robot: Robot, watch: _Watch, random: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Return states, inputs and steps x⁺ - x of a run, where both ends of a step were seen."""
+    """Return states x, inputs, and differences x⁺ - x of a run, for the steps with x and x⁺ measured."""
     start = _somewhere(robot, random)
     inputs = _excite(robot, start, random)
     body = Body(robot, int(random.integers(2**32)), start=start)
@@ -164,7 +165,7 @@ def _run(robot: Robot, watch: _Watch, random: np.random.Generator) -> tuple[Arra
 
 
 def _excite(robot: Robot, start: Array, random: np.random.Generator) -> Array:
-    """Return random inputs, (TICKS, m), that keep the nominal robot in the workspace."""
+    """Return random inputs, (steps, m), that keep the nominal robot in the workspace."""
     low, high = _inside(robot)
     while True:
         inputs = _go_round(robot, random) if robot.turns else _go_by_steps(robot, random)
@@ -174,13 +175,13 @@ def _excite(robot: Robot, start: Array, random: np.random.Generator) -> Array:
 
 
 def _go_by_steps(robot: Robot, random: np.random.Generator) -> Array:
-    """Return inputs that are held for some ticks each: what a robot gets whose inputs are seldom sent."""
+    """Return inputs that are each held for several steps, as in event-triggered control."""
     largest = np.array(robot.excitation)
     return np.repeat(random.uniform(-largest, largest, (-(-TICKS // HOLD), len(largest))), HOLD, axis=0)[:TICKS]
 
 
 def _go_round(robot: Robot, random: np.random.Generator) -> Array:
-    """Return velocities of a bend in the plane, with a heading that swings: what a robot that follows a path does."""
+    """Return velocities for a curve in the plane with an oscillating heading, as on a path."""
     speed, turn = random.uniform(0.4, 1.0) * robot.excitation[0], random.uniform(-1.0, 1.0)  # radians per second
     time = robot.tick * np.arange(TICKS)
     along, swing = random.uniform(0, 2 * math.pi) + turn * time, random.uniform(0, 2 * math.pi) + 2.0 * time
@@ -205,7 +206,7 @@ def _difference(robot: Robot, one: Array, other: Array) -> Array:
 
 
 def _fit(runs: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Return M with y ≈ M z by least squares over runs of (z, y), and standard errors that let each run be one draw."""
+    """Return the least-squares M in y ≈ M z over runs of (z, y), and standard errors with each run as one sample."""
     total = np.linalg.inv(sum((z.T @ z for z, _ in runs), np.zeros(2 * (runs[0][0].shape[1],))))
     M = sum((y.T @ z for z, y in runs), np.zeros((runs[0][1].shape[1], len(total)))) @ total
     scores = np.array([(y - z @ M.T).T @ z @ total for z, y in runs])

@@ -1,31 +1,26 @@
-"""A twin that is watched: round after round at the pace of the real robot, while people pause, push and turn a knob."""
+"""Rounds of a twin on the live page, at the speed of the real robot; users can pause, push and tune."""
 
 from __future__ import annotations
 
-import json
 import time
-from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from taciturn.errors import ProblemError
-from taciturn.model.policy import ENDS, LinkName
 from taciturn.problem import Problem, parse
+from taciturn.twin.baseline import Baseline
 from taciturn.twin.mission import MISSIONS
-from taciturn.twin.outcome import ESTIMATE, trigger_values
+from taciturn.twin.outcome import Trial
 from taciturn.twin.page import About, Page
 from taciturn.twin.prepared import Prepared
-from taciturn.twin.robot import Robot
 from taciturn.twin.run import TwinRun
+from taciturn.twin.steps import LINKS, Row, Steps
 from taciturn.twin.trial import Setup, Watcher, run_trial
 from taciturn.twin.world import TwinPlant
 
-LOGS = ("sensor", "controller", "actuator", "seen")
-BEHIND = 2  # ticks after which all that belongs to a tick has been logged
-NAP = 0.02  # seconds
-NEWTONS, SECONDS = {"rover": 4.0, "omni": 15.0}, 0.3  # of a push
+NAP = 0.02  # seconds between two checks while waiting
+NEWTONS, SECONDS = {"rover": 4.0, "omni": 15.0}, 0.3  # force and duration of a push
 
 
 def watch_twin(
@@ -37,77 +32,61 @@ def watch_twin(
     speed: float = 1.0,
     rounds: int | None = None,
     stopped: Callable[[], bool] = lambda: False,
+    ended: Callable[[TwinRun], object] = lambda run: None,
 ) -> TwinRun | None:
-    """Run mission after mission, and show them.
+    """Run missions one after another on a live page, each together with the loop that sends every sample.
 
-    The knob of the page is a parameter of the policy: where it is turned, the round ends and the next has its value.
+    Users can set one parameter of the policy on the page. A new value ends the round, and the next round uses it.
 
     Args:
         prepared: the robot, its camera and its model.
-        page: where it is shown.
-        setup: how it runs; one robot.
-        parameters: of the policy, in the first round.
-        speed: of the robot's clock beside that of the wall, in virtual time; 0: as fast as may be.
-        rounds: to run; omitted: until stopped.
-        stopped: whether to end.
+        page: the page.
+        setup: configuration of each round, with one robot; round k has the seed ``setup.seed + k``.
+        parameters: parameters of the policy in the first round.
+        speed: simulated seconds per second of real time, for runs in virtual time; 0: as fast as possible.
+        rounds: number of rounds; default: until stopped.
+        stopped: function that returns whether to end.
+        ended: function called with each complete round.
 
     Returns:
-        The last mission that was run to its end, if any.
+        The last complete round, with the loop that sends every sample under the same faults and pushes, or None.
 
     Raises:
-        ProblemError: as ``taciturn.twin.run.run_twin``.
+        ProblemError: as for ``taciturn.twin.run.run_twin``.
     """
     chosen, done, last = dict(parameters or {}), 0, None
     while not stopped() and (rounds is None or done < rounds):
         problem = parse(prepared.tables(chosen), "the mission")
-        show = _Round(prepared.robot, page, problem, done, setup, speed, stopped)
-        show.begin()
-        began = time.monotonic()
         how = replace(setup, seed=setup.seed + done)
+        page.wait(f"round {done}: starting the processes of both loops")
+        began = time.monotonic()
+        shown = _Round(prepared, page, problem, done, how, speed, stopped)
         try:
-            trial = run_trial(prepared, how, problem, watcher=show.watcher())
+            found = shown.run()
         except ProblemError:
-            if stopped():  # while processes were being started
+            if stopped():  # the stop request arrived while the processes started
                 break
             raise
-        show.finish()
         done += 1
-        if trial.costs.shape[1] == problem.cost.horizon:
-            last = TwinRun(prepared, problem.design(), trial, None, how, time.monotonic() - began)
-        if show.value is not None:
-            chosen[MISSIONS[prepared.robot.name].knob[0]] = show.value
+        if found is not None:
+            trial, always = found
+            last = TwinRun(prepared, problem.design(), trial, always, how, time.monotonic() - began)
+            ended(last)
+        if shown.value is not None:
+            chosen[MISSIONS[prepared.robot.name].parameter[0]] = shown.value
     return last
 
 
-class _Tail:
-    """The lines that have been added to a log."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._at = path, 0
-
-    def read(self) -> Iterator[Mapping[str, Any]]:
-        """Give the new lines that are whole."""
-        if not self._path.exists():
-            return
-        with self._path.open("rb") as file:
-            file.seek(self._at)
-            for line in file:
-                if not line.endswith(b"\n"):
-                    break
-                self._at += len(line)
-                yield json.loads(line)
-
-
 class _Round:
-    """One mission on the page.
+    """One mission on the live page.
 
     Args:
-        as ``watch_twin``; and the problem, and the number of the round.
+        number: number of the round; ``watch_twin`` describes the other arguments.
     """
 
     def __init__(
         self,
-        robot: Robot,
+        prepared: Prepared,
         page: Page,
         problem: Problem,
         number: int,
@@ -115,23 +94,64 @@ class _Round:
         speed: float,
         stopped: Callable[[], bool],
     ) -> None:
-        self._robot, self._page, self._problem, self._number = robot, page, problem, number
-        self._setup, self._speed, self._stopped = setup, speed, stopped
-        self._policy = problem.design()
-        self.value: float | None = None  # of the knob, where somebody has turned it
-        self._paused, self._zero = False, time.monotonic()
-        self._rows: deque[dict[str, Any]] = deque()
-        self._known: dict[str, dict[int, Mapping[str, Any]]] = {name: {} for name in LOGS}
-        self._folder = Path()
-        self._tails: dict[str, _Tail] = {}
-        self._cost, self._sends = 0.0, dict[LinkName, int].fromkeys(ENDS, 0)
-        self._pictured = 0
+        self._prepared, self._robot, self._page, self._problem = prepared, prepared.robot, page, problem
+        self._number, self._setup, self._speed, self._stopped = number, setup, speed, stopped
+        self.value: float | None = None  # new value of the tuning parameter
+        self._paused, self._zero, self._pushes = False, 0.0, 0
+        self._picture, self._pictured = Path(), 0
+        self._steps = Steps(problem.network, setup, self._robot.tick, self._show)
+        self._baseline = Baseline(prepared, setup, problem, page.compare, self._push)
 
-    def begin(self) -> None:
-        """Tell the page what the round is."""
+    def run(self) -> tuple[Trial, Trial] | None:
+        """Run both loops, and return their trials if they are complete, else None."""
+        complete = False
+        watcher = Watcher(self._before, self._steps.add, self._ends, self._start, self._steps.finish, True)
+        try:
+            trial = run_trial(self._prepared, self._setup, self._problem, watcher=watcher)
+            complete = trial.costs.shape[1] == self._problem.cost.horizon
+        finally:
+            always = self._baseline.end(complete)
+        return None if always is None else (trial, always)
+
+    def _start(self, folder: Path) -> None:
+        self._picture = folder / "picture.jpg"
+        self._steps.start(folder)
+
+    def _ends(self) -> bool:
+        return self._stopped() or self.value is not None or self._baseline.failed
+
+    def _before(self, step: int, plants: Sequence[TwinPlant]) -> None:
+        """Execute the requests of users, and wait until the step is due."""
+        virtual = self._setup.tick is None
+        while virtual and not self._ends() and not self._baseline.has_ended(step - 1, NAP):
+            pass
+        if step == 0:
+            self._begin()
+            self._zero = time.monotonic()
+        while True:
+            for what, value in self._page.asked():
+                self._obey(what, value, step, plants)
+            now, due = time.monotonic(), self._zero + (step * self._robot.tick / self._speed if self._speed else 0.0)
+            if not virtual or self._ends() or (now >= due and not self._paused):
+                break
+            if self._paused:
+                self._zero += NAP
+            time.sleep(NAP if self._paused else min(NAP, due - now))
+        for fault in self._setup.faults:
+            first, last = fault.ticks(self._robot.tick)
+            if step == first:
+                self._page.note(f"fault {fault} begins in both loops", step)
+            elif step == last and fault.lasts:
+                self._page.note(f"fault {fault} ends", step)
+        self._baseline.permit(step, self._pushes)
+        self._pushes = 0
+
+    def _begin(self) -> None:
+        """Describe the round on the page."""
         problem, robot = self._problem, self._robot
-        name, low, high = MISSIONS[robot.name].knob
-        guarantee, horizon, reference = self._policy.guarantee, problem.cost.horizon, problem.reference
+        policy, horizon, reference = problem.design(), problem.cost.horizon, problem.reference
+        mission = MISSIONS[robot.name]
+        name, low, high = mission.parameter
         value = float(problem.parameters[name])
         assert horizon is not None
         self._page.begin(
@@ -142,95 +162,38 @@ class _Round:
                 ticks=horizon,
                 states=robot.states,
                 inputs=robot.inputs,
-                links=("sensor", "actuator"),
-                bound=None if guarantee is None else guarantee.cost,
+                links=LINKS,
+                losses=tuple(problem.network.loss(link) for link in LINKS),
+                bound=None if policy.guarantee is None or self._setup.faults else policy.guarantee.cost,
                 reference=() if reference is None else tuple(map(tuple, reference.states.tolist())),
-                knob=(name, min(low, value), max(high, value)),
+                parameter=(name, min(low, value), max(high, value)),
+                meaning=mission.meaning,
                 value=value,
                 round=self._number,
+                pauses=self._setup.tick is None,
             )
         )
 
-    def watcher(self) -> Watcher:
-        """Return what takes part in the trial."""
-        return Watcher(self._before, self._told, lambda: self._stopped() or self.value is not None, self._start, True)
-
-    def _start(self, folder: Path) -> None:
-        self._folder, self._zero = folder, time.monotonic()
-        self._tails = {name: _Tail(folder / f"{name}.jsonl") for name in LOGS}
-
-    def _before(self, tick: int, plants: Sequence[TwinPlant]) -> None:
-        """Obey, and wait until the tick is due."""
-        if tick == 0:
-            self._zero = time.monotonic()
-        while True:
-            for what, value in self._page.asked():
-                self._obey(what, value, plants)
-            due = self._zero + (tick * self._robot.tick / self._speed if self._speed else 0.0)
-            if self._setup.tick is not None or self._stopped() or self.value is not None:
-                return
-            if self._paused:
-                self._zero += NAP
-            elif time.monotonic() >= due:
-                return
-            time.sleep(NAP if self._paused else min(NAP, max(0.0, due - time.monotonic())))
-
-    def _obey(self, what: str, value: float, plants: Sequence[TwinPlant]) -> None:
+    def _obey(self, what: str, value: float, step: int, plants: Sequence[TwinPlant]) -> None:
         if what == "value":
             self.value = value
         elif what == "push":
             for plant in plants:
-                plant.body.push(NEWTONS[self._robot.name], SECONDS)
-            self._page.note("somebody has pushed the robot")
+                self._push(plant)
+            self._pushes += 1
+            self._page.note(f"push of both robots: {NEWTONS[self._robot.name]:g} N for {SECONDS:g} s", step)
         elif what == "pause" and self._setup.tick is not None:
-            self._page.note("this run goes by the clock, and cannot be paused")
+            self._page.note("pause has no effect on a run in real time", step)
         elif what == "pause":
             self._paused = value > 0
 
-    def _told(self, line: Mapping[str, Any]) -> None:
-        """Note what the world tells of a tick, and show the tick of which all is known by now."""
-        self._rows.append(dict(line))
-        if len(self._rows) > BEHIND:
-            self._show()
+    def _push(self, plant: TwinPlant) -> None:
+        plant.body.push(NEWTONS[self._robot.name], SECONDS)
 
-    def finish(self) -> None:
-        """Show the ticks that are left."""
-        while self._rows:
-            self._show()
-
-    def _show(self) -> None:
-        for name, tail in self._tails.items():
-            self._known[name].update((entry["tick"], entry) for entry in tail.read())
-        world = self._rows.popleft()
-        tick = world["tick"]
-        asked, told, acted, seen = (self._known[name].pop(tick, {}) for name in LOGS)
-        sent: dict[LinkName, int] = {"sensor": asked.get("sent_sensor", 0), "actuator": told.get("sent_actuator", 0)}
-        for link, one in sent.items():
-            self._sends[link] += one
-        self._cost += world["cost"]
-        arrived = {"sensor": int(bool(seen)), "actuator": int(bool(acted.get("arrived_actuator")))}
-        values = trigger_values(told)
-        self._page.put(
-            {
-                "tick": tick,
-                "time": tick * self._robot.tick,
-                "state": world["from"],
-                "estimate": told.get("memory", {}).get(ESTIMATE),
-                "input": world["u"],
-                "trigger": values[0] if values else None,
-                "threshold": values[1] if values else None,
-                "sent": sent,
-                "arrived": arrived,
-                "cost": self._cost,
-                "rate": {link: total / (tick + 1) for link, total in self._sends.items()},
-                "degraded": told.get("degraded", 0),
-            }
-        )
-        if seen and seen["seen"] is None:
-            self._page.note(f"tick {tick}: no marker in the picture, the estimator runs open loop")
-        elif sent["sensor"] and not arrived["sensor"]:
-            self._page.note(f"tick {tick}: the camera was asked, and no picture has come")
-        picture = self._folder / "picture.jpg"
-        if picture.exists() and (written := picture.stat().st_mtime_ns) != self._pictured:
+    def _show(self, row: Row, events: list[str]) -> None:
+        self._page.put(row)
+        for event in events:
+            self._page.note(event, row["tick"])
+        if self._picture.exists() and (written := self._picture.stat().st_mtime_ns) != self._pictured:
             self._pictured = written
-            self._page.show(picture.read_bytes())
+            self._page.show(self._picture.read_bytes())

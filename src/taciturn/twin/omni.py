@@ -1,4 +1,4 @@
-"""The robot of chapter 7: three omni-directional wheels on a soccer field, under a camera that looks for its tag."""
+"""The robot of chapter 7: it has three omni-directional wheels, and a camera above the field measures its tag."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from taciturn._mujoco import Scene
 from taciturn.twin.robot import Lens, Robot, Tag
 from taciturn.twin.scenery import placed_sheet, printed_sheet, tag_picture
 
-RADIUS, BASE = 0.05, 0.20  # of a wheel, and from the middle to the wheels, in metres
-ANGLES = tuple(math.radians(degrees) for degrees in (60, 180, 300))  # where the wheels are
-FASTEST = 40.0  # speed of a wheel, in rad/s
-ROLLERS = 8  # in each of the two rows of a wheel
+RADIUS, BASE = 0.05, 0.20  # radius of a wheel, and distance of the wheels from the centre, in metres
+ANGLES = tuple(math.radians(degrees) for degrees in (60, 180, 300))  # directions of the wheels from the centre
+FASTEST = 40.0  # largest speed of a wheel, in rad/s
+ROLLERS = 8  # number of rollers in each of the two rows of a wheel
 PLATE = 0.2045  # height of the tag above the axles, in metres
-SIDE = 0.27  # of the tag's black square
+SIDE = 0.27  # side of the tag's black square, in metres
 
 _FIELD_TAGS = tuple(
     Tag(k, 0.21, (x, y, 0.002)) for k, (x, y) in enumerate((x, y) for x in (-2.2, 0.0, 2.2) for y in (-1.4, 1.4))
 )
-_MARKER = Tag(7, SIDE, (0.0, 0.0, PLATE + RADIUS - 0.0002))  # the tyres give
+_MARKER = Tag(7, SIDE, (0.0, 0.0, PLATE + RADIUS - 0.0002))  # 0.2 mm lower, because the tyres deform
 
 
 def build_omni(variant: str) -> Scene:
     """Return the scene of the omni-directional robot.
 
-    ``capsule``: a wheel is a capsule that slides along its axle and grips across it. ``rollers``: a wheel has two rows
-    of passive rollers on hinges, with the same friction in all directions.
+    In the variant ``capsule``, a wheel is a capsule with low friction along its axle and high friction across it. In
+    the variant ``rollers``, a wheel has two rows of passive rollers on hinges, with equal friction in all directions.
 
     Raises:
         ProblemError: MuJoCo is missing.
@@ -54,11 +54,11 @@ def build_omni(variant: str) -> Scene:
 
 
 def wheel_speeds(inputs: Array, heading: float) -> Array:
-    """Return the speed of each wheel in rad/s: inverse kinematics of a velocity in the world's frame.
+    """Return the speed of each wheel in rad/s for a velocity in the world frame (inverse kinematics).
 
     Args:
         inputs: vx and vy in m/s, ω in rad/s, (3,).
-        heading: of the robot, in radians.
+        heading: heading of the robot, in radians.
     """
     c, s = math.cos(heading), math.sin(heading)
     ahead, left = c * inputs[0] + s * inputs[1], -s * inputs[0] + c * inputs[1]
@@ -78,7 +78,7 @@ def _wheel(k: int, angle: float, rollers: bool) -> str:
 
 def _rollers() -> Iterable[str]:
     thick = 0.011
-    middle = RADIUS - thick  # where the rollers' axles are
+    middle = RADIUS - thick  # distance of the roller axles from the wheel axle
     half = 1.15 * middle * math.tan(math.pi / (2 * ROLLERS))
     yield _HUB.format(radius=0.62 * RADIUS)
     for row, beside in enumerate((-thick, thick)):
@@ -154,7 +154,7 @@ OMNI = Robot(
     tick=0.1,
     states=("x [m]", "y [m]", "psi [rad]"),
     inputs=("vx [m/s]", "vy [m/s]", "omega [rad/s]"),
-    input_limit=(FASTEST * RADIUS, FASTEST * RADIUS, FASTEST * RADIUS / BASE),  # each alone takes all that wheels have
+    input_limit=(FASTEST * RADIUS, FASTEST * RADIUS, FASTEST * RADIUS / BASE),  # each alone needs full wheel speed
     start=(0.0, 0.0, 0.0),
     low=(-2.1, -1.2, -math.pi),
     high=(2.1, 1.2, math.pi),

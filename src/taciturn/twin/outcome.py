@@ -1,4 +1,4 @@
-"""What the runs of a twin did, put together from what its processes have told."""
+"""The results of a trial, assembled from the logs and reports of its processes."""
 
 from __future__ import annotations
 
@@ -9,36 +9,38 @@ from typing import Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import KernelLoss, predict_drops
 from taciturn.twin.world import TwinPlant
 
-ESTIMATE = "prior"  # what the policies call what they expect to see
+ESTIMATE = "prior"  # name of the predicted state in the policies
 Lines = Sequence[Mapping[str, Any]]
 
 
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """What the runs of a twin did under one policy.
+@dataclass(frozen=True, eq=False, repr=False)
+class Trial(Displayed):
+    """The runs of a twin under one policy.
 
     Args:
-        problem: that was run.
-        poses: what a perfect camera would measure at each tick, (runs, ticks + 1, n).
-        inputs: that acted, (runs, ticks, m).
-        costs: of each tick, (runs, ticks).
-        totals: of each mission, with the final cost where it ended, (runs,).
-        estimates: of the controller, before the measurement of the tick has come, (runs, ticks, n).
-        values: of the trigger where it is silent, and where it sends: the smaller one decides, (runs, ticks, 2).
-        seen: by the camera, (runs, ticks, n); not a number where there is no picture, or nothing in it.
-        lights: all that could be seen at each tick, (runs, ticks + 1, coordinates).
-        sent: whether a packet was sent, by link, (runs, ticks): on the sensor link, whether the camera was asked.
-        arrived: whether it came, by link, (runs, ticks).
-        sequences: numbers of the packets that came, by link, of each run.
-        datagrams: sent, delivered and lost, by link, and ``unaccounted`` (None where a process was killed).
-        reports: of each process, by name.
-        seconds: wall time.
-        notes: what the reader must know.
+        problem: problem of the runs.
+        poses: pose at each step, as an ideal camera would measure it, (runs, N + 1, n) for N steps.
+        inputs: applied inputs, (runs, N, m).
+        costs: cost of each step, (runs, N).
+        totals: total cost of each run, including the terminal cost if the run is complete, (runs,).
+        estimates: state estimates of the controller before the measurement of each step, (runs, N, n).
+        values: trigger values of not sending and of sending, (runs, N, 2); the smaller value decides.
+        seen: measurements of the camera, (runs, N, n); NaN for a step without a picture or without a marker in it.
+        lights: coordinates of all bodies that the camera renders, (runs, N + 1, coordinates).
+        sent: whether a packet was sent, by link, (runs, N); on the sensor link, whether a picture was requested.
+        arrived: whether the packet arrived, by link, (runs, N).
+        sequences: sequence numbers of the packets that arrived, by link, for each run.
+        datagrams: counts of packets sent, delivered and lost, by link, and of ``unaccounted`` datagrams (None if a
+            process was killed).
+        reports: report of each process, by name.
+        seconds: duration in real time.
+        notes: remarks on the validity of the results.
     """
 
     problem: Problem
@@ -60,29 +62,29 @@ class Trial:
 
     @property
     def vision(self) -> Array:
-        """How far off each picture was, (pictures, n)."""
+        """Measurement error of each picture, (pictures, n)."""
         off = self.seen - self.poses[:, :-1]
         return off[np.isfinite(off).all(axis=2)]
 
     @property
     def off(self) -> Array:
-        """How far each robot is from where it should be at each tick, (runs, ticks + 1), in metres."""
+        """Distance of each robot from its reference at each step, (runs, N + 1), in metres."""
         poses, reference = self.poses[..., :2], self.problem.reference
         away = poses if reference is None else poses - reference.states[: poses.shape[1], :2]
         return np.sqrt((away**2).sum(axis=2))
 
 
-@dataclass(frozen=True)
-class Told:
-    """What the processes of a trial have told.
+@dataclass(frozen=True, repr=False)
+class Told(Displayed):
+    """The logs and reports of the processes of a trial.
 
     Args:
-        lines: of each node, by role.
-        seen: of the eye.
-        reports: of each process, by name.
-        drops: what the kernel was to lose, by link; none where relays run.
-        dropped: datagrams that it dropped for that.
-        killed: whether a process was, whose counters are gone.
+        lines: log of each node, by role.
+        seen: log of the image processing.
+        reports: report of each process, by name.
+        drops: packet losses that the kernel applies, by link; empty with relays.
+        dropped: number of datagrams that the kernel dropped for this reason.
+        killed: whether a process was killed, so that its counters are missing.
     """
 
     lines: Mapping[str, Lines]
@@ -96,7 +98,7 @@ class Told:
 def put_together(
     problem: Problem, plants: Sequence[TwinPlant], costs: Sequence[Sequence[float]], told: Told, seconds: float
 ) -> Trial:
-    """Return what was done, up to the tick to which all robots went."""
+    """Return the results of a trial up to the last step that all robots completed."""
     runs, ticks = len(plants), min(map(len, costs))
     horizon = problem.cost.horizon
     paid = np.array([cost[:ticks] for cost in costs])
@@ -132,7 +134,7 @@ def put_together(
 
 
 def trigger_values(line: Mapping[str, Any]) -> list[float]:
-    """Return what the controller's line of a tick tells of its trigger: the value of silence, and that of a send."""
+    """Return the trigger values of not sending and of sending from the controller's log line of a step."""
     return [value for name, value in line.items() if name.startswith("option_")]
 
 
@@ -141,7 +143,7 @@ def _loop(line: Mapping[str, Any]) -> int:
 
 
 def _gathered(lines: Lines, read: Callable[[Mapping[str, Any]], Any], runs: int, ticks: int, size: int) -> Array:
-    """Return what lines tell of each run and tick, (runs, ticks, size); not a number where they tell nothing."""
+    """Return the values of log lines by run and step, (runs, N, size); NaN for steps without a value."""
     found = np.full((runs, ticks, size), np.nan)
     for line in lines:
         value = read(line)
@@ -155,13 +157,13 @@ def _marked(lines: Lines, name: str, runs: int, ticks: int) -> Array:
 
 
 def _sequences(came: Iterable[tuple[int, Sequence[int]]], sent: Array, run: int) -> tuple[int, ...]:
-    """Return which packets of a run came, in order; one that was sent again in a recovery is one."""
+    """Return the sequence numbers of the packets of a run that arrived, in order and without repetitions."""
     numbers = (number for loop, some in came if loop == run for number in some)
     return tuple(dict.fromkeys(number for number in numbers if number < sent.sum()))
 
 
 def _arrived(sent: Array, sequences: Sequence[Sequence[int]]) -> Array:
-    """Return whether the packet of each tick came: a sequence counts the sends before it."""
+    """Return whether the packet of each step arrived; its sequence number is the number of earlier packets."""
     arrived = np.zeros_like(sent)
     for run, numbers in enumerate(sequences):
         ticks = np.flatnonzero(sent[run])
@@ -172,7 +174,7 @@ def _arrived(sent: Array, sequences: Sequence[Sequence[int]]) -> Array:
 def _datagrams(
     told: Told, sent: Mapping[str, Array], sequences: Mapping[str, Sequence[Sequence[int]]]
 ) -> dict[str, Any]:
-    """Return what became of the packets of each link, and how many datagrams nobody can account for."""
+    """Return the packet counts of each link, and the number of datagrams that are unaccounted for."""
     reports = told.reports
     camera = reports["camera"]["counters"]
     asked = int(sent["sensor"].sum())
@@ -208,11 +210,11 @@ def _unseen(told: Told) -> int:
 
 def _notes(told: Told) -> tuple[str, ...]:
     unseen = _unseen(told)
-    notes = (f"{unseen} pictures showed no marker: the estimator ran open loop",) if unseen else ()
+    notes = (f"{unseen} pictures showed no marker, so the estimator ran without a measurement",) if unseen else ()
     if told.killed:
-        notes += ("a process was killed, and what it had counted and had in its hands is gone",)
+        notes += ("a process was killed, so its counters and unprocessed packets are missing",)
     return notes + tuple(
-        f"the {name} met what its theory does not know, {count} times: {reason}"
+        f"the {name} was degraded {count} times by an event that its theory excludes: {reason}"
         for name, report in told.reports.items()
         for reason, count in report.get("degraded", {}).items()
     )

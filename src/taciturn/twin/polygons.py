@@ -1,4 +1,4 @@
-"""Polygons in a picture: how large they are, where they are, what lies outside."""
+"""Geometry of polygons in a picture: area, centroid, and distances of points from a polygon."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from taciturn._arrays import Array
 
 
 def measure_polygon(corners: Array) -> tuple[float, Array]:
-    """Return area and centroid (2,) of a polygon whose corners (corners, 2) are in order around it.
+    """Return the area and the centroid (2,) of a polygon from its corners in order, (corners, 2).
 
     Example:
         >>> area, centre = measure_polygon(np.array([[0.0, 0], [2, 0], [2, 1], [0, 1]]))
         >>> area, centre.tolist()
         (2.0, [1.0, 0.5])
     """
-    origin = corners.mean(axis=0)  # near which differences of products lose nothing
+    origin = corners.mean(axis=0)  # an origin near the polygon avoids cancellation
     here = corners - origin
     there = np.roll(here, -1, axis=0)
     cross = here[:, 0] * there[:, 1] - there[:, 0] * here[:, 1]
@@ -26,9 +26,9 @@ def measure_polygon(corners: Array) -> tuple[float, Array]:
 
 
 def measure_outside(points: Array, corners: Array) -> Array:
-    """Return how far points (points, 2) are outside a convex polygon, (points,); negative: inside.
+    """Return the distances (points,) of points (points, 2) from a convex polygon, negative for points inside.
 
-    The distance is that to the edges' lines: beyond a corner it is less than that to the corner.
+    Distances are measured to the lines through the edges, so beyond a corner they are smaller than the distance to it.
 
     Example:
         >>> square = np.array([[0.0, 0], [2, 0], [2, 2], [0, 2]])

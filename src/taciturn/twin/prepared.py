@@ -1,4 +1,4 @@
-"""A robot that is ready to be run: its camera calibrated, its model identified."""
+"""The preparation of a robot: calibration of its camera and identification of its model."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from taciturn._arrays import count
+from taciturn._display import Displayed
 from taciturn.twin.calibration import Calibration, calibrate
 from taciturn.twin.catalogue import find_robot
 from taciturn.twin.identification import Identification, identify
@@ -14,15 +15,15 @@ from taciturn.twin.mission import tables_of
 from taciturn.twin.robot import Robot
 
 
-@dataclass(frozen=True, eq=False)
-class Prepared:
+@dataclass(frozen=True, eq=False, repr=False)
+class Prepared(Displayed):
     """A robot whose camera is calibrated and whose model is identified.
 
     Args:
-        robot: which one.
-        calibration: of its camera.
-        model: what the experiment has found.
-        seed: of both.
+        robot: the robot.
+        calibration: calibration of its camera.
+        model: identified model.
+        seed: seed of both experiments.
     """
 
     robot: Robot
@@ -31,19 +32,19 @@ class Prepared:
     seed: int
 
     def tables(self, parameters: Mapping[str, float]) -> dict[str, Any]:
-        """Return the tables of its problem file, with parameters of the policy."""
+        """Return the tables of the robot's problem file with the given policy parameters."""
         return tables_of(self.robot, self.model, parameters)
 
 
 def prepare(name: str, seed: int = 0) -> Prepared:
-    """Calibrate the camera of a robot by what is known of its scene, then identify a model with it.
+    """Calibrate the camera of a robot with landmarks at known positions, and identify a model with that camera.
 
     Args:
         name: ``"rover"`` or ``"omni"``.
-        seed: of the camera's noise and of what disturbs the robot.
+        seed: seed of the camera noise and the disturbances.
 
     Raises:
-        ProblemError: no such robot, or an extra or a driver is missing.
+        ProblemError: the robot is unknown, or an optional package or a driver is missing.
     """
     robot = find_robot(name)
     calibration = calibrate(robot, count("seed", seed, 0))

@@ -1,4 +1,4 @@
-"""What is kept of a twin's run: all numbers as NetCDF, and what the camera saw as a moving picture."""
+"""The record of a twin's run: all numbers as a NetCDF file, and the camera pictures as an animation."""
 
 from __future__ import annotations
 
@@ -25,28 +25,29 @@ RECORDS, VIDEOS = (".nc",), (".webp",)
 
 
 def check_record(path: Path) -> None:
-    """Refuse a name that no record can have.
+    """Reject an invalid file name for a record.
 
     Raises:
-        ProblemError: another ending than .nc, or no folder that can be written to.
+        ProblemError: the extension is not .nc, or the folder is not writable.
     """
     check_format(path, RECORDS, "record")
 
 
 def check_video(path: Path) -> None:
-    """Refuse a name that no video can have.
+    """Reject an invalid file name for a video.
 
     Raises:
-        ProblemError: another ending than .webp, or no folder that can be written to.
+        ProblemError: the extension is not .webp, or the folder is not writable.
     """
     check_format(path, VIDEOS, "video")
 
 
 def to_dataset(run: TwinRun) -> xarray.Dataset:
-    """Return all that happened as a labelled data set, the JSON document of the run in its attributes.
+    """Return all results as a labelled data set, with the JSON document of the run in its attributes.
 
-    Dimensions: ``policy`` (``event-triggered``, ``all-time``), ``run``, ``tick``, ``instant`` (one more than ticks),
-    ``state``, ``input``, ``link``, ``form`` (of the trigger: the smaller one decides), ``coordinate`` (of the bodies).
+    The dimensions are ``policy`` (``event-triggered``, ``all-time``), ``run``, ``tick`` (steps), ``instant`` (one more
+    than ``tick``), ``state``, ``input``, ``link``, ``form`` (trigger values of not sending and of sending), and
+    ``coordinate`` (of the bodies).
     """
     import xarray
 
@@ -78,15 +79,15 @@ def to_dataset(run: TwinRun) -> xarray.Dataset:
             "form": ["silent", "send"],
             "time": ("instant", robot.tick * np.arange(run.trial.poses.shape[1])),
         },
-        attrs={"title": f"twin of the {robot.name}", "document": json.dumps(run.document())},
+        attrs={"title": f"twin of the {robot.name}", "document": json.dumps(run.document()), **run.origin()},
     )
 
 
 def write_record(run: TwinRun, path: Path) -> None:
-    """Write all that happened as NetCDF.
+    """Write all results to a NetCDF file.
 
     Raises:
-        ProblemError: another ending than .nc, or no folder that can be written to.
+        ProblemError: the extension is not .nc, or the folder is not writable.
     """
     check_record(path)
     whole: Any = to_dataset(run)
@@ -94,10 +95,10 @@ def write_record(run: TwinRun, path: Path) -> None:
 
 
 def write_video(run: TwinRun, path: Path) -> None:
-    """Write what the camera would have seen of the first robot, with what it did see drawn in where it was asked.
+    """Write the camera pictures of the first robot as an animation; requested pictures show the detected marker.
 
     Raises:
-        ProblemError: another ending than .webp, or no folder that can be written to.
+        ProblemError: the extension is not .webp, or the folder is not writable.
     """
     check_video(path)
     prepared, trial = run.prepared, run.trial

@@ -1,4 +1,4 @@
-"""What is said of a twin's run, as a JSON document and as lines."""
+"""The report of a twin's run as a JSON document and as lines of text."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.estimate import Estimate
 from taciturn.study.ticks import measured
+from taciturn.twin.identification import Identification
 from taciturn.twin.mission import THESIS
 from taciturn.twin.outcome import Trial
 from taciturn.twin.robot import Robot
@@ -39,29 +41,26 @@ def document_of(run: TwinRun) -> dict[str, Any]:
         "faults": [str(fault) for fault in run.setup.faults],
         "processes": {name: dict(report) for name, report in trial.reports.items()},
         "notes": list(trial.notes),
+        **run.origin(),
     }
 
 
 def lines_of(found: TwinRun) -> list[tuple[str, str]]:
-    """Return what is printed of a run: names, and what stands behind them."""
+    """Return the printed lines of a run as pairs of name and value."""
     robot, trial, model = found.prepared.robot, found.trial, found.prepared.model
     runs, ticks = trial.costs.shape
     lines = [
         ("robot", f"{robot.name}, {runs} x {ticks} steps of {robot.tick:g} s in {found.seconds:.1f} s"),
-        ("camera", f"{found.prepared.calibration.error:.2f} pixels from where its landmarks should be"),
+        ("camera", f"{found.prepared.calibration.error:.2f} pixels reprojection error of the landmarks"),
     ]
-    for i, state in enumerate(robot.states):
-        rates = ", ".join(
-            f"{model.B[i, j] / robot.tick:.5g} ± {model.B_standard_error[i, j] / robot.tick:.1g}"
-            for j in range(len(robot.inputs))
-        )
-        lines.append((f"d{state.split(' ')[0]}/dt per input", f"{rates}   (data sheet: {robot.rate[i]})"))
-    lines += [("policy", found.policy.kind), ("cost", f"{found.cost} per mission")]
+    lines += [*model_lines(model, robot), ("policy", found.policy.kind), ("cost", f"{found.cost} per mission")]
     if found.always is not None:
         always = float(found.always.totals.mean())
-        lines.append(("all-time cost", f"{always:.6g}   (this policy: {100 * (found.cost.value / always - 1):+.1f} %)"))
+        lines.append(
+            ("every-sample cost", f"{always:.6g}   (this policy: {100 * (found.cost.value / always - 1):+.1f} %)")
+        )
     if found.cost_bound is not None:
-        lines.append(("guaranteed", f"at most {found.cost_bound:.6g}, in the identified model"))
+        lines.append(("guaranteed", f"at most {found.cost_bound:.6g}, for the identified model"))
     lines += [(f"rate, {link}", f"{rate} per step") for link, rate in found.rates.items()]
     for link, counted in trial.datagrams.items():
         if isinstance(counted, Mapping):
@@ -75,13 +74,25 @@ def lines_of(found: TwinRun) -> list[tuple[str, str]]:
     return [*lines, *(("note", note) for note in trial.notes)]
 
 
+def model_lines(model: Identification, robot: Robot) -> list[tuple[str, str]]:
+    """Return the identified rates of change per second and per unit of each input, next to those of the data sheet."""
+    lines: list[tuple[str, str]] = []
+    for state, values, errors, nominal in zip(
+        robot.states, model.B / robot.tick, model.B_standard_error / robot.tick, robot.rate, strict=True
+    ):
+        rates = ", ".join(str(Estimate(*pair, "simulation")) for pair in zip(values, errors, strict=True))
+        listed = ", ".join(f"{rate:g}" for rate in nominal)
+        lines.append((f"d{state.split(' ')[0]}/dt per input", f"{rates}   (data sheet: {listed})"))
+    return lines
+
+
 def _listed(counted: Mapping[str, Any]) -> str:
     shown = (f"{value:.2f}" if isinstance(value, float) else str(value) for value in counted.values())
     return ", ".join(f"{text} {name.replace('_', ' ')}" for text, name in zip(shown, counted, strict=True))
 
 
 def vision(off: Array, robot: Robot) -> dict[str, Any]:
-    """Return bias and standard deviation of what the camera says, in millimetres and degrees."""
+    """Return the bias and standard deviation of the camera measurements, in millimetres and degrees."""
     scale = np.array([1e3, 1e3, np.degrees(1.0)])[: off.shape[1]]
     units = ("mm", "mm", "deg")
     if not len(off):

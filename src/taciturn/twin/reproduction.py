@@ -1,4 +1,4 @@
-"""The experiments of chapters 6 and 7 of the thesis, done with twins: printed beside computed."""
+"""The experiments of chapters 6 and 7 of the thesis with twins: tables of printed and computed numbers."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from taciturn.twin.trial import Setup
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-RUNS, ROUNDS = 10, 5  # experiments with the rover, rounds of the omni-directional robot
-PRINTED = {  # section 6.6
+RUNS, ROUNDS = 10, 5  # number of experiments with the rover, and of rounds of the omni-directional robot
+PRINTED = {  # numbers of section 6.6
     "all-time": {"J": 116.47, "sensor %": 100.0, "actuator %": 100.0},
     "event-triggered": {"J": 127.85, "sensor %": 20.0, "actuator %": 10.0},
 }
 
 
 def reproduce_with_twin(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
-    """Do the experiments of a chapter of the thesis with a twin.
+    """Repeat the experiments of a chapter of the thesis with a twin.
 
     Args:
         name: ``"chapter6"`` or ``"chapter7"``.
-        seed: of all draws.
-        progress: called with the fraction done.
+        seed: seed of all random draws.
+        progress: function called with the completed fraction.
 
     Returns:
-        The tables, printed beside computed, and the pictures.
+        The tables with printed and computed numbers, and the figures.
 
     Raises:
-        ProblemError: a chapter without experiments; an extra or a driver is missing.
+        ProblemError: the chapter contains no experiment, or an optional package or a driver is missing.
 
     Source: khashooei2017
     """
@@ -78,19 +78,22 @@ def _chapter6(seed: int, progress: Progress) -> Reproduction:
             Panel(running_costs(trials), ylabel="cost per step", title=f"Figures 6.5 and 6.8: mean of {RUNS} runs"),
             Panel(inputs(trials), ylabel="input (%)", title="Figures 6.6 and 6.9: one run"),
             Panel(sends(run.trial), ylabel="sent"),
-            Panel(values, ylabel="cost", title="Figure 6.7: when the camera is asked"),
-            Panel(positions(trials), "step", "x (m)", "Figure 6.10: position, and what it is taken for"),
+            Panel(values, ylabel="cost", title="Figure 6.7: requests to the camera"),
+            Panel(positions(trials), "step", "x (m)", "Figure 6.10: position and estimate"),
         ],
         height=14.0,
     )
     notes = (
-        f"{RUNS} runs from x_0 = 0.7 m with a model that was identified in the twin: its cost when sending always is "
+        f"{RUNS} runs from x_0 = 0.7 m with a model identified in the twin: the cost of sending every sample is "
         f"{run.policy.cost_all_time:.4g} in theory, and the guarantee {run.cost_bound:.5g}",
-        "the thesis: 103.66 and 113.15 in simulation, with 80 % and 90 % less on the two links",
+        "the thesis: 103.66 and 113.15 in simulation, with 80 % and 90 % fewer packets on the two links",
         *run.trial.notes,
     )
     return Reproduction(
-        "chapter6-twin", (Table("Section 6.6: the experiment", rows, notes),), {"chapter6-twin": figure}
+        "chapter6-twin",
+        (Table("Section 6.6: the experiment", rows, notes),),
+        {"chapter6-twin": figure},
+        {"rover": run.trial.problem},
     )
 
 
@@ -127,13 +130,14 @@ def _chapter7(seed: int, progress: Progress) -> Reproduction:
             )
         )
     notes = (
-        f"{ROUNDS} rounds each, with a model that was identified in the twin, from which J_all is computed",
-        "the thesis prints a picture of an experiment with a robot, no numbers",
-        "measured J_all: that of λ = 0 here, as the thesis compares; path off: root mean square distance over a round",
+        f"{ROUNDS} rounds per price; J_all is computed from a model identified in the twin",
+        "the thesis gives only a plot of an experiment with a robot, without numbers",
+        "measured J_all: the measured cost for λ = 0, as in the thesis; path off: RMS distance over a round",
         *(note for run in runs.values() for note in run.trial.notes[:1]),
     )
+    problems = {f"omni, price {price:g}": run.trial.problem for price, run in runs.items()}
     pictures = {"chapter7-twin-path": _path(runs[0.01]), "chapter7-twin-cost": _costs(rows)}
-    return Reproduction("chapter7-twin", (Table("Figure 7.6: the experiment", tuple(rows), notes),), pictures)
+    return Reproduction("chapter7-twin", (Table("Figure 7.6: the experiment", tuple(rows), notes),), pictures, problems)
 
 
 def _path(run: TwinRun) -> Figure:

@@ -1,4 +1,4 @@
-"""What differs between robots, as data: their inputs, their scene, what the camera looks for, where it stands."""
+"""The data that describe a robot: inputs, scene, marker, and pose of the camera."""
 
 from __future__ import annotations
 
@@ -9,22 +9,23 @@ import numpy as np
 
 from taciturn._arrays import Array, frozen
 from taciturn._cv2 import Colour
+from taciturn._display import Displayed
 from taciturn._mujoco import FREE, Scene
 
 Point = tuple[float, float, float]
-WIDTH, HEIGHT = 640, 480  # of all pictures, in pixels
+WIDTH, HEIGHT = 640, 480  # size of all pictures in pixels
 
 
-@dataclass(frozen=True)
-class Lens:
-    """The camera's own optics. Nothing but the camera knows them: who measures has to calibrate.
+@dataclass(frozen=True, repr=False)
+class Lens(Displayed):
+    """The true optics of the camera, which only the simulated camera uses; image processing uses a calibration.
 
     Args:
         focal: focal length, in pixels.
-        centre: where the optical axis meets the picture, in pixels.
+        centre: point of the picture on the optical axis, in pixels.
         distortion: k1, k2, p1, p2 of Brown and Conrady.
-        noise: standard deviation of the sensor's noise, in levels of 255.
-        quality: of the JPEG, in 1..100.
+        noise: standard deviation of the sensor noise, in units of 1/255 of full scale.
+        quality: JPEG quality, 1 to 100.
     """
 
     focal: float
@@ -39,9 +40,9 @@ class Lens:
         return np.array([[self.focal, 0, self.centre[0]], [0, self.focal, self.centre[1]], [0, 0, 1.0]])
 
 
-@dataclass(frozen=True)
-class Disc:
-    """A round marker of one colour: its radius and its height above the floor, in metres, and where y may be."""
+@dataclass(frozen=True, repr=False)
+class Disc(Displayed):
+    """A round marker of one colour, with radius and height above the ground in metres, and the range of its y."""
 
     colour: Colour
     radius: float
@@ -49,9 +50,9 @@ class Disc:
     strip: tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Tag:
-    """An ArUco tag: its number in 0..49, the side of its black square and where its centre is, in metres."""
+@dataclass(frozen=True, repr=False)
+class Tag(Displayed):
+    """An ArUco tag, with its number (0 to 49), the side of its black square, and its centre, in metres."""
 
     number: int
     side: float
@@ -59,14 +60,14 @@ class Tag:
 
     @property
     def corners(self) -> Array:
-        """Its corners, clockwise from the upper left, (4, 3)."""
+        """Corners of the black square, clockwise from the upper left, (4, 3)."""
         h = self.side / 2
         return np.array(self.centre) + np.array([[-h, h, 0], [h, h, 0], [h, -h, 0], [-h, -h, 0]])
 
 
-@dataclass(frozen=True)
-class Cube:
-    """A cube of one colour: where its centre is, and half its side, in metres."""
+@dataclass(frozen=True, repr=False)
+class Cube(Displayed):
+    """A cube of one colour, with its centre and half its side length, in metres."""
 
     colour: Colour
     centre: Point
@@ -74,38 +75,38 @@ class Cube:
 
     @property
     def corners(self) -> Array:
-        """Its corners, (8, 3)."""
+        """Corners of the cube, (8, 3)."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
         return np.array(self.centre) + self.half * signs
 
 
-@dataclass(frozen=True)
-class Robot:
-    """All that differs between the robots.
+@dataclass(frozen=True, repr=False)
+class Robot(Displayed):
+    """The data that describe a robot.
 
     Args:
-        name: by which it is asked for.
-        tick: seconds between decisions.
-        states: what the camera measures, with units; a heading comes last.
-        inputs: what the robot is told, with units.
-        input_limit: largest size of each input.
-        start: state in which a run begins.
-        low: least state of the workspace, where the camera is to be trusted.
-        high: greatest state of it.
-        rate: B of ẋ = B u as the data sheet would have it, (states, inputs).
-        stir: standard deviation of the forces that disturb it: N along x (and y), N·m about z.
-        motor_errors: by how much each motor's gain is off, as a multiple of `Body`'s ``gain_error``.
-        joints: of its driven wheels, in the order of the motors.
-        excitation: largest size of each input in an identification.
-        drive: inputs and heading → speed of each wheel in rad/s.
-        build: variant → scene with a body ``robot`` that is free to move, a site ``marker``, a shape ``cover`` and a
-            camera ``webcam``.
-        variants: ways in which its wheels are modelled, the usual one first.
-        lens: the camera's optics.
-        marker: what the eye looks for.
-        landmarks: what is in the scene at a known place, for the calibration.
-        taped: where the camera is and where its x and y axes point (to the right and down in the picture), as measured
-            by hand.
+        name: name of the robot.
+        tick: sampling period in seconds.
+        states: names of the states, with units; the camera measures all states, and a heading is the last state.
+        inputs: names of the inputs, with units.
+        input_limit: largest absolute value of each input.
+        start: initial state of a run.
+        low: lower limits of the states in the workspace, in which the camera is reliable.
+        high: upper limits of the states in the workspace.
+        rate: B in ẋ = B u from the data sheet, (states, inputs).
+        stir: standard deviation of the disturbing forces: N along x (and y), N·m about z.
+        motor_errors: gain error of each motor, as a multiple of ``gain_error`` of `Body`.
+        joints: joints of the driven wheels, in the order of the motors.
+        excitation: largest absolute value of each input in an identification.
+        drive: function of inputs and heading that returns the speed of each wheel in rad/s.
+        build: function of the variant that returns the scene, with a freely moving body ``robot``, a site ``marker``,
+            a geometry ``cover`` and a camera ``webcam``.
+        variants: names of the wheel models; the first one is the default.
+        lens: optics of the camera.
+        marker: marker of the robot.
+        landmarks: objects at known positions, for the calibration.
+        taped: position of the camera and directions of its x and y axes (right and down in the picture), measured by
+            hand.
     """
 
     name: str
@@ -131,7 +132,7 @@ class Robot:
 
     @property
     def seen(self) -> int:
-        """How many coordinates a camera sees: those of a free body, and one per wheel."""
+        """Number of coordinates that determine a picture: 7 for the free body, and one per wheel."""
         return FREE + len(self.joints)
 
     @property
@@ -141,5 +142,5 @@ class Robot:
 
     @property
     def B(self) -> Array:
-        """B of x⁺ = x + B u per tick as the data sheet would have it, (states, inputs)."""
+        """B in x⁺ = x + B u per step from the data sheet, (states, inputs)."""
         return frozen(self.tick * np.array(self.rate))

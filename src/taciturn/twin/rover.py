@@ -1,4 +1,4 @@
-"""The robot of chapter 6: a rover with six driven wheels on a line, under a webcam that looks for a pink marker."""
+"""The robot of chapter 6: a rover with six driven wheels and a pink marker that moves on a line before a webcam."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from taciturn._mujoco import Scene
 from taciturn.twin.robot import Cube, Disc, Lens, Robot
 
 WHEELS = 6
-RADIUS = 0.04  # of a wheel, in metres
+RADIUS = 0.04  # radius of a wheel, in metres
 RATE = 0.0023  # metres per second and percent, as identified in the thesis
-HEIGHT = 0.0989  # of the marker above the floor, by the caliper
+HEIGHT = 0.0989  # height of the marker above the ground in metres, measured with a caliper
 
 _PINK = ((152, 80, 40), (175, 255, 255))
 _CUBES = (
@@ -25,7 +25,7 @@ _CUBES = (
 
 
 def build_rover(variant: str) -> Scene:
-    """Return the scene of the rover, of which there is one variant.
+    """Return the scene of the rover, which has only one variant.
 
     Raises:
         ProblemError: MuJoCo is missing.
@@ -34,7 +34,7 @@ def build_rover(variant: str) -> Scene:
 
 
 def wheel_speeds(inputs: Array, heading: float) -> Array:
-    """Return the speed of each wheel in rad/s of an input (1,) in percent: all wheels have the same."""
+    """Return the speed of each wheel in rad/s for an input (1,) in percent; all wheels have the same speed."""
     return np.full(WHEELS, RATE * inputs[0] / RADIUS)
 
 
@@ -48,7 +48,7 @@ ROVER = Robot(
     low=(-0.1,),
     high=(0.9,),
     rate=((RATE,),),
-    stir=(7.5,),  # the tyres hold 26 N: with half of that it would slide, and its residuals have heavy tails
+    stir=(7.5,),  # with 13 N the rover would slide at times (tyre friction: 26 N), and residuals have heavy tails
     motor_errors=(1.0,) * WHEELS,
     joints=tuple(f"wheel{k}" for k in range(WHEELS)),
     excitation=(60.0,),
@@ -58,6 +58,6 @@ ROVER = Robot(
     lens=Lens(620.0, (322.3, 237.6)),
     marker=Disc(_PINK, radius=0.025, height=HEIGHT, strip=(-0.06, 0.06)),
     landmarks=_CUBES,
-    # 3 cm and 2° off
+    # measured with an error of 3 cm and 2°
     taped=((0.38, -1.17, 1.02), (0.9994, 0.035, 0.0), (0.024, -0.689, -0.7244)),
 )

@@ -1,4 +1,4 @@
-"""Runs a robot's twin: a policy meets the world, beside the one that always sends."""
+"""Runs of a robot's twin under a policy, compared with a policy that sends every sample."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._display import Displayed
+from taciturn._figure import Size
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import Policy
 from taciturn.problem import load, parse
+from taciturn.study.record import origin
 from taciturn.twin.catalogue import find_robot
 from taciturn.twin.figures import figure_of
 from taciturn.twin.mission import MISSIONS, all_time, check_mission, check_parameters
@@ -28,17 +31,18 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-@dataclass(frozen=True, eq=False)
-class TwinRun:
-    """What a policy did with a robot's twin, beside the one that sends at every step.
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinRun(Displayed):
+    """The results of a robot's twin under a policy, and optionally under a policy that sends every sample.
 
     Args:
         prepared: the robot, its camera and its model.
-        policy: that was run.
-        trial: its runs.
-        always: those of the policy that always sends, with the same seeds; None where they were not asked for.
-        setup: how they were run.
-        seconds: wall time, calibration and identification included.
+        policy: the policy.
+        trial: runs of the policy.
+        always: runs of the policy that sends every sample, with the same seeds, or None. ``run_twin`` runs them without
+            faults, the live page with the same faults and pushes.
+        setup: configuration of the runs.
+        seconds: duration in real time, including calibration and identification.
     """
 
     prepared: Prepared
@@ -50,29 +54,46 @@ class TwinRun:
 
     @property
     def cost(self) -> Estimate:
-        """Mean of the missions' costs."""
+        """Mean total cost of a mission."""
         return mean(self.trial.totals)
 
     @property
     def rates(self) -> Mapping[str, Estimate]:
-        """Mean fraction of the steps with a question to the camera, and with a send to the robot."""
+        """Mean fraction of steps with a request to the camera and with a packet to the robot, by link."""
         return {link: mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
 
     @property
     def cost_bound(self) -> float | None:
-        """What theory says of the identified model; None where something goes wrong that it does not know."""
+        """Guaranteed cost for the identified model, or None with faults, which the theory excludes."""
         return None if self.setup.faults or self.policy.guarantee is None else self.policy.guarantee.cost
 
-    def plot(self) -> Figure:
-        """Return a figure of the first run, beside that of the policy that always sends."""
-        trials = {"event-triggered": self.trial} | ({} if self.always is None else {"all-time": self.always})
-        return figure_of(self.prepared.robot, trials)
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the first run of each policy."""
+        trials = {"event-triggered": self.trial} | ({} if self.always is None else {"every sample": self.always})
+        return figure_of(self.prepared.robot, trials, ax=ax, figsize=figsize)
 
     def to_dataset(self) -> xarray.Dataset:
-        """Return all that happened, labelled: see ``taciturn.twin.record.to_dataset``."""
+        """Return all results as a labelled data set; see ``taciturn.twin.record.to_dataset``."""
         from taciturn.twin.record import to_dataset
 
         return to_dataset(self)
+
+    def origin(self) -> dict[str, Any]:
+        """Return the data needed to reproduce the results: version, seed, method, and the digest of the problem."""
+        return origin(self.trial.problem, self.setup.seed, "simulation")
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the robot, the policy, the cost and the rates."""
+        return {
+            "robot": self.prepared.robot.name,
+            "policy": self.policy.short(),
+            "cost": self.cost,
+            "guarantee": self.cost_bound,
+            **{f"rate, {link}": rate for link, rate in self.rates.items()},
+            "runs": len(self.trial.totals),
+            "seed": self.setup.seed,
+            "notes": self.trial.notes,
+        }
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn twin --json``."""
@@ -86,31 +107,34 @@ def run_twin(
     setup: Setup | None = None,
     *,
     file: str | None = None,
+    functions: bool = True,
     parameters: Mapping[str, float] | None = None,
     compare: bool = True,
     progress: Progress | None = None,
 ) -> TwinRun:
-    """Run a robot's twin as processes of this machine: rigid bodies, a camera, a control unit, a robot, and links.
+    """Run a robot's twin as processes on this machine: world, camera, control unit, actuator, and links.
 
     Args:
-        robot: ``"rover"`` or ``"omni"``, or one that has been prepared.
-        setup: how it runs; omitted: one mission in virtual time.
-        file: a problem file with the policy to run; omitted: that of the thesis, for the model that is identified here.
-        parameters: of the policy, instead of those of the thesis.
-        compare: also run the policy that always sends, without faults.
-        progress: called with the fraction done.
+        robot: ``"rover"``, ``"omni"``, or a prepared robot.
+        setup: configuration of the run; default: one mission in virtual time.
+        file: problem file with the policy; default: the policy of the thesis, for the identified model.
+        functions: whether the file may name functions, which are executed.
+        parameters: policy parameters that replace those of the thesis.
+        compare: whether to run the policy that sends every sample too, without faults.
+        progress: function called with the completed fraction.
 
     Returns:
-        What was done, and what it cost.
+        The runs and their costs.
 
     Raises:
-        ProblemError: data that do not fit, an extra, a driver or a right that is missing, a process that has ended.
+        ProblemError: an argument is not valid for the robot, an optional package, a driver or a permission is missing,
+            or a process has ended.
     """
     began, setup = time.monotonic(), setup or Setup()
     if file is not None and parameters:
-        raise ProblemError(f"{', '.join(parameters)} is given with {file}, which has its own; expected one of them")
+        raise ProblemError(f"{', '.join(parameters)} is given with {file}, whose file sets it; expected only one")
     chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
-    given = None if file is None else load(file)
+    given = None if file is None else load(file, functions=functions)
     policy = None if given is None else check_mission(chosen, given, str(file))
     check_run(chosen, setup, parameters or {}, None if given is None else given.cost.horizon)
     found = prepare(robot, setup.seed) if isinstance(robot, str) else robot
@@ -125,27 +149,27 @@ def run_twin(
 
 
 def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], ticks: int | None = None) -> None:
-    """Refuse what a robot cannot run, before it is prepared.
+    """Reject a setup that a robot cannot run, before the robot is prepared.
 
     Args:
-        robot: which one.
-        setup: how it is to run.
-        parameters: of the policy.
-        ticks: of the mission; omitted: those of the thesis.
+        robot: the robot.
+        setup: the setup.
+        parameters: policy parameters.
+        ticks: steps of the mission; default: those of the thesis.
 
     Raises:
-        ProblemError: the policy has no such parameter, the robot no such wheels, or a fault does not fit.
+        ProblemError: a parameter or wheel model is unknown, or a fault is not possible in this run.
     """
     check_parameters(robot, parameters)
     setup.check(robot, ticks or MISSIONS[robot.name].ticks)
 
 
 def mean(values: Array) -> Estimate:
-    """Return the mean of independent runs, with its standard error where there are two or more."""
+    """Return the mean of independent runs, with its standard error if there are two or more."""
     error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
     return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
 
 
 def scaled(progress: Progress | None, low: float, high: float) -> Progress | None:
-    """Return what tells a part of a whole how far it has come."""
+    """Return the progress callback for the part of a computation between two completed fractions."""
     return None if progress is None else lambda fraction: progress(low + (high - low) * fraction)

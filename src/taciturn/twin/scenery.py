@@ -1,4 +1,4 @@
-"""Printed sheets in a scene: a picture on a flat rectangle, as text of MuJoCo's format and a file."""
+"""Printed sheets in a scene: pictures on flat rectangles, as elements of a MuJoCo model and PNG files."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ import numpy as np
 
 from taciturn._cv2 import Pixels, draw_tag, write_png
 
-CELL = 16  # pixels to a cell of a tag
+CELL = 16  # size of a cell of a tag in pixels
 
 
 def printed_sheet(name: str, width: float, height: float) -> str:
-    """Return the assets of a sheet: a mesh and a material of this name, on which the picture ``name``.png is.
+    """Return the assets of a sheet: a mesh and a material with the name ``name``, and the texture ``name``.png.
 
-    A mesh has no other side that could be seen: its back is a flat pyramid.
+    The renderer draws only one side of a mesh, so the back of the sheet is a flat pyramid.
 
     Args:
-        name: of mesh and material.
-        width: along x, in metres.
-        height: along y, in metres.
+        name: name of mesh and material.
+        width: size along x, in metres.
+        height: size along y, in metres.
     """
     x, y = width / 2, height / 2
     return f"""
@@ -28,12 +28,12 @@ def printed_sheet(name: str, width: float, height: float) -> str:
 
 
 def placed_sheet(name: str, place: tuple[float, float, float]) -> str:
-    """Return the shape of a sheet at a place, in metres; nothing touches it."""
+    """Return the geometry of a sheet at a position in metres, without contacts."""
     x, y, z = place
     return f'<geom type="mesh" mesh="{name}" material="{name}" pos="{x} {y} {z}" mass="0" contype="0" conaffinity="0"/>'
 
 
 def tag_picture(number: int) -> bytes:
-    """Return an ArUco tag as PNG, with a white rim of one cell: 8/6 as wide as its black square."""
+    """Return an ArUco tag as PNG, with a white border of one cell, so that it is 8/6 as wide as its black square."""
     rimmed: Pixels = np.pad(draw_tag(number, 6 * CELL), CELL, constant_values=255)
     return write_png(rimmed)

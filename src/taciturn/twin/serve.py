@@ -1,4 +1,4 @@
-"""The camera as a process: light and questions in, pictures out."""
+"""The server of the camera: it receives poses and requests, and sends pictures."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from taciturn.twin.camera import Camera
 from taciturn.twin.faults import Fault
 from taciturn.twin.wire import CameraWire
 
-KEPT = 8  # ticks whose light is kept: a question may come when the plant is ahead
-PATIENT = 256  # questions and marks of a loop that wait for their light
+KEPT = 8  # number of steps whose poses are stored, as a request may arrive when the plant is ahead
+PATIENT = 256  # largest number of requests and marks of a loop that wait for their poses
 
 
 class CameraServer:
-    """Answers questions with pictures: it renders nothing that nobody asks for.
+    """A server that answers requests with pictures; only requested pictures are rendered.
 
     Args:
-        camera: that takes the pictures.
-        wire: that reads questions and light, and writes pictures.
-        endpoint: where they arrive.
-        peer: who gets the pictures.
-        tick: seconds of a tick, as faults count them.
-        loops: how many robots share the camera's process.
-        faults: of the camera; the others are none of its business.
+        camera: camera that takes the pictures.
+        wire: decoder of requests and poses, and encoder of pictures.
+        endpoint: socket that receives requests and poses.
+        peer: address to which the pictures are sent.
+        tick: sampling period in seconds, which converts the times of faults to steps.
+        loops: number of robots that share the camera process.
+        faults: faults to apply; faults that do not affect the camera are ignored.
     """
 
     def __init__(
@@ -43,22 +43,22 @@ class CameraServer:
         loops: int = 1,
         faults: Sequence[Fault] = (),
     ) -> None:
-        """Nothing has been asked."""
+        """Start without requests."""
         self.camera, self.wire, self.endpoint, self.peer = camera, wire, endpoint, peer
         self._faults = [(fault.name, fault.ticks(tick), fault.size) for fault in faults]
-        self._light: list[dict[int, Packet]] = [{} for _ in range(loops)]  # the newest of each tick
+        self._light: list[dict[int, Packet]] = [{} for _ in range(loops)]  # newest pose of each step
         self._waiting: list[list[Packet]] = [[] for _ in range(loops)]
         self._asked = [Window() for _ in range(loops)]
         self.counters: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
 
     def run(self, stopped: Callable[[], bool]) -> dict[str, Any]:
-        """Answer until stopped, then what is still on its way, and return the report."""
+        """Answer requests until stopped, including those already sent, and return the report."""
         take_until(self.endpoint, self._take, stopped)
         return self.report()
 
     def report(self) -> dict[str, Any]:
-        """Return what has been counted so far."""
+        """Return the counters so far."""
         return {
             "role": "camera",
             "counters": dict(self.counters),
@@ -93,7 +93,7 @@ class CameraServer:
             waiting.append(packet)
 
     def _go_on(self, loop: int) -> None:
-        """Answer what can be answered, in order: a mark says that all before it has been answered."""
+        """Answer requests in order if their poses have arrived; forward a mark when earlier requests are answered."""
         light, waiting = self._light[loop], self._waiting[loop]
         while waiting and (waiting[0].kind == "mark" or (light and waiting[0].tick <= max(light))):
             packet = waiting.pop(0)

@@ -1,11 +1,14 @@
-"""A small web server for the pages of a run: their files, a stream of events, the newest picture, and requests.
+"""A small web server for the live page of a run.
 
-``GET /``, its scripts and styles; ``GET /events``: server-sent events; ``GET /picture``: a JPEG; ``POST /ask``: JSON as
-``{"ask": "value", "value": 0.01}``. Each connection has a thread of its own, and every read and write has a time limit.
+``GET /`` returns the page; its scripts and styles have further paths. ``GET /events`` returns server-sent events, and
+``GET /picture`` the newest picture as JPEG. ``POST /ask`` accepts a request as JSON, e.g.
+``{"ask": "value", "value": 0.01}``. Each connection has a separate thread. A request must arrive within a time limit as
+a whole, and every answer has a time limit.
 """
 
 from __future__ import annotations
 
+import io
 import json
 import sys
 import threading
@@ -18,14 +21,14 @@ from typing import Any
 
 from taciturn.errors import ProblemError
 from taciturn.runtime.udp import Address
-from taciturn.twin.door import Door
+from taciturn.twin.access_control import AccessControl
+from taciturn.twin.connections import Connections, Timed
 from taciturn.twin.feed import Feed
 
-SEATS = 128  # connections at a time
-PULSE = 2.0  # seconds of silence after which a reader hears that the run is there
-PATIENCE = 10.0  # seconds that a client may take to send a request, or to read an answer
-FAREWELL = 1.0  # seconds for the readers to hear that the run has ended
-LARGEST = 256  # bytes of a request's body
+PULSE = 2.0  # seconds between keep-alive events while there are no other events
+PATIENCE = 10.0  # seconds in which a client must send a whole request, and in which it must read an answer
+FAREWELL = 1.0  # seconds for which the server waits until all readers have received the end of the run
+LARGEST = 256  # largest body of a request in bytes
 _TYPES = {
     ".html": "text/html",
     ".css": "text/css",
@@ -36,31 +39,31 @@ _TYPES = {
 _HEADERS = {
     "Content-Security-Policy": "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
     "Cross-Origin-Resource-Policy": "same-origin",
-    "Referrer-Policy": "no-referrer",  # the address may hold a token
+    "Referrer-Policy": "no-referrer",  # the address may contain a token
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-store",
 }
 
 
 class Server(ThreadingHTTPServer):
-    """Serves a feed in threads of its own until it is closed.
+    """A web server that serves a feed in separate threads until it is closed.
 
     Args:
-        bind: where to listen; port 0: any free one.
-        feed: what is served.
-        door: who may see and act.
+        bind: address to listen on; with port 0, the system chooses a free port.
+        feed: feed to serve.
+        access: access control for every request.
 
     Raises:
-        ProblemError: the address is in use, or not of this machine.
+        ProblemError: the address is in use, or belongs to another machine.
     """
 
-    request_queue_size = 64
+    request_queue_size = 256
 
-    def __init__(self, bind: Address, feed: Feed, door: Door) -> None:
-        """Bind and serve."""
-        self._feed, self._answering = feed, list[threading.Thread]()
+    def __init__(self, bind: Address, feed: Feed, access: AccessControl) -> None:
+        """Bind the socket, and start to serve."""
+        self._feed, self._answering, self._connections = feed, list[threading.Thread](), Connections()
         try:
-            super().__init__(bind, partial(_Handler, feed, door, _read_files()))
+            super().__init__(bind, partial(_Handler, feed, access, self._connections, _read_files()))
         except OSError as error:
             raise ProblemError(
                 f"{bind[0]}:{bind[1]} cannot serve the page ({error.strerror}); expected a free port of this machine: "
@@ -71,36 +74,40 @@ class Server(ThreadingHTTPServer):
 
     @property
     def address(self) -> Address:
-        """Where it listens."""
+        """The address that the server listens on."""
         host, port = self.server_address[:2]
         return str(host), int(port)
 
     def close(self) -> None:
-        """Tell the readers that the run has ended, and free the port."""
+        """Send the end of the run to all readers, and free the port."""
         self._feed.end()
         self.shutdown()
         self._thread.join()
         self.server_close()
+        self._connections.dismiss()
         end = time.monotonic() + FAREWELL
-        for thread in self._answering:  # so that a process that ends now does not cut their last words
+        for thread in self._answering:  # if the process ended now, the last events would be cut off
             thread.join(max(0.0, end - time.monotonic()))
 
     def server_bind(self) -> None:
-        """Bind without asking the network for a name of this machine, which may take seconds."""
+        """Bind without looking up the name of this machine, which may take seconds."""
         TCPServer.server_bind(self)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a thread, where a seat is free."""
+        """Answer in a separate thread, as a stranger at first."""
         self._answering = [thread for thread in self._answering if thread.is_alive()]
-        if len(self._answering) >= SEATS:
-            self.shutdown_request(request)
-            return
+        self._connections.enter(request, client_address[0])
         thread = threading.Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
         self._answering.append(thread)
         thread.start()
 
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self._connections.leave(request)
+        super().shutdown_request(request)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Say nothing of clients that go away."""
+        """Ignore clients that disconnect."""
         if not isinstance(sys.exception(), OSError):
             super().handle_error(request, client_address)
 
@@ -109,22 +116,31 @@ class _Handler(BaseHTTPRequestHandler):
     disable_nagle_algorithm = True
     server_version, sys_version = "taciturn", ""
 
-    def __init__(self, feed: Feed, door: Door, kept: dict[str, tuple[str, bytes]], *connection: Any) -> None:
-        self._feed, self._door, self._files = feed, door, kept
-        super().__init__(*connection)  # which answers the request
+    def __init__(
+        self,
+        feed: Feed,
+        access: AccessControl,
+        connections: Connections,
+        kept: dict[str, tuple[str, bytes]],
+        *connection: Any,
+    ) -> None:
+        self._feed, self._access, self._connections, self._files = feed, access, connections, kept
+        super().__init__(*connection)  # answers the request
 
     def setup(self) -> None:
-        self.request.settimeout(PATIENCE)
         super().setup()
+        self.rfile = io.BufferedReader(Timed(self.request, PATIENCE))  # one deadline for the request as a whole
 
     def do_GET(self) -> None:
         path, _, query = self.path.partition("?")
-        if path in self._files and path != "/":  # the same for everybody
+        if path in self._files and path != "/":  # public files, without access control
             self._answer(200, *self._files[path])
         elif path not in ("/", "/events", "/picture"):
             self._refuse(404, "there is no such page")
-        elif not self._door.admits(self.headers, query):
-            self._refuse(403, "open this page by the address that the run printed, which names this machine or a token")
+        elif not self._access.admits(self.headers, query):
+            self._refuse(403, "open this page at the address that the run printed, with this machine's name or a token")
+        elif not self._connections.admit(self.request):
+            self._refuse(503, "too many pages of this run are open; close one, and open this page again")
         elif path == "/events":
             self._stream()
         elif path == "/":
@@ -137,17 +153,23 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         text = self.headers.get("Content-Length", "")
         length = int(text) if text.isdecimal() and len(text) < 20 else -1
-        body = self.rfile.read(min(max(length, 0), 1 << 16))  # what is not read is an answer that may be lost
+        body = self.rfile.read(min(max(length, 0), 1 << 16))  # with an unread body the answer may be cut off
         if self.path != "/ask":
             self._refuse(404, "there is no such page")
-        elif not self._door.obeys(self.headers):
-            self._refuse(403, "this request carries no token, comes from elsewhere, or is no application/json")
+        elif not self._access.obeys(self.headers):
+            self._refuse(403, "the request has no token, comes from another page, or is not application/json")
+        elif not self._connections.admit(self.request):
+            self._refuse(503, "too many pages of this run are open; close one, and try again")
         elif length < 0:
-            self._refuse(411, "the length of the request is not given")
+            self._refuse(411, "the request lacks its Content-Length")
         elif length > LARGEST:
             self._refuse(413, f"the request has {length} bytes; expected at most {LARGEST}")
         else:
             self._ask(body)
+
+    def send_response(self, code: int, message: str | None = None) -> None:
+        self.request.settimeout(PATIENCE)  # from now on for what is written
+        super().send_response(code, message)
 
     def end_headers(self) -> None:
         for name, value in _HEADERS.items():
@@ -190,7 +212,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def _read_files() -> dict[str, tuple[str, bytes]]:
-    """Return type and content of every file of the page by its path: no path is ever made of a request."""
+    """Return the type and content of every file of the page by path; a request can only select one of these paths."""
     found: dict[str, tuple[str, bytes]] = {}
     for file in (files("taciturn") / "twin" / "web").iterdir():
         kind = _TYPES["." + file.name.rpartition(".")[2]]

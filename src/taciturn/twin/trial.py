@@ -1,9 +1,8 @@
-"""One launch of a twin: its processes run a mission under one policy, and all that they tell is put together."""
+"""One trial of a twin: processes run a mission under one policy, and their logs are combined into the results."""
 
 from __future__ import annotations
 
 import math
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -13,14 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from taciturn._arrays import choice, count, number
+from taciturn._display import Displayed
+from taciturn._files import temporary_folder
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
 from taciturn.runtime.namespaces import Namespaces
-from taciturn.runtime.packet import KEY, Wire
+from taciturn.runtime.packet import Wire
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.study.network import kernel_losses, logged_lines, losses
+from taciturn.study.logs import logged_lines
+from taciturn.study.network import kernel_losses, losses
 from taciturn.twin.body import Body
 from taciturn.twin.control import write_calibration
 from taciturn.twin.faults import CAMERA, Fault, window
@@ -32,18 +34,18 @@ from taciturn.twin.wire import CameraWire
 from taciturn.twin.world import TwinPlant, World
 
 
-@dataclass(frozen=True)
-class Setup:
-    """How a twin runs.
+@dataclass(frozen=True, repr=False)
+class Setup(Displayed):
+    """The configuration of a twin's run.
 
     Args:
-        runs: robots that run at once, with seeds one after the other.
-        seed: of the first.
-        tick: real seconds per tick; omitted: lockstep.
-        namespaces: in network namespaces, where the kernel loses packets.
-        faults: what goes wrong.
-        key: that authenticates the packets.
-        variant: how the wheels are modelled.
+        runs: number of simultaneous robots, with consecutive seeds.
+        seed: seed of the first robot.
+        tick: real seconds per step; default: lockstep.
+        namespaces: whether to use network namespaces, in which the kernel drops packets.
+        faults: faults to inject.
+        key: key that authenticates the packets.
+        variant: wheel model; default: the robot's first one.
     """
 
     runs: int = 1
@@ -60,51 +62,53 @@ class Setup:
         count("seed", self.seed, 0)
 
     def check(self, robot: Robot, horizon: int) -> None:
-        """Refuse what this robot does not have, or what never happens in a mission of so many ticks.
+        """Reject a setup that is not valid for a robot and a mission of ``horizon`` steps.
 
         Raises:
-            ProblemError: another way to model wheels, or a fault that does not fit.
+            ProblemError: the wheel model is unknown, or a fault is not possible in this run.
         """
         choice("variant", self.variant or robot.variants[0], robot.variants)
         if window(self.faults, "actuator", robot.tick) is not None and self.namespaces:
-            raise ProblemError("the fault actuator is given with namespaces, where no relay runs; expected one of them")
+            raise ProblemError("the fault actuator needs a relay, and namespaces have none; expected only one of them")
         for fault in self.faults:
             if fault.ticks(robot.tick)[0] >= horizon:
                 end = horizon * robot.tick
                 raise ProblemError(
-                    f"the fault {fault} begins after {end:g} s, when the mission is over; expected before"
+                    f"the fault {fault} begins after the end of the mission at {end:g} s; expected an earlier start"
                 )
             if fault.name == "kidnap" and len(fault.size) > len(robot.states):
                 most = len(robot.states)
-                raise ProblemError(f"the fault {fault} has {len(fault.size)} numbers; expected {most} at most")
+                raise ProblemError(f"the fault {fault} has {len(fault.size)} numbers; expected at most {most}")
         number("the gain of the motors", self.gain, -1.0, 1.0)
 
     @property
     def gain(self) -> float:
-        """By which share the motors are stronger than they should be."""
+        """Relative error of the motors' gains."""
         return sum(fault.size[0] for fault in self.faults if fault.name == "gain")
 
     def body(self, robot: Robot, run: int) -> Body:
-        """Return the body of a run."""
+        """Return the robot body of a run."""
         return Body(robot, self.seed + run, gain_error=self.gain, variant=self.variant or robot.variants[0])
 
 
-@dataclass
-class Watcher:
-    """Who looks on, and may take part.
+@dataclass(repr=False)
+class Watcher(Displayed):
+    """Callbacks that observe a trial and may affect it.
 
     Args:
-        before: called before each tick with its number and the plants.
-        told: called with what happened in each tick.
-        stopped: whether to end before the mission has ended.
-        start: called with the folder in which the processes log.
-        pictures: whether the newest picture is to be there, as ``picture.jpg``, with what is seen drawn in.
+        before: function called before each step with the number of the step and the plants.
+        told: function called with the log line of the world for each step.
+        stopped: function that returns whether to end the trial early.
+        start: function called with the folder of the process logs.
+        finish: function called when the logs are complete, before the folder is removed.
+        pictures: whether the controller saves the newest picture, with the detected marker, as ``picture.jpg`` there.
     """
 
     before: Callable[[int, Sequence[TwinPlant]], None] = lambda tick, plants: None
     told: Callable[[Mapping[str, Any]], None] = lambda line: None
     stopped: Callable[[], bool] = lambda: False
     start: Callable[[Path], None] = lambda folder: None
+    finish: Callable[[], None] = lambda: None
     pictures: bool = False
 
 
@@ -115,17 +119,17 @@ def run_trial(
     progress: Progress | None = None,
     watcher: Watcher | None = None,
 ) -> Trial:
-    """Run the mission of a problem as processes of this machine: a camera, a control unit and robots.
+    """Run the mission of a problem as processes on this machine: camera, control unit and robots.
 
     Args:
         prepared: the robot, its camera and its model.
-        setup: how it runs.
-        problem: with the policy.
-        progress: called with the fraction done.
-        watcher: who looks on.
+        setup: configuration of the run.
+        problem: problem with the policy.
+        progress: function called with the completed fraction.
+        watcher: callbacks that observe the steps.
 
     Raises:
-        ProblemError: a process has ended, or what is asked for cannot be had here.
+        ProblemError: a process has ended, or this machine does not meet a requirement.
     """
     began, watcher = time.monotonic(), watcher or Watcher()
     policy, robot, horizon = problem.design(), prepared.robot, problem.cost.horizon
@@ -136,10 +140,9 @@ def run_trial(
     killed = any(fault.name == "controller" for fault in setup.faults)
     drops = kernel_losses(problem.network, setup.seed) if setup.namespaces else {}
     with (
-        tempfile.TemporaryDirectory(prefix="taciturn-") as name,
+        temporary_folder() as folder,
         Namespaces(policy, drops, ["camera"]) if setup.namespaces else nullcontext() as spaces,
     ):
-        folder = Path(name)
         file, calibration = folder / f"{robot.name}.toml", folder / "calibration.json"
         file.write_text(write_toml(problem.source), encoding="utf-8")
         write_calibration(calibration, robot, prepared.calibration)
@@ -147,7 +150,7 @@ def run_trial(
         shared = ["--seed", str(setup.seed), "--loops", str(setup.runs)]
         processes = Processes(
             str(file), policy, fates, tick=setup.tick, folder=folder, options=shared,
-            keeps=killed, environment={KEY: "" if setup.key is None else setup.key.hex()}, namespaces=spaces,
+            keeps=killed, key=setup.key, namespaces=spaces,
             through={"sensor": "camera"},
         )  # fmt: skip
         onward = processes.peer("sensor")
@@ -162,7 +165,7 @@ def run_trial(
             "--eye", str(calibration), "--seen", str(folder / "seen.jsonl"),
             *(["--watch", str(folder / "picture.jpg")] if watcher.pictures else []),
         ]  # fmt: skip
-        if setup.tick is not None:  # whoever expects nothing of this tick need not wait for it
+        if setup.tick is not None:  # the controller does not wait for packets that may not be sent
             processes.commands["controller"] += ["--wait", "0"]
             processes.commands["actuator"] += ["--wait", "0.15"]
         with nullcontext() if spaces is None else spaces.visit("plant"):
@@ -193,13 +196,14 @@ def run_trial(
             processes.kill()
             endpoint.close()
         lines = {role: logged_lines(folder / f"{role}.jsonl") for role in processes.roles}
+        watcher.finish()
         dropped = 0 if spaces is None else sum(spaces.counted(link).dropped for link in processes.links)
         told = Told(lines, logged_lines(folder / "seen.jsonl"), reports, drops, dropped, killed)
     return put_together(problem, plants, world.costs, told, time.monotonic() - began)
 
 
 class _Before:
-    """What happens before a tick: what goes wrong there does."""
+    """A callback that injects the faults due before a step."""
 
     def __init__(
         self,
@@ -219,22 +223,22 @@ class _Before:
         self._pool, self._restarts = ThreadPoolExecutor(1), list[Future[None]]()
 
     def _restart(self, name: str) -> None:
-        """Kill a process and start it again; in real time the world goes on meanwhile."""
+        """Kill a process and restart it; in real time, the world continues during the restart."""
         self._restarts.append(self._pool.submit(self._processes.restart, name))
         if self._lockstep:
             self.settle()
 
     def settle(self) -> None:
-        """Wait for what has been started again.
+        """Wait for the restarted processes.
 
         Raises:
-            ProblemError: it does not run.
+            ProblemError: a process did not start.
         """
         while self._restarts:
             self._restarts.pop().result()
 
     def close(self) -> None:
-        """Wait for what is being started, whatever becomes of it."""
+        """Wait for processes that are starting, and ignore their errors."""
         self._pool.shutdown()
 
     def __call__(self, tick: int) -> None:
@@ -250,7 +254,7 @@ class _Before:
 
 
 def happen(fault: Fault, body: Body, states: int) -> None:
-    """Let a fault happen to a robot, if it is one of the body."""
+    """Apply a fault to the body of a robot if the fault affects the body."""
     if fault.name == "kidnap":
         body.kidnap([*fault.size, 0.0, 0.0][:states])
     elif fault.name == "push":

@@ -1,4 +1,4 @@
-"""The eye: where the robot is in a picture, or that this cannot be told."""
+"""Image processing: it measures the pose of the robot in a picture, or rejects the picture as uncertain."""
 
 from __future__ import annotations
 
@@ -22,40 +22,39 @@ from taciturn.twin.calibration import Calibration
 from taciturn.twin.polygons import measure_polygon
 from taciturn.twin.robot import HEIGHT, WIDTH, Disc, Robot, Tag
 
-AREA = (0.6, 1.5)  # of a disc in the picture, as a share of what it should be
-EXTENT = (0.7, 1.4)  # of its width and of its height, alike
-SIDES = 0.12  # by which the sides and diagonals of a tag may be off, as a share
+AREA = (0.6, 1.5)  # permitted area of a disc in the picture, relative to the expected area
+EXTENT = (0.7, 1.4)  # permitted width and height of a disc, relative to the expected values
+SIDES = 0.12  # permitted relative error of the sides and diagonals of a tag
 GREEN, YELLOW = (0, 255, 0), (0, 220, 255)
 
 
 class Eye:
-    """Measures where a robot is, by what a calibration knows of the camera.
+    """An image processor that measures the pose of a robot with a calibrated camera.
 
-    A marker must have the size and the shape that it has at the place where it seems to be, and there may be only one:
-    otherwise nothing is measured.
+    A picture gives a measurement only if it shows exactly one marker with the size and shape expected at its position.
 
     Args:
-        robot: whose marker is looked for.
-        calibration: of the camera that took the pictures.
+        robot: robot with the marker.
+        calibration: calibration of the camera.
     """
 
     def __init__(self, robot: Robot, calibration: Calibration) -> None:
-        """Keep both."""
+        """Store both."""
         self.robot, self._calibration = robot, calibration
 
     def see(self, picture: bytes) -> Array | None:
-        """Return what a picture (JPEG) shows of the robot.
+        """Return the pose of the robot in a picture (JPEG).
 
         Returns:
-            (n,) in metres, and a heading in (-π, π]; None where there is no marker or it is not to be trusted. Of a
-            JPEG with single bits turned a decoder makes a picture: the datagram's checksum is what tells.
+            Pose (n,) in metres, with a heading in (-π, π], or None without a reliable marker. Note that a JPEG decoder
+            accepts a picture with single bit errors; only the checksum of the datagram detects them.
         """
         pixels = _pixels(picture)
         found = None if pixels is None else self._find(pixels)
         return None if found is None else found[0]
 
     def draw(self, picture: bytes) -> bytes:
-        """Return the picture with what is seen drawn into it, as JPEG; of a damaged one, a grey one that says so."""
+        """Return the picture with the detected marker as JPEG, or a grey picture with a message if it is damaged."""
         pixels = _pixels(picture)
         if pixels is None:
             pixels = np.full((HEIGHT, WIDTH, 3), 96, np.uint8)
@@ -72,7 +71,7 @@ class Eye:
         return write_jpeg(pixels, 85)
 
     def _find(self, pixels: Pixels) -> tuple[Array, Array] | None:
-        """Return the measurement and the outline of the marker."""
+        """Return the measurement and the outline of the marker, or None."""
         marker = self.robot.marker
         return self._find_disc(pixels, marker) if isinstance(marker, Disc) else self._find_tag(pixels, marker)
 
@@ -81,13 +80,13 @@ class Eye:
         for outline in find_outlines(find_colour(pixels, disc.colour)):
             if len(outline) < 3:
                 continue
-            hull = convex_hull(outline)  # a highlight or a hole does not pull its centre
+            hull = convex_hull(outline)  # so that a highlight or a hole does not shift the centre
             area, centre = measure_polygon(hull)
             if area <= 0.0:
                 continue
             x, y = self._calibration.meet(centre[None], disc.height)[0]
             circle = self._circle(x, y, disc)
-            extent = (np.ptp(hull, axis=0) + 1) / np.ptp(circle, axis=0)  # the outline runs inside its pixels
+            extent = (np.ptp(hull, axis=0) + 1) / np.ptp(circle, axis=0)  # the outline passes through pixel centres
             fits = AREA[0] < area / measure_polygon(circle)[0] < AREA[1]
             fits = fits and EXTENT[0] < extent.min() and extent.max() < EXTENT[1]
             if fits and disc.strip[0] < y < disc.strip[1]:

@@ -1,8 +1,9 @@
-"""What the wire carries between a control unit and its camera: questions, pictures, and the light that falls in.
+"""The packets between control unit, camera and world: requests (questions), pictures, and poses (light).
 
-A question is a packet of the sensor link without its payload, and the picture that answers it is the same packet with a
-picture in the place of numbers: sequence, tick and loop are those of the question. So links lose and count pictures as
-they do any packet of the sensor link, and to the controller a picture is its measurement, in another encoding.
+A request is a packet of the sensor link without payload. The picture that answers the request is a packet of the same
+link, with a JPEG instead of numbers and with the sequence number, step and loop of the request. Links therefore drop
+and count pictures like any packet of the sensor link. For the controller, a picture is a measurement in another
+encoding.
 """
 
 from __future__ import annotations
@@ -16,45 +17,45 @@ from taciturn.model.policy import Policy
 from taciturn.model.wire import BYTES
 from taciturn.runtime.packet import Packet, Wire
 
-UNSEEN = "unseen"  # the word for a picture in which nothing is found
+UNSEEN = "unseen"  # reason for the rejection of a picture without a marker
 Seen: TypeAlias = Callable[[Packet, bytes, Sequence[float] | None], None]
 
 
 class QuestionWire(Wire):
-    """Writes the questions of a control unit, and reads its clock.
+    """An encoder of the requests of a control unit, and decoder of its time steps.
 
     Args:
-        policy: whose sensor is a camera.
-        network: omitted: that of the design.
-        key: shared secret; omitted: packets are not authenticated.
+        policy: policy with a camera as sensor.
+        network: network; default: that of the design.
+        key: shared secret; default: packets without authentication.
     """
 
     def __init__(self, policy: Policy, network: Network | None = None, key: bytes | None = None) -> None:
-        """Let packets of the sensor link be empty."""
+        """Define packets without payload on the sensor link."""
         super().__init__(policy, network, key, {("data", "sensor"): 0})
 
     def encode(self, packet: Packet) -> bytes:
-        """Return a packet as a datagram; what is measured is not known yet."""
+        """Return a packet as a datagram, without its measurement."""
         asks = packet.kind == "data" and packet.link == "sensor"
         return super().encode(packet._replace(values=()) if asks else packet)
 
 
 class CameraWire(Wire):
-    """Reads questions and light, and writes pictures.
+    """A decoder of requests and poses, and encoder of pictures.
 
     Args:
-        policy: whose sensor is a camera.
-        light: numbers that say what can be seen.
-        network: omitted: that of the design.
-        key: shared secret; omitted: packets are not authenticated.
+        policy: policy with a camera as sensor.
+        light: number of coordinates that determine a picture.
+        network: network; default: that of the design.
+        key: shared secret; default: packets without authentication.
     """
 
     def __init__(self, policy: Policy, light: int, network: Network | None = None, key: bytes | None = None) -> None:
-        """Let questions be empty, and what the plant says be all that can be seen."""
+        """Define requests without payload, and poses on the plant link."""
         super().__init__(policy, network, key, {("data", "sensor"): 0, ("measurement", "plant"): light})
 
     def encode_picture(self, question: Packet, picture: bytes) -> bytes:
-        """Return the answer to a question."""
+        """Return the datagram with a picture that answers a request."""
         return self._write(question, BYTES, 0, picture)
 
 
@@ -62,11 +63,11 @@ class PictureWire(Wire):
     """Reads pictures as measurements.
 
     Args:
-        policy: whose sensor is a camera.
-        see: finds y, (p,), in a picture, or None.
-        network: omitted: that of the design.
-        key: shared secret; omitted: packets are not authenticated.
-        told: called with the packet, the picture and what was seen.
+        policy: policy with a camera as sensor.
+        see: function that returns the measurement y, (p,), of a picture, or None.
+        network: network; default: that of the design.
+        key: shared secret; default: packets without authentication.
+        told: function called with the packet, the picture and the measurement.
     """
 
     def __init__(
@@ -77,12 +78,12 @@ class PictureWire(Wire):
         key: bytes | None = None,
         told: Seen | None = None,
     ) -> None:
-        """Nothing has been seen."""
+        """Start without pictures."""
         super().__init__(policy, network, key)
         self._see, self._told, self._outputs = see, told, policy.model.outputs
 
     def decode(self, datagram: bytes) -> Packet | str:
-        """Return the packet of a datagram, or why it is none; ``"unseen"``: a picture in which nothing is found."""
+        """Return the packet of a datagram, or the reason for its rejection, such as ``"unseen"`` without a marker."""
         found = self._open(datagram)
         if isinstance(found, str) or (found[0].kind, found[0].link) != ("data", "sensor"):
             return super().decode(datagram)

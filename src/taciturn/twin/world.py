@@ -1,4 +1,4 @@
-"""The world as a process: the bodies of robots, the light that falls from them into a camera, and the clock."""
+"""The world: it moves the bodies of the robots, and sends their poses to the camera and time steps to the sensor."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from taciturn.runtime.world import PlantServer
 from taciturn.twin.body import Body
 from taciturn.twin.wire import CameraWire
 
-FLOW = 0.01  # real seconds after which the bodies have moved on, in real time
+FLOW = 0.01  # seconds between two updates of the bodies in real time
 
 
 class TwinPlant:
-    """A robot's body as the plant of a problem: it says nothing of itself, for a camera is there to see it.
+    """The body of a robot as the plant of a problem, without measurements, because the camera measures the robot.
 
     Args:
-        problem: that says what its mission costs, and what it is to follow.
-        body: of the robot.
+        problem: problem with the cost and the reference.
+        body: body of the robot.
     """
 
     def __init__(self, problem: Problem, body: Body) -> None:
-        """Start where the body is."""
+        """Start with the pose of the body."""
         self.body, self.tick, self.problem = body, 0, problem
         plant = problem.plant
         assert isinstance(plant, Plant)
@@ -44,20 +44,20 @@ class TwinPlant:
 
     @property
     def state(self) -> Array:
-        """What a perfect camera would measure, (n,)."""
+        """Pose of the robot, (n,), as an ideal camera would measure it."""
         return self.body.pose
 
     def look(self) -> None:
-        """Take what can be seen now for what can be seen at this tick: something has moved the body meanwhile."""
+        """Update the pose of this step after a fault has moved the body."""
         self.poses[-1], self.lights[-1] = self.body.pose, self.body.snapshot
 
     def flow(self, inputs: Sequence[float], share: float) -> None:
-        """Let time pass, up to a share of the present tick."""
+        """Simulate up to a given fraction of the current step."""
         self.body.act(inputs)
         self.body.flow((self.tick + min(share, 1.0)) * self.tick_length)
 
     def move(self, inputs: Sequence[float]) -> float:
-        """Let the rest of the tick pass with these inputs, and return what the tick costs."""
+        """Simulate the rest of the step with these inputs, and return the cost of the step."""
         cost, reference, pose = self.problem.cost, self.problem.reference, self.poses[-1]
         given = np.array(inputs)
         if reference is not None and self.tick < len(reference.inputs):
@@ -70,25 +70,27 @@ class TwinPlant:
         return float(pose @ cost.Q @ pose + given @ cost.R @ given + 2 * pose @ cost.N @ given)
 
     def final_cost(self) -> float:
-        """Return what the pose costs where the mission ends."""
+        """Return the terminal cost of the current pose."""
         cost, reference = self.problem.cost, self.problem.reference
         off = self.state - (0.0 if reference is None else reference.states[-1])
         return 0.0 if cost.terminal is None else float(off @ cost.terminal @ off)
 
 
 class World(PlantServer):
-    """Lets robots move as nodes say, and lights a camera; the node that asks the camera gets the clock, and no more.
+    """A server that moves the robots by the inputs of the nodes, and sends their poses to the camera.
+
+    The sensor node receives only time steps.
 
     Args:
-        plants: one per loop, in order.
-        wire: that writes the clock and reads inputs.
-        endpoint: where inputs arrive.
-        clock: who gets the clock: the node of the sensor, which asks.
-        camera: who gets the light.
-        light: that writes it.
-        tick: real seconds per tick; omitted: lockstep.
-        told: called with what happened in each tick.
-        before: called before each tick, which may let things go wrong, or wait.
+        plants: plants, one per loop, in order.
+        wire: encoder of the time steps, and decoder of the inputs.
+        endpoint: socket that receives the inputs.
+        clock: address of the sensor node, which receives the time steps.
+        camera: address of the camera, which receives the poses.
+        light: encoder of the poses.
+        tick: real seconds per step; default: lockstep.
+        told: function called with the log line of each step.
+        before: function called before each step; it may inject faults, or wait.
     """
 
     def __init__(
@@ -104,17 +106,17 @@ class World(PlantServer):
         told: Told | None = None,
         before: Callable[[int], None] | None = None,
     ) -> None:
-        """Nothing has happened."""
+        """Set the state before the first step."""
         super().__init__(plants, wire, endpoint, clock, tick=tick, told=told)
         self._bodies, self._camera, self._light, self._before = plants, camera, light, before
         self._shone = 0
 
     def report(self) -> dict[str, Any]:
-        """Return what has been counted so far."""
+        """Return the counters so far."""
         return {**super().report(), "role": "world", "light": self._shone}
 
     def finish(self) -> dict[str, Any]:
-        """Take what is still on its way, and return the report."""
+        """Receive the packets already sent, and return the report."""
         take_until(self.endpoint, self._take, lambda: True)
         return self.report()
 
@@ -131,7 +133,7 @@ class World(PlantServer):
         self._shone += 1
 
     def _wait(self, until: float) -> None:
-        """Take inputs, which act as they come, and let the bodies move until a time."""
+        """Apply inputs when they arrive, and simulate the bodies until a given time."""
         assert self._tick is not None
         begins = until - self._tick
         while (now := time.monotonic()) < until:

@@ -1,16 +1,18 @@
-/* Processor in the loop: one node on a board, whose ticks a host asks for over the first UART. Compiled with
+/* Processor-in-the-loop simulation: one node on a board executes steps that a host requests over the first UART.
+ * Compile this file with
  *
  *     -DLOOP_HEADER='"NODE.h"' -DLOOP_NODE=NODE -DLOOP_START=NODE_start
  *
- * Both sides send frames; numbers of several bytes have the largest byte first, those of the plant are doubles:
+ * Board and host exchange frames. Numbers are big-endian; measurements and inputs are doubles. Sizes in bytes are in
+ * parentheses, and (1) after a plural is a count:
  *
- *     frame     0x54, size of the body (2 bytes), body, CRC-32 of the body (4 bytes, that of zlib)
- *     question  tick (8), datagrams (1), of each its size (2) and itself, measurements (1), each as 8 bytes
- *     answer    tick (8), flags (1), datagrams (1), of each its size (2) and itself, inputs (1), each as 8 bytes
+ *     frame     0x54, size of the body (2), body, CRC-32 of the body as in zlib (4)
+ *     question  step (8), datagrams (1), size (2) and bytes of each, measurements (1), each (8)
+ *     answer    step (8), flags (1), datagrams (1), size (2) and bytes of each, inputs (1), each (8)
  *
- * Flags: 1, the tick was gone through; 2, the node is degraded; 4, the node has an input. The board speaks first: an
- * answer of tick 2^64 - 1, which is none. A question that is damaged has no answer; one that comes again, as it does
- * when an answer is lost, has the same answer, and the tick is not gone through again.
+ * Flags: 1, the step was executed; 2, the node is degraded; 4, the node has an input. At the start, the board sends an
+ * answer with the invalid step number 2^64 - 1. The board does not answer a damaged question. If the host repeats a
+ * question because its answer was lost, the board repeats the answer and does not execute the step again.
  */
 #include <string.h>
 
@@ -18,7 +20,7 @@
 #include LOOP_HEADER
 
 enum { UART_DATA = 0, UART_STATE = 4, UART_CONTROL = 8, UART_INTERRUPT = 12, UART_DIVIDER = 16 };
-enum { TRANSMIT_FULL = 1, RECEIVE_FULL = 2, ENABLED = 0x0B /* both directions, and the interrupt of what comes */ };
+enum { TRANSMIT_FULL = 1, RECEIVE_FULL = 2, ENABLED = 0x0B /* both directions, and the receive interrupt */ };
 enum { BEGIN = 0x54, MOST_DATAGRAMS = 8, MOST_NUMBERS = 255, CRC_BYTES = 4 };
 enum { GONE_THROUGH = 1, DEGRADED = 2, HAS_INPUT = 4 };
 #define UART(what) BOARD_REGISTER(0x40004000U + (uint32_t)(what))
@@ -36,7 +38,7 @@ static LOOP_NODE memory;
 static void start_uart(void) {
   UART(UART_DIVIDER) = 16U;
   UART(UART_CONTROL) = ENABLED;
-  __asm volatile("cpsid i"); /* an interrupt wakes the processor, and nothing handles it */
+  __asm volatile("cpsid i"); /* an interrupt wakes the processor, but has no handler */
   ENABLE_INTERRUPT = 1U;
 }
 
@@ -76,7 +78,7 @@ static uint32_t read_number(unsigned bytes) {
   return value;
 }
 
-/* Wait for a frame; false: it is damaged. */
+/* Wait for a frame, and return false if it is damaged. */
 static bool read_frame(body *to) {
   while (read_byte() != (uint8_t)BEGIN) {
   }
@@ -117,7 +119,7 @@ static void put_double(body *to, tac_real value) {
   put(to, bits, 8U);
 }
 
-/* Return the next number of so many bytes and go past it; at the end of the body there are zeros. */
+/* Return the next number of `bytes` bytes, and advance `at`; beyond the end of the body all bytes are 0. */
 static uint64_t take(const body *from, size_t *at, unsigned bytes) {
   uint64_t value = 0U;
   for (unsigned i = 0U; i < bytes; i++) {
@@ -134,7 +136,7 @@ static tac_real take_double(const body *from, size_t *at) {
   return (tac_real)wide;
 }
 
-/* Go through the tick of a question, and write the answer. */
+/* Execute the step that a question requests, and write the answer. */
 static void respond(tac_node *node, uint64_t tick) {
   static tac_real measurement[MOST_NUMBERS];
   size_t at = 8U;

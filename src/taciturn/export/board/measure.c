@@ -1,7 +1,7 @@
-/* Counts the instructions of every tick of every node while the self-check goes on, and tells them when it has passed.
+/* Measurement of the instructions of each step of each node during the self-check, printed if the self-check passes.
  *
- * The linker puts the functions that begin with __wrap_ in the place of the core's and of `main` (--wrap). Linked so:
- * `main` is the self-check's, with rows that are compiled in or those of a file.
+ * With the linker option --wrap, functions with the prefix __wrap_ replace functions of the core and `main`. The
+ * original `main` is the self-check, with rows that are compiled in or rows of a file.
  */
 #include <stdio.h>
 
@@ -15,7 +15,7 @@
 #define __wrap_tac_step TAC_SIZED(__wrap_tac_step)
 #define __wrap_tac_send TAC_SIZED(__wrap_tac_send)
 
-enum { NODES = 3, TURNS = 1000, PER_TURN = 2 }; /* of a loop of known length */
+enum { NODES = 3, TURNS = 1000, PER_TURN = 2 }; /* TURNS, PER_TURN: loop of known length */
 
 extern int __real_main(int count, char **arguments);
 extern bool __real_tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
@@ -33,23 +33,23 @@ typedef struct {
   uint32_t longest;
 } tally;
 
-/* Of a node: of its generated step, of tac_step, and of all that it does in a tick. */
+/* The instruction counts of a node: for its generated code, for tac_step, and for all its functions in a step. */
 typedef struct {
   const tac_node *node;
-  const tac_node_data *data; /* its own */
-  tac_node_data timed;       /* the same, with parts that are timed */
+  const tac_node_data *data; /* original data */
+  tac_node_data timed;       /* the same data with timed functions */
   tally step, tick, all;
   uint32_t ticks;
-  uint32_t open; /* instructions of the tick that goes on */
-  bool stepped;  /* in this tick */
+  uint32_t open; /* instructions of the current step so far */
+  bool stepped;  /* whether tac_step was called in this step */
 } count;
 
 static count counts[NODES];
 static size_t nodes;
-static const tac_node_data *current; /* of the node that is in its tick */
+static const tac_node_data *current; /* data of the node that executes a step */
 static volatile uint32_t begun[2], ended[2];
-static uint32_t around;      /* instructions of a part that does nothing, between its readings */
-static uint32_t around_part; /* instructions that the timing of a part adds to tac_step */
+static uint32_t around;      /* instructions between the readings for an empty function */
+static uint32_t around_part; /* instructions that the timing of one function adds to tac_step */
 
 static void time_first(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   const part run = current->first;
@@ -158,7 +158,7 @@ static void do_nothing(const tac_real *inputs, tac_real *memory, tac_real *outpu
   (void)outputs;
 }
 
-/* TURNS * PER_TURN instructions, and one before them. */
+/* Execute one instruction, followed by TURNS * PER_TURN instructions. */
 static void turn_round(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   uint32_t turns;
   (void)inputs;
@@ -167,7 +167,7 @@ static void turn_round(const tac_real *inputs, tac_real *memory, tac_real *outpu
   __asm volatile("mov %0, %1\n1: subs %0, #1\n\tbne 1b" : "=&r"(turns) : "I"(TURNS) : "cc");
 }
 
-/* Return the instructions from one reading to the other around a part. */
+/* Return the number of instructions between the two readings inside time_first for a function. */
 static uint32_t count_part(part run) {
   static tac_node_data data;
   static volatile part timed = time_first;
@@ -177,7 +177,7 @@ static uint32_t count_part(part run) {
   return board_instructions(begun[0], ended[0]);
 }
 
-/* Return the instructions from one reading to the other around a call. */
+/* Return the number of instructions between two readings around the call of a function. */
 static uint32_t count_call(part run) {
   static volatile part called;
   uint32_t before;
@@ -187,7 +187,7 @@ static uint32_t count_call(part run) {
   return board_instructions(before, board_now());
 }
 
-/* Find what the readings themselves take, and tell whether the timer counts instructions: by a loop of known length. */
+/* Measure the overhead of readings, and return whether the timer gives the right count for a loop of known length. */
 static bool calibrate(void) {
   around = count_part(do_nothing);
   around_part = count_call(time_first) - count_call(do_nothing);

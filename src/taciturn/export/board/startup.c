@@ -1,19 +1,19 @@
-/* What runs before `main` on a board, and the host's ear for a program that has failed. Not for a device. */
+/* Start-up code of a board, and the report of a processor fault to the host. Not for a device. */
 #include <stdlib.h>
 
 #include "board.h"
 
-enum { WRITE_TEXT = 4, GET_COMMAND_LINE = 0x15 }; /* calls of Arm's semihosting */
+enum { WRITE_TEXT = 4, GET_COMMAND_LINE = 0x15 }; /* Arm semihosting calls */
 enum { WORDS = 8, LINE = 256, FAULT = 99 };
 
 extern uint32_t board_data[], board_data_end[], board_data_values[], board_bss[], board_bss_end[], board_stack[];
-extern void initialise_monitor_handles(void); /* of newlib: files of the host */
+extern void initialise_monitor_handles(void); /* newlib function that opens host files */
 extern int main(int count, char **arguments);
 void board_reset(void);
 void _init(void);
 void _fini(void);
 
-/* newlib calls these; there is nothing to do. */
+/* newlib calls these functions, which are empty. */
 void _init(void) {
 }
 
@@ -27,7 +27,7 @@ static int ask_host(int what, void *with) {
   return r0;
 }
 
-/* Split the command line that the host gives into words. */
+/* Read the command line from the host, split it into words, and return the number of words. */
 static int split_command_line(char *line, char **words) {
   struct {
     char *at;
@@ -62,7 +62,7 @@ void board_reset(void) {
     *to = 0U;
   }
 #if defined(__ARM_FP)
-  BOARD_REGISTER(0xE000ED88U) |= 0xFU << 20U; /* the unit of floating point is off until it is asked for */
+  BOARD_REGISTER(0xE000ED88U) |= 0xFU << 20U; /* enable the floating-point unit, which is off after reset */
   __asm volatile("dsb\n\tisb" ::: "memory");
 #endif
   initialise_monitor_handles();
@@ -75,7 +75,7 @@ static void fail(void) {
   _Exit(FAULT);
 }
 
-/* Where the processor finds its stack, its first instruction, and what handles faults. */
+/* The vector table: initial stack pointer, reset handler and fault handlers. */
 typedef union {
   uint32_t *stack;
   void (*handler)(void);

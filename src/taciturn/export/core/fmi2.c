@@ -1,4 +1,4 @@
-/* FMI 2.0 for co-simulation, around a unit. */
+/* The interface FMI 2.0 for co-simulation of a unit. */
 #include <limits.h>
 #include <stdlib.h>
 #include <string.h>
@@ -23,7 +23,7 @@ static fmi2Status tell(const instance_of *self, const char *sentence) {
   return fmi2Error;
 }
 
-/* Refuse what the unit does not do. */
+/* Report an unsupported function as an error. */
 static fmi2Status refuse(fmi2Component c, const char *sentence) {
   return tell((const instance_of *)c, sentence);
 }
@@ -38,7 +38,7 @@ const char *fmi2GetVersion(void) {
 
 fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean loggingOn, size_t nCategories,
                                const fmi2String categories[]) {
-  (void)loggingOn; /* errors alone are told, and always */
+  (void)loggingOn; /* errors are always logged, and nothing else */
   for (size_t i = 0U; i < nCategories; i++) {
     if (strcmp(categories[i], "logStatusError") != 0) {
       return refuse(c, "there is no such category of messages; expected logStatusError");
@@ -126,9 +126,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real currentCommunicationPoint, fmi2R
                         : tell(self, fmu_step(&self->unit, currentCommunicationPoint, communicationStepSize));
 }
 
-/* Variables. */
+/* Access to variables. */
 
-/* A count as the integers of FMI 2.0 hold it: it stays at the largest. */
+/* Return a count as an FMI 2.0 integer, limited to the largest integer. */
 static fmi2Integer as_integer(uint64_t count) {
   return (count < (uint64_t)INT_MAX) ? (fmi2Integer)count : INT_MAX;
 }
@@ -173,7 +173,7 @@ GET(Boolean, bool, fmu_get_truth, as_boolean)
 SET(Real, fmu_set_number, )
 SET(Boolean, fmu_set_truth, != fmi2False)
 
-/* The state of an instance. */
+/* Saving and restoring the state of an instance. */
 
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *FMUstate) {
   const instance_of *self = (const instance_of *)c;
@@ -237,7 +237,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte serializedSta
   return fmi2OK;
 }
 
-/* A step is over when its call is: there is one time to tell, and no status that is pending. */
+/* A step is complete when its call returns: the only status is the time of the last step, and no status is pending. */
 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind s, fmi2Real *value) {
   const instance_of *self = (const instance_of *)c;
@@ -256,7 +256,7 @@ fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind s, fmi2Boo
   return fmi2OK;
 }
 
-/* What the unit does not do. All functions of FMI are there, and these refuse, whatever they are given. */
+/* Unsupported functions. FMI requires that they exist; they report an error for any arguments. */
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"

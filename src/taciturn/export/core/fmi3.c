@@ -1,4 +1,4 @@
-/* FMI 3.0 for co-simulation, around a unit. */
+/* The interface FMI 3.0 for co-simulation of a unit. */
 #include <stdlib.h>
 #include <string.h>
 
@@ -21,7 +21,7 @@ static fmi3Status tell(const instance_of *self, const char *sentence) {
   return fmi3Error;
 }
 
-/* Refuse what the unit does not do. */
+/* Report an unsupported function as an error. */
 static fmi3Status refuse(fmi3Instance instance, const char *sentence) {
   return tell((const instance_of *)instance, sentence);
 }
@@ -32,7 +32,7 @@ const char *fmi3GetVersion(void) {
 
 fmi3Status fmi3SetDebugLogging(fmi3Instance instance, fmi3Boolean loggingOn, size_t nCategories,
                                const fmi3String categories[]) {
-  (void)loggingOn; /* errors alone are told, and always */
+  (void)loggingOn; /* errors are always logged, and nothing else */
   for (size_t i = 0U; i < nCategories; i++) {
     if (strcmp(categories[i], "logStatusError") != 0) {
       return refuse(instance, "there is no such category of messages; expected logStatusError");
@@ -126,7 +126,7 @@ fmi3Status fmi3DoStep(fmi3Instance instance, fmi3Float64 currentCommunicationPoi
   return status;
 }
 
-/* Variables. All are scalars: there are as many values as references. */
+/* Access to variables. All variables are scalars, so the numbers of values and references are equal. */
 
 static const char *const UNEQUAL = "there are not as many values as references; expected scalars";
 
@@ -170,7 +170,7 @@ GET(UInt64, uint64_t, fmu_get_count)
 SET(Float64, fmu_set_number)
 SET(Boolean, fmu_set_truth)
 
-/* The state of an instance. */
+/* Saving and restoring the state of an instance. */
 
 fmi3Status fmi3GetFMUState(fmi3Instance instance, fmi3FMUState *FMUState) {
   const instance_of *self = (const instance_of *)instance;
@@ -235,7 +235,7 @@ fmi3Status fmi3DeserializeFMUState(fmi3Instance instance, const fmi3Byte seriali
   return fmi3OK;
 }
 
-/* What the unit does not do. All functions of FMI are to be there, and these refuse, whatever they are given. */
+/* Unsupported functions. FMI requires that they exist; they report an error for any arguments. */
 
 #if defined(__GNUC__)
 #pragma GCC diagnostic ignored "-Wunused-parameter"

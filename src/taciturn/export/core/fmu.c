@@ -1,4 +1,4 @@
-/* What a functional mock-up unit does, whatever the version of FMI. */
+/* Functions of a functional mock-up unit that are common to all versions of FMI. */
 #include "fmu.h"
 
 #include <stdio.h>
@@ -10,13 +10,13 @@
 #define LARGEST DBL_MAX
 #endif
 
-#define SHARE 1e-6 /* of a tick by which time and step may be off */
+#define SHARE 1e-6 /* permitted error of time and step size, relative to the step size */
 
 static double magnitude(double value) {
   return (value < 0.0) ? -value : value;
 }
 
-/* Whether two times are the same to a millionth of a tick, or to what rounding makes of them. */
+/* Return whether two times are equal within SHARE of a step and rounding errors. */
 static bool is_same(double one, double other, double time) {
   return magnitude(one - other) <= (SHARE * FMU_TICK) + (8.0 * DBL_EPSILON * magnitude(time));
 }
@@ -66,7 +66,7 @@ static const char *refuse_variable(fmu_unit *unit, const char *kind, uint32_t re
   return unit->sentence;
 }
 
-/* Whether a reference is that of a variable which there is one of for each link that packets go over. */
+/* Return whether a reference belongs to a variable of a used link; `first` is the reference of the first link. */
 static bool is_of_link(uint32_t reference, uint32_t first) {
   return reference >= first && reference - first < (uint32_t)TAC_LINKS && fmu_links[reference - first];
 }
@@ -123,7 +123,7 @@ const char *fmu_get_count(fmu_unit *unit, uint32_t reference, uint64_t *value) {
   return NULL;
 }
 
-/* Return why a step cannot be made. */
+/* Return the reason why a step cannot be executed, or NULL. */
 static const char *check_step(fmu_unit *unit, double time, double step) {
   const fmu_state *state = &unit->state;
   if (state->phase != FMU_STEPPING) {
@@ -177,7 +177,7 @@ const char *fmu_step(fmu_unit *unit, double time, double step) {
   return NULL;
 }
 
-/* Let the pointers of a node be those of another: they say where an instance lies, and are no part of its state. */
+/* Copy the pointers of another node: they depend on the location of an instance and are not part of its state. */
 static void point_as(tac_node *node, const tac_node *other) {
   node->data = other->data;
   node->channels = other->channels;
@@ -191,13 +191,13 @@ static void point_as(tac_node *node, const tac_node *other) {
   node->safe_input = other->safe_input;
 }
 
-/* Return the node of a state that stands where a node stands in another. */
+/* Return the node of a state that corresponds to a node of another state. */
 static tac_node *node_in(fmu_state *state, const fmu_state *other, const tac_node *node) {
   size_t at = (size_t)((const unsigned char *)node - (const unsigned char *)other);
   return (tac_node *)(void *)((unsigned char *)state + at);
 }
 
-/* FNV-1a over the bytes of a state. */
+/* Return the FNV-1a hash of the bytes of a state. */
 static uint64_t checksum(const fmu_state *state) {
   const unsigned char *bytes = (const unsigned char *)state;
   uint64_t sum = UINT64_C(0xcbf29ce484222325);
@@ -208,7 +208,7 @@ static uint64_t checksum(const fmu_state *state) {
 }
 
 void fmu_save(const fmu_unit *unit, fmu_saved *saved) {
-  static const tac_node nowhere = {.data = NULL}; /* and so are its other pointers */
+  static const tac_node nowhere = {.data = NULL}; /* all pointers are NULL */
   const tac_exchange *exchange = &unit->state.exchange;
   (void)memcpy(&saved->state, &unit->state, sizeof saved->state);
   for (size_t i = 0U; i < exchange->count; i++) {

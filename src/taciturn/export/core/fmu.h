@@ -1,64 +1,64 @@
-/* A policy as a functional mock-up unit: what FMI 2.0 and FMI 3.0 have in common. All nodes of the policy are in the
- * unit, and a step is one tick. Not for a device.
+/* A policy as a functional mock-up unit: common functions for FMI 2.0 and FMI 3.0. The unit contains all nodes of the
+ * policy, and its step is one step of the policy. Not for a device.
  *
- * Functions that may refuse return NULL, or a sentence that says why; then nothing has changed. */
+ * Functions that may fail return NULL, or a message with the reason. After a failure the state is unchanged. */
 #ifndef FMU_H
 #define FMU_H
 
-#include "fmu_data.h" /* generated: fmu_memory, fmu_start, what tells this unit apart, and its variables */
+#include "fmu_data.h" /* generated: fmu_memory, fmu_start, identification of the unit, and its variables */
 #include "taciturn_exchange.h"
 
 typedef enum { FMU_INSTANTIATED, FMU_INITIALIZING, FMU_STEPPING, FMU_TERMINATED } fmu_phase;
 
-/* All that changes while a unit runs. */
+/* The complete state of a running unit. */
 typedef struct {
-  fmu_memory memory; /* of the nodes */
+  fmu_memory memory; /* memory of the nodes */
   tac_exchange exchange;
   double measured[FMU_MEASURED];
   double applied[FMU_APPLIED];
-  bool lost[TAC_LINKS]; /* whether a packet that is sent in the next step is lost */
-  bool sent[TAC_LINKS]; /* whether one was sent in the last */
+  bool lost[TAC_LINKS]; /* whether a packet sent in the next step is dropped */
+  bool sent[TAC_LINKS]; /* whether a packet was sent in the last step */
   uint64_t sends[TAC_LINKS];
-  uint64_t tick; /* the next one */
-  double time;   /* at which it begins */
+  uint64_t tick; /* next step */
+  double time;   /* time at which the next step begins */
   fmu_phase phase;
 } fmu_state;
 
 typedef struct {
   fmu_state state;
-  char sentence[256]; /* of the last refusal */
+  char sentence[256]; /* message of the last failure */
 } fmu_unit;
 
-/* A state as bytes that any instance of the same unit can read, on the same kind of machine. */
+/* A saved state, which any instance of the same unit can restore on the same kind of machine. */
 typedef struct {
-  uint64_t stamp; /* of the unit */
-  uint64_t check; /* of the state */
+  uint64_t stamp; /* identifies the unit */
+  uint64_t check; /* checksum of the state */
   fmu_state state;
 } fmu_saved;
 
-/* Begin anew, before initialization. */
+/* Reset the unit to its state before initialization. */
 void fmu_reset(fmu_unit *unit);
 
-/* Return NULL where a token is that of this unit. */
+/* Return NULL if a token belongs to this unit. */
 const char *fmu_check_token(const char *token);
 
-/* Go from one phase to the next: into initialization, which sets the time; out of it; to the end. */
+/* Change the phase: enter initialization and set the time; leave initialization; terminate. */
 const char *fmu_enter(fmu_unit *unit, double time);
 const char *fmu_leave(fmu_unit *unit);
 const char *fmu_end(fmu_unit *unit);
 
-/* Read and write variables by their references. */
+/* Read and write variables by reference. */
 const char *fmu_get_number(fmu_unit *unit, uint32_t reference, double *value);
 const char *fmu_get_truth(fmu_unit *unit, uint32_t reference, bool *value);
 const char *fmu_get_count(fmu_unit *unit, uint32_t reference, uint64_t *value);
 const char *fmu_set_number(fmu_unit *unit, uint32_t reference, double value);
 const char *fmu_set_truth(fmu_unit *unit, uint32_t reference, bool value);
 
-/* Go through a tick that begins at a time. Its measurement is what the inputs hold, and its input of the plant is what
- * the outputs hold then. */
+/* Execute a step that begins at a given time. The inputs of the unit are the measurement, and after the step its
+ * outputs are the plant input. */
 const char *fmu_step(fmu_unit *unit, double time, double step);
 
-/* Copy the state, without pointers, and take it up again: in this instance, or in another of the same unit. */
+/* Save the state without pointers, and restore it in this instance or in another instance of the same unit. */
 void fmu_save(const fmu_unit *unit, fmu_saved *saved);
 const char *fmu_restore(fmu_unit *unit, const fmu_saved *saved);
 

@@ -1,8 +1,8 @@
-/* taciturn: lets the nodes exchange datagrams, tick by tick, and compares what they decide and apply with the design,
- * bit for bit.
+/* taciturn: the self-check. The nodes exchange datagrams in each step, and their decisions and inputs are compared with
+ * the design bit for bit.
  *
- *     ./selfcheck          the rows that are compiled in
- *     ./selfcheck FILE     rows of a file, in the same order, as the machine holds numbers
+ *     ./selfcheck          use the rows that are compiled in
+ *     ./selfcheck FILE     use rows of a file, in the same order and in the number format of the machine
  */
 #include <stdio.h>
 #include <string.h>
@@ -27,19 +27,19 @@ static bool step(uint64_t tick, const tac_real *row)
   }
   const size_t done = tac_exchange_step(&exchange, tick, row, drawn, lost, sent);
   if (done < exchange.count) {
-    printf("tick %lu: the %s does not go on\n", (unsigned long)tick, selfcheck_nodes[done].name);
+    printf("step %lu: the %s does not continue\n", (unsigned long)tick, selfcheck_nodes[done].name);
     return false;
   }
   const tac_real *input = tac_exchange_input(&exchange);
   if ((input != NULL) && (memcmp(input, applied, selfcheck_applied * sizeof *input) != 0)) {
-    printf("tick %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[0],
+    printf("step %lu: the input of the plant is %.17g; expected %.17g\n", (unsigned long)tick, (double)input[0],
            (double)applied[0]);
     return false;
   }
   for (size_t i = 0; i < selfcheck_link_count; ++i) {
     const bool used = sent[selfcheck_links[i]];
     if (used != (expected[i] > 0)) {
-      printf("tick %lu: link %u was %s\n", (unsigned long)tick, (unsigned)selfcheck_links[i],
+      printf("step %lu: link %u was %s\n", (unsigned long)tick, (unsigned)selfcheck_links[i],
              used ? "used; expected silence" : "silent; expected a packet");
       return false;
     }
@@ -90,7 +90,7 @@ int main(int count, char **arguments)
       return 1;
     }
   }
-  printf("%s: %lu ticks compared, every decision and every bit of the input agrees\n", selfcheck_name,
+  printf("%s: %lu steps compared, every decision and every bit of the input agrees\n", selfcheck_name,
          (unsigned long)tick);
   return (tick > 0u) ? 0 : 1;
 }

@@ -1,4 +1,4 @@
-/* taciturn: what the self-check compares; the data are generated. Not for a device. */
+/* taciturn: declarations of the data of the self-check, which are generated. Not for a device. */
 #ifndef TACITURN_SELFCHECK_H
 #define TACITURN_SELFCHECK_H
 
@@ -10,14 +10,14 @@ typedef struct {
 } selfcheck_node;
 
 extern const char selfcheck_name[];
-extern const selfcheck_node selfcheck_nodes[]; /* in the order of a tick */
+extern const selfcheck_node selfcheck_nodes[]; /* in the order of a step */
 extern const size_t selfcheck_node_count;      /* at most 3 */
-extern const uint8_t selfcheck_links[];        /* on which packets are sent */
+extern const uint8_t selfcheck_links[];        /* links on which packets are sent */
 extern const size_t selfcheck_link_count;      /* at most 2 */
-extern const size_t selfcheck_measured;        /* numbers in a row: given measurements, */
-extern const size_t selfcheck_drawn;           /* given draws, */
-extern const size_t selfcheck_applied;         /* and expected inputs; between them, for each link, 1 where a packet */
-                                               /* is to come, and 1 where one is expected to be sent */
+extern const size_t selfcheck_measured;        /* numbers in a row: measurements, */
+extern const size_t selfcheck_drawn;           /* random draws, */
+extern const size_t selfcheck_applied;         /* and expected inputs; before the inputs, for each link, 1 if packets */
+                                               /* are delivered, and 1 if a packet is expected to be sent */
 extern const size_t selfcheck_rows;
 extern const tac_real selfcheck_vector[];
 

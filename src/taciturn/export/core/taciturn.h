@@ -1,15 +1,15 @@
-/* taciturn: nodes of an event-triggered control loop on a device: packets in, packets and the input of a plant out.
+/* taciturn: nodes of an event-triggered control loop on a device. They receive packets, and return packets and inputs.
  *
- * Nothing is allocated, and no library of mathematics is needed. What a node computes in a tick, and the data of its
- * policy, are generated in files of their own; this core is the same for all of them. A node has no socket and no
- * clock: whoever calls it has. In each tick:
+ * The core allocates no memory and needs no mathematical library. It is the same for all policies. The computations of
+ * a node in a step, and the data of its policy, are generated as separate files. A node uses no sockets and no timers;
+ * the calling program provides them. In each step, the program runs:
  *
- *     while (a datagram has come) tac_receive(node, datagram, size);
+ *     while (a datagram was received) tac_receive(node, datagram, size);
  *     tac_step(node, tick, measurement, NULL);
- *     while ((size = tac_send(node, datagram)) > 0) hand it on;
- *     if (tac_input(node) != NULL) apply it;
+ *     while ((size = tac_send(node, datagram)) > 0) send the datagram;
+ *     if (tac_input(node) != NULL) apply the input;
  *
- * Two policies on one device share this core, compiled with the larger sizes of their two taciturn_config.h.
+ * Two policies on one device share this core; compile it with the larger sizes of their two taciturn_config.h.
  */
 #ifndef TACITURN_H
 #define TACITURN_H
@@ -21,7 +21,7 @@
 
 #include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING, TAC_SIZED */
 
-#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: _Float16 is one of its own */
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: only _Float16 differs */
 #error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
 #endif
 
@@ -30,18 +30,19 @@
 #error "numbers are rounded as the compiler likes; expected no -ffast-math, and none of its parts"
 #endif
 
-/* Every operation rounds once: nothing may be fused, or the bits are not those of the design. */
+/* Every operation is rounded once. With FMA contraction, results would not be bit-identical to the design. */
 #if defined(__clang__)
 #pragma STDC FP_CONTRACT OFF
 #elif defined(__GNUC__)
 #pragma GCC optimize("fp-contract=off")
 #endif
 
-/* The linker knows every function by a name with the sizes in it: files that were compiled with others do not link. */
+/* The linker names of all functions contain the sizes, so that files compiled with different sizes do not link. */
 #define tac_encode TAC_SIZED(tac_encode)
 #define tac_decode TAC_SIZED(tac_decode)
 #define tac_start TAC_SIZED(tac_start)
 #define tac_watch TAC_SIZED(tac_watch)
+#define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_heard TAC_SIZED(tac_heard)
@@ -64,7 +65,7 @@ enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                    
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
 
-/* One packet; of its values there are `entries`. */
+/* A packet, with `entries` values. */
 typedef struct {
   uint64_t tick;
   uint32_t sequence;
@@ -76,8 +77,8 @@ typedef struct {
   tac_real values[TAC_VALUES];
 } tac_packet;
 
-/* What a packet of a kind on a link holds. With int16, a value is a whole number of steps: steps per unit, and units
- * per step, of each entry; else NULL. */
+/* The payload format of packets of one kind on one link. With int16, a value is an integer multiple of a step size:
+ * `per_unit` and `per_step` contain steps per unit and units per step of each entry. Otherwise they are NULL. */
 typedef struct {
   uint8_t kind;
   uint8_t link;
@@ -87,48 +88,50 @@ typedef struct {
   const tac_real *per_step;
 } tac_shape;
 
-/* The packets of a policy. */
+/* The packet formats of a policy. */
 typedef struct {
   uint64_t fingerprint;
   const tac_shape *shapes;
   uint8_t shape_count;
 } tac_wire;
 
-/* The secret that authenticates packets: 16 to 32 bytes; NULL: none. With one of another size none is sent or taken. */
+/* The secret that authenticates packets: 16 to 32 bytes, or NULL for none. With a key of another size, no packet is
+ * sent or accepted. */
 typedef struct {
   const uint8_t *bytes;
   uint8_t size;
 } tac_key;
 
-/* Write a packet as a datagram of at most TAC_DATAGRAM bytes, and return its size; 0: the policy has no such packet, or
- * it holds what is no finite number. */
+/* Encode a packet as a datagram of at most TAC_DATAGRAM bytes, and return its size. Return 0 if the policy has no such
+ * packet, or if a value is not finite. */
 size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, uint8_t *datagram);
 
-/* Read a datagram, or tell why it is no packet; then the packet is not to be used. */
+/* Decode a datagram. If the result is not TAC_OK, it is the reason for the rejection, and `packet` is not valid. */
 tac_verdict tac_decode(const tac_wire *wire, tac_key key, const uint8_t *datagram, size_t size, tac_packet *packet);
 
-/* Packets of a kind on a link that reach a node: which tick's it wants (`lag` ticks before), which part of a tick reads
- * them, and where their values stand among the inputs of the tick: first whether one has come. */
+/* Packets of one kind on one link that a node receives. Part `part` of a step reads the packet of the step `lag` steps
+ * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. */
 typedef struct {
   uint8_t kind;
   uint8_t link;
   uint8_t lag;
   uint8_t part;
   uint8_t entries;
-  bool acknowledged; /* whether the node tells the sender what has come */
+  bool acknowledged; /* whether the node acknowledges received packets */
   uint16_t at;
 } tac_channel_data;
 
-enum { TAC_SENDS = 2 }; /* packets that a node sends in a tick, at most: there are as many links between nodes */
+enum { TAC_SENDS = 2 }; /* largest number of packets that a node sends per step, which is the number of links */
+#define TAC_NO_MARKS UINT32_MAX
 
-/* A packet that the node sends: where the decision stands among the outputs of a tick; the payload stands behind it. */
+/* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
   uint8_t link;
   uint8_t entries;
   uint16_t at;
 } tac_send_data;
 
-/* A clock: location after location; whole rounds of `period` ticks change nothing once it repeats. */
+/* A counter of the policy: the successor of each value. After `size` steps it is periodic with `period` steps. */
 typedef struct {
   const uint16_t *following;
   uint16_t size;
@@ -136,34 +139,34 @@ typedef struct {
   uint16_t initial;
 } tac_clock_data;
 
-/* What a node is; generated. */
+/* The data of a node; generated. */
 typedef struct {
   tac_wire wire;
   const tac_channel_data *channels;
   const tac_send_data *sends;
   const tac_clock_data *clocks;
   void (*first)(const tac_real *inputs, tac_real *memory, tac_real *outputs);
-  void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: none */
-  void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: nothing is drawn */
-  const tac_real *start;      /* first values of the memory */
-  uint64_t generator[4];      /* of the draws */
-  uint32_t remembers;         /* ticks after which a fault is forgotten; UINT32_MAX: never */
-  uint16_t input_count;       /* of a tick */
+  void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: no second part */
+  void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: no random draws */
+  const tac_real *start;      /* start values of the memory */
+  uint64_t generator[4];      /* state of the random number generator */
+  uint32_t remembers;         /* steps after which an event has no effect; UINT32_MAX: never */
+  uint16_t input_count;       /* number of inputs of a step */
   uint16_t memory_count;
   uint16_t output_count;
-  uint16_t clocks_at;         /* among the inputs of a tick */
+  uint16_t clocks_at;         /* index of the counters among the inputs of a step */
   uint16_t drawn_at;
   uint16_t drawn_count;
-  int16_t applied;            /* where the plant's input stands among the outputs; -1: the node has none */
-  uint8_t measurement_count;  /* of the plant, the first inputs of a tick; 0: the node does not measure */
+  int16_t applied;            /* index of the plant input among the outputs; -1: no actuator */
+  uint8_t measurement_count;  /* size of the measurement, the first inputs of a step; 0: no sensor */
   uint8_t applied_count;
   uint8_t channel_count;
   uint8_t send_count;
   uint8_t clock_count;
-  bool lossless;              /* whether every packet is to arrive */
+  bool lossless;              /* whether the theory assumes that every packet arrives */
 } tac_node_data;
 
-/* Which sequence numbers of a sender have come: the newest, and the 64 up to it. */
+/* The received sequence numbers of a sender: the newest, and a bit for each of the 64 up to the newest. */
 typedef struct {
   uint64_t seen;
   uint32_t epoch;
@@ -177,22 +180,30 @@ typedef struct {
   tac_window marks;
   tac_packet waiting[TAC_WAITING];
   bool waits[TAC_WAITING];
-  tac_packet behind; /* the newest that came too late */
+  tac_packet behind; /* the newest late packet */
   bool has_behind;
+  uint64_t newest; /* step of the newest packet that a step has read, plus one; 0: none */
   uint32_t missing;
-  uint64_t told; /* tick of the packet that is to be acknowledged */
+  uint64_t told; /* step of the packet to acknowledge */
   bool tells;
-  uint32_t told_sequence; /* of the next acknowledgement */
+  uint32_t told_sequence; /* sequence number of the next acknowledgement */
 } tac_channel;
 
-/* What a node has met: counts of packets, as the host's nodes count them, and of what its theory does not know; they
- * begin anew after 2^32 - 1. A packet that a tick wants more than TAC_WAITING ticks after the last is `ahead`, and
- * dropped; of two that meet in one place before the first tick the newer waits, and the other is `late`. */
+/* The marks that a node sends on a link. They report that the node is running and has finished a step. */
+typedef struct {
+  uint64_t sent;     /* number of the last step with a packet on the link, plus one; 0: none */
+  uint64_t marked;   /* number of the last step with a mark, plus one; 0: none */
+  uint32_t sequence; /* sequence number of the next mark */
+} tac_marks;
+
+/* The counters of a node, which restart at 0 after 2^32 - 1. They are the same as those of nodes in Python, except that
+ * the buffer is smaller: a packet that is read more than TAC_WAITING steps after the last step is dropped as `ahead`,
+ * and of two packets at one place of the buffer before the first step, the older packet is `late`. */
 typedef struct {
   uint32_t received, used, late, ahead, duplicate, replayed, misdirected, superseded, marks; /* packets */
   uint32_t malformed, corrupted, foreign, forged;                                            /* datagrams */
-  uint32_t unsent;           /* packets that were to hold what is no finite number */
-  uint32_t missed, repeated; /* ticks */
+  uint32_t unsent;           /* packets not sent because a value is not finite */
+  uint32_t missed, repeated; /* steps */
 } tac_counters;
 
 typedef struct {
@@ -201,55 +212,62 @@ typedef struct {
   tac_real *inputs;
   tac_real *memory;
   tac_real *outputs;
-  tac_real *input;         /* of the plant, as it was applied last */
-  uint32_t *sequences;     /* of the next packet of each send */
-  uint16_t *places;        /* of the clocks */
+  tac_real *input;         /* last plant input */
+  uint32_t *sequences;     /* sequence number of the next packet of each send */
+  uint16_t *places;        /* values of the counters of the policy */
   uint64_t generator[4];
   tac_key key;
-  const tac_real *safe_input; /* of the watchdog; NULL: the last input is held */
-  uint32_t watchdog;          /* ticks; 0: there is none */
-  uint64_t tick;           /* the last one */
-  uint64_t heard;          /* one more than the tick in which something was heard last; 0: never */
-  uint64_t newest;         /* one more than the tick of the newest packet that has come; 0: none has */
-  uint64_t degraded_until; /* the node is degraded while fewer ticks than these have begun; UINT64_MAX: for ever */
+  const tac_real *safe_input; /* input after the watchdog expires; NULL: the last input */
+  uint32_t watchdog;          /* time-out of the watchdog in steps; 0: no watchdog */
+  uint64_t tick;           /* last step */
+  uint64_t heard;          /* number of the last step with a received packet, plus one; 0: none */
+  uint64_t newest;         /* step number in the newest received packet, plus one; 0: none */
+  uint64_t degraded_until; /* the node is degraded while fewer steps have begun; UINT64_MAX: forever */
   tac_counters counters;
   uint32_t epoch;
+  uint32_t mark_after; /* steps without a packet on a link after which a mark is sent; 0: in every step */
+  tac_marks marks[TAC_SENDS]; /* by link */
   uint16_t loop;
   tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
-  uint8_t pending;               /* bit i: that of send i is to be handed out */
+  uint8_t pending;               /* bit i: the packet of send i is not sent yet */
   bool begun;
 } tac_node;
 
-/* Begin before the first tick. `epoch` is to grow with each start of a device that has forgotten all, as the seconds of
- * a clock do. The pointers of the node are set already (the generated function that calls this sets them). */
+/* Initialize a node before its first step. `epoch` must increase with each start of a device without its memory; Unix
+ * time in seconds is suitable. The generated function that calls this function sets the pointers of the node. */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 
-/* Make the input of the plant safe when no packet has come for so many ticks: `safe_input` from then on, NULL: the last
- * one. 0 ticks: never, as after tac_start. For a node that has the actuator and that packets reach. */
+/* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the
+ * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
-/* Take a datagram that has come; false: it was refused, or is not new. */
+/* Set the marks: after `ticks` steps without a packet on a link, `tac_send` returns a mark, so that the watchdog of the
+ * receiver does not expire while the policy is silent. With 0, it returns a mark after every step, also next to data,
+ * as nodes in virtual time require. With TAC_NO_MARKS, as after tac_start, it returns no marks. */
+void tac_mark_after(tac_node *node, uint32_t ticks);
+
+/* Process a received datagram. Return false if it is rejected, or its packet is not new. */
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
-/* Go through a tick, less than UINT64_MAX. `measurement` is the plant's, where the node measures; `drawn` replaces the
- * node's own draws, NULL: it draws. A tick that is not later than the last is not gone through again; ticks that were
- * left out are made up for. false: the tick is not gone through, since it is not later or a measurement is no finite
- * number. */
+/* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`. `drawn` replaces
+ * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first.
+ * Return false, without executing the step, if it is not later than the last step, or if the measurement is not finite
+ * or missing. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
-/* Return one more than the tick of the newest packet that has come; 0: none has. A node that starts while the loop runs
- * begins in the tick before that one, so that all count alike. */
+/* Return the step number in the newest received packet plus one, or 0 if no packet was received. A node that starts
+ * while the loop runs begins with step `tac_heard(node) - 1`, so that all nodes use the same step numbers. */
 uint64_t tac_heard(const tac_node *node);
 
-/* Return the size of the next datagram to be sent, written to at most TAC_DATAGRAM bytes; 0: there is none. Of ticks
- * that were made up for, each link has its newest packet alone. */
+/* Write the next datagram to send, of at most TAC_DATAGRAM bytes, and return its size, or 0 if there is none. After
+ * missed steps, only the newest packet of each link is sent. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
 
-/* Return the input of the plant: NULL where the node has none. */
+/* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);
 
-/* Whether something has happened that the theory of the policy does not know, and is not forgotten yet; also where a
- * number has left its range: then the last input is held, and the node is to be started again. */
+/* Return whether an event that violates an assumption of the policy's theory still has an effect. The result is also
+ * true if a number is not finite. In that case the last input is held, and the node must be started again. */
 bool tac_degraded(const tac_node *node);
 
 #ifdef __cplusplus

@@ -1,9 +1,9 @@
-/* taciturn: carries datagrams between the nodes of one process. */
+/* taciturn: delivery of datagrams between the nodes of one process. */
 #include "taciturn_exchange.h"
 
-enum { KIND_AT = 5, LINK_AT = 6 }; /* bytes of a datagram */
+enum { KIND_AT = 5, LINK_AT = 6 }; /* positions of kind and link in a datagram */
 
-/* Return which node listens to packets of a kind on a link; `count`: none. */
+/* Return the index of the node that receives packets of a kind on a link, or `count` if there is none. */
 static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigned link) {
   for (size_t i = 0U; i < exchange->count; i++) {
     const tac_node_data *data = exchange->nodes[i]->data;
@@ -16,7 +16,7 @@ static size_t find_listener(const tac_exchange *exchange, unsigned kind, unsigne
   return exchange->count;
 }
 
-/* Hand on what a node sends, but for what is lost; note which links were used. false: a box is full. */
+/* Deliver the packets of a node unless they are dropped, and set the used links in `sent`. False: a box is full. */
 static bool deliver(tac_exchange *exchange, tac_node *node, const bool *lost, bool *sent) {
   tac_datagram next;
   while ((next.size = tac_send(node, next.bytes)) > 0U) {

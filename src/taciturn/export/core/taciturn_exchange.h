@@ -1,35 +1,35 @@
-/* taciturn: the nodes of one policy in one process: what each of them sends is carried to who listens, or lost. For the
- * self-check and for simulators; nodes on devices of their own have a network for it. */
+/* taciturn: the nodes of one policy in one process, with links between them that deliver or drop packets. For the
+ * self-check and for simulators; nodes on separate devices use a network instead. */
 #ifndef TACITURN_EXCHANGE_H
 #define TACITURN_EXCHANGE_H
 
 #include "taciturn.h"
 
-enum { TAC_NODES = 3, TAC_LINKS = 2, TAC_BOX = 8 }; /* nodes, links between them, datagrams on their way to a node */
+enum { TAC_NODES = 3, TAC_LINKS = 2, TAC_BOX = 8 }; /* nodes, links between them, datagrams that wait for a node */
 
 typedef struct {
   uint8_t bytes[TAC_DATAGRAM];
   size_t size;
 } tac_datagram;
 
-/* To begin, set all bytes to 0, and the nodes, which have been started, in the order of a tick. */
+/* The nodes and their waiting datagrams. Initialize all bytes with 0, and set started nodes in the order of a step. */
 typedef struct {
   tac_node *nodes[TAC_NODES];
-  size_t count; /* of them */
+  size_t count; /* number of nodes */
   tac_datagram boxes[TAC_NODES][TAC_BOX];
-  size_t waiting[TAC_NODES]; /* datagrams in each box */
+  size_t waiting[TAC_NODES]; /* number of datagrams in each box */
 } tac_exchange;
 
-/* Go through a tick: each node in turn takes what has come to it, steps, and sends. `drawn` replaces the draws of the
- * nodes; NULL: they draw. For each link, `lost` tells whether a packet is lost that is sent in this tick, and `sent` is
- * set to whether one was. Return which node did not go on; `count`: all did. */
+/* Execute a step: each node in turn receives its datagrams, steps, and sends. `drawn` replaces the random draws of the
+ * nodes, unless it is NULL. For each link, `lost` is whether a packet sent in this step is dropped; `sent` is set to
+ * whether a packet was sent. Return the index of the node that did not execute the step, or `count` if all did. */
 size_t tac_exchange_step(tac_exchange *exchange, uint64_t tick, const tac_real *measurement, const tac_real *drawn,
                          const bool *lost, bool *sent);
 
-/* Return the input of the plant: that of the node that has it; NULL: none has. */
+/* Return the plant input from the node that contains the actuator, or NULL if there is no such node. */
 const tac_real *tac_exchange_input(const tac_exchange *exchange);
 
-/* Whether any of the nodes is degraded. */
+/* Return whether any node is degraded. */
 bool tac_exchange_degraded(const tac_exchange *exchange);
 
 #endif

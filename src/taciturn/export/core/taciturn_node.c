@@ -1,4 +1,4 @@
-/* taciturn: a node as a state machine: what becomes of packets that arrive, and the ticks. */
+/* taciturn: a node as a state machine, with the handling of received packets and the steps of the node. */
 #include <string.h>
 
 #include "taciturn.h"
@@ -15,13 +15,13 @@ typedef uint64_t bits_of_real;
 #define EXPONENT UINT64_C(0x7FF0000000000000)
 #endif
 
-enum { WIDTH = 64 };        /* sequence numbers up to the newest that are told apart */
-enum { CAUGHT_UP = 10000 }; /* ticks that a node which has slept makes up for */
+enum { WIDTH = 64 };        /* width of the window of sequence numbers */
+enum { CAUGHT_UP = 10000 }; /* largest number of missed steps that are executed later */
 #define NEVER UINT32_MAX
 
 typedef enum { NEW, DUPLICATE, REPLAYED } news;
 
-/* Note a packet of a sender, and tell whether it is new. */
+/* Record a packet of a sender, and return whether it is new. */
 static news admit(tac_window *window, uint32_t epoch, uint32_t sequence) {
   if (window->begun && epoch < window->epoch) {
     return REPLAYED;
@@ -52,17 +52,17 @@ static news admit(tac_window *window, uint32_t epoch, uint32_t sequence) {
   return NEW;
 }
 
-/* Return how many sequence numbers of this epoch up to the newest have not come. */
+/* Return the number of packets of this epoch, up to the newest, that have not arrived. */
 static uint32_t count_missing(const tac_window *window) {
   return window->begun ? ((window->newest - window->distinct) + 1U) : 0U;
 }
 
-/* Return how many ticks are past, or have begun. */
+/* Return the number of steps that have begun. */
 static uint64_t count_ticks(const tac_node *node) {
   return node->begun ? (node->tick + 1U) : 0U;
 }
 
-/* Note that something has happened in a tick, of which so many have begun, that the theory does not know. */
+/* Record an event that violates an assumption of the theory, after `ticks` steps have begun. */
 static void degrade(tac_node *node, uint64_t ticks) {
   uint64_t span = (uint64_t)node->data->remembers + 1U;
   uint64_t until = ticks + span;
@@ -79,21 +79,22 @@ static bool is_silent(const tac_node *node) {
   return node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog;
 }
 
-/* Count a packet that comes too late; where every packet is to arrive, the newest such one is used in the next tick. */
+/* Count a late packet. If the theory assumes that every packet arrives, the next step uses the newest late packet,
+ * unless a step has read a newer one. */
 static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet) {
   node->counters.late++;
   if (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
     degrade(node, count_ticks(node));
   } else if (node->data->lossless) {
     degrade(node, count_ticks(node));
-    if (!channel->has_behind || packet->tick > channel->behind.tick) {
+    if (channel->has_behind ? packet->tick > channel->behind.tick : packet->tick >= channel->newest) {
       channel->behind = *packet;
       channel->has_behind = true;
     }
   }
 }
 
-/* Whether the tick that wants the packet of a tick is past. */
+/* Return whether the step that reads the packet of step `tick` is past. */
 static bool is_late(const tac_node *node, uint64_t tick, uint8_t lag) {
   return node->begun && tick <= node->tick && node->tick - tick >= lag;
 }
@@ -102,8 +103,8 @@ static bool is_newer(const tac_packet *packet, const tac_packet *known) {
   return packet->epoch > known->epoch || (packet->epoch == known->epoch && packet->sequence > known->sequence);
 }
 
-/* Let a packet wait for its tick. What else is in its place is of a tick that was left out, or came before the first
- * tick and is of one too far ahead. */
+/* Store a packet until its step. Another packet at the same place of the buffer belongs to a missed step, or arrived
+ * before the first step and is too far ahead. */
 static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
   tac_channel *channel = &node->channels[i];
   unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
@@ -128,7 +129,7 @@ static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) 
   }
 }
 
-/* Return which channel a packet belongs to, or its sender whose mark it is; the number of channels: none. */
+/* Return the channel of a packet, or for a mark a channel of its sender, or the number of channels if there is none. */
 static unsigned find_channel(const tac_node_data *data, const tac_packet *packet) {
   unsigned i = 0U;
   while (i < data->channel_count &&
@@ -139,12 +140,12 @@ static unsigned find_channel(const tac_node_data *data, const tac_packet *packet
   return i;
 }
 
-/* Whether the tick of a packet is so far ahead that it is not waited for. */
+/* Return whether the step of a packet is too far ahead to be stored. */
 static bool is_ahead(const tac_node *node, uint64_t tick, unsigned ahead) {
   return node->begun && tick > node->tick && tick - node->tick > ahead;
 }
 
-/* Take in a packet that is new. */
+/* Store a new packet. */
 static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   bool mark = packet->kind == (uint8_t)TAC_MARK;
   uint8_t lag = mark ? 0U : node->data->channels[i].lag;
@@ -162,7 +163,7 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   return true;
 }
 
-/* Take a packet in, count what becomes of it, and tell whether it is new and not far too early. */
+/* Store and count a packet, and return whether it is new and not far too early. */
 static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
   tac_channel *channel;
@@ -214,7 +215,7 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
   return true;
 }
 
-/* Put a packet among the inputs of a tick; NULL: none has come. */
+/* Copy a packet to the inputs of a step; NULL if no packet arrived. */
 static void put_inputs(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs) {
   inputs[data->at] = (tac_real)((packet == NULL) ? 0 : 1);
   for (unsigned i = 0U; i < data->entries; i++) {
@@ -222,7 +223,7 @@ static void put_inputs(const tac_channel_data *data, const tac_packet *packet, t
   }
 }
 
-/* Put the packet that a tick wants among its inputs; acknowledge it where it came in time. */
+/* Copy the packet that a step reads to the inputs, and acknowledge the packet if it arrived in time. */
 static void collect(tac_node *node, unsigned i, uint64_t tick) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_channel *channel = &node->channels[i];
@@ -245,13 +246,17 @@ static void collect(tac_node *node, unsigned i, uint64_t tick) {
     if (data->acknowledged && data->kind == (uint8_t)TAC_DATA) {
       channel->told = packet->tick;
       channel->tells = true;
+      node->marks[data->link].sent = count_ticks(node);
     }
   } else if (channel->has_behind) {
     packet = &channel->behind;
   } else {
-    /* none has come */
+    /* no packet arrived */
   }
   channel->has_behind = false;
+  if (packet != NULL && packet->tick >= channel->newest) {
+    channel->newest = packet->tick + 1U;
+  }
   if (node->data->lossless && missing > channel->missing) {
     degrade(node, count_ticks(node));
   }
@@ -267,12 +272,12 @@ static void collect_all(tac_node *node, uint8_t part, uint64_t tick) {
   }
 }
 
-/* Set every clock by the number of the tick. */
+/* Set every counter of the policy for a step. */
 static void turn_clocks(tac_node *node, uint64_t tick) {
   for (unsigned i = 0U; i < node->data->clock_count; i++) {
     const tac_clock_data *clock = &node->data->clocks[i];
     uint64_t turns = tick - (node->begun ? node->tick : 0U);
-    if (turns > clock->size) { /* where it repeats, whole rounds change nothing */
+    if (turns > clock->size) { /* the counter is periodic by then: skip whole periods */
       turns = clock->size + ((turns - clock->size) % clock->period);
     }
     for (; turns > 0U; turns--) {
@@ -288,7 +293,7 @@ static void copy(tac_real *to, const tac_real *from, unsigned count) {
   }
 }
 
-/* Whether numbers are within their range: neither infinite nor none, by their exponents. */
+/* Return whether all numbers are finite, from their exponents. */
 static bool are_finite(const tac_real *numbers, unsigned count) {
   bool found = true;
   for (unsigned i = 0U; found && i < count; i++) {
@@ -299,7 +304,7 @@ static bool are_finite(const tac_real *numbers, unsigned count) {
   return found;
 }
 
-/* Note the packets that a tick sends, and the input that it applies. */
+/* Store the packets to send and the plant input of a step. */
 static void put_outputs(tac_node *node) {
   const tac_node_data *data = node->data;
   for (unsigned i = 0U; i < data->send_count; i++) {
@@ -309,6 +314,7 @@ static void put_outputs(tac_node *node) {
       packet->link = data->sends[i].link;
       packet->entries = data->sends[i].entries;
       packet->tick = node->tick;
+      node->marks[packet->link].sent = count_ticks(node);
       copy(packet->values, &node->outputs[data->sends[i].at + 1U], packet->entries);
       node->pending = (uint8_t)(node->pending | (1U << i));
     }
@@ -318,11 +324,11 @@ static void put_outputs(tac_node *node) {
   } else if (data->applied >= 0 && !is_silent(node)) {
     copy(node->input, &node->outputs[data->applied], data->applied_count);
   } else {
-    /* the input is that of the last tick */
+    /* the input of the last step is held */
   }
 }
 
-/* Finish the tick before and go through this one as far as its outputs. */
+/* Finish the previous step, and execute this step up to its outputs. */
 static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn) {
   const tac_node_data *data = node->data;
   if (data->second != NULL && node->begun) {
@@ -332,6 +338,9 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   turn_clocks(node, tick);
   node->tick = tick;
   node->begun = true;
+  if (is_silent(node)) {
+    degrade(node, count_ticks(node));
+  }
   copy(node->inputs, measurement, data->measurement_count);
   collect_all(node, 0U, tick);
   if (data->draw != NULL) {
@@ -344,7 +353,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   put_outputs(node);
 }
 
-/* Go through the ticks that were left out, without packets and input; a node that measures leaves them out. */
+/* Execute missed steps with the packets already received; a node with a sensor skips the missed steps. */
 static void make_up(tac_node *node, uint64_t tick) {
   uint64_t left_out = tick - count_ticks(node);
   if (left_out == 0U) {
@@ -381,7 +390,7 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
   return true;
 }
 
-/* Forget the sequence numbers of an epoch that has ended. */
+/* Begin a new epoch, in which all sequence numbers start at 0. */
 static void begin_epoch(tac_node *node) {
   node->epoch++;
   for (unsigned i = 0U; i < node->data->send_count; i++) {
@@ -390,9 +399,12 @@ static void begin_epoch(tac_node *node) {
   for (unsigned i = 0U; i < node->data->channel_count; i++) {
     node->channels[i].told_sequence = 0U;
   }
+  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+    node->marks[link].sequence = 0U;
+  }
 }
 
-/* Number a packet and write it; 0: it holds what is no finite number. */
+/* Number and encode a packet, and return its size, or 0 if a value is not finite. */
 static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, uint8_t *datagram) {
   size_t size;
   packet->epoch = node->epoch;
@@ -421,6 +433,36 @@ static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
   return hand_out(node, &packet, &channel->told_sequence, datagram);
 }
 
+/* Return whether a node sends data or acknowledgements on a link. */
+static bool talks_on(const tac_node_data *data, uint8_t link) {
+  bool found = false;
+  for (unsigned i = 0U; i < data->send_count; i++) {
+    found = found || data->sends[i].link == link;
+  }
+  for (unsigned i = 0U; i < data->channel_count; i++) {
+    found = found || (data->channels[i].acknowledged && data->channels[i].link == link);
+  }
+  return found;
+}
+
+/* Encode a mark if it is due on a link after the last step, and return its size, or 0. */
+static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
+  tac_marks *marks = &node->marks[link];
+  uint64_t ticks = count_ticks(node);
+  tac_packet packet;
+  if (node->mark_after == TAC_NO_MARKS || !node->begun || marks->marked == ticks || !talks_on(node->data, link) ||
+      (marks->sent > 0U && ticks - marks->sent < node->mark_after)) {
+    return 0U;
+  }
+  marks->marked = ticks;
+  marks->sent = ticks;
+  packet.kind = (uint8_t)TAC_MARK;
+  packet.link = link;
+  packet.entries = 0U;
+  packet.tick = node->tick;
+  return hand_out(node, &packet, &marks->sequence, datagram);
+}
+
 size_t tac_send(tac_node *node, uint8_t *datagram) {
   size_t size = 0U;
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
@@ -433,6 +475,9 @@ size_t tac_send(tac_node *node, uint8_t *datagram) {
       node->pending = (uint8_t)(node->pending & ~(1U << i));
       size = hand_out(node, &node->sending[i], &node->sequences[i], datagram);
     }
+  }
+  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_SENDS; link++) {
+    size = mark(node, (uint8_t)link, datagram);
   }
   return size;
 }
@@ -448,7 +493,7 @@ const tac_real *tac_input(const tac_node *node) {
   } else if (node->safe_input != NULL && is_silent(node)) {
     input = node->safe_input;
   } else {
-    /* the last one */
+    /* the last input */
   }
   return input;
 }
@@ -468,6 +513,10 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
   node->safe_input = safe_input;
 }
 
+void tac_mark_after(tac_node *node, uint32_t ticks) {
+  node->mark_after = ticks;
+}
+
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   const tac_node_data *data = node->data;
   node->key = key;
@@ -480,7 +529,9 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->newest = 0U;
   node->degraded_until = 0U;
   node->pending = 0U;
+  (void)memset(node->marks, 0, sizeof node->marks);
   tac_watch(node, 0U, NULL);
+  tac_mark_after(node, TAC_NO_MARKS);
   (void)memcpy(node->generator, data->generator, sizeof node->generator);
   copy(node->memory, data->start, data->memory_count);
   clear(node->inputs, data->input_count);

@@ -1,5 +1,5 @@
-/* taciturn: packets as bytes: written, checked and read. Each byte is read and written by itself: no alignment, no byte
- * order. */
+/* taciturn: encoding, checking and decoding of packets. Bytes are read and written one by one, so that neither
+ * alignment nor byte order matters. */
 #include <string.h>
 
 #include "taciturn.h"
@@ -11,14 +11,14 @@ enum { AT_ZERO = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 
 #if TAC_FLOAT32
 #define LARGEST_REAL FLT_MAX
-#define ROUNDER 12582912.0f /* 1.5 * 2^23: adding and subtracting it leaves the nearest integer, ties to even */
+#define ROUNDER 12582912.0f /* 1.5 * 2^23: adding and subtracting it rounds to the nearest integer, ties to even */
 #else
 #define LARGEST_REAL DBL_MAX
 #define ROUNDER 6755399441055744.0 /* 1.5 * 2^52 */
 #endif
 #define LARGEST_STEP ((tac_real)32767)
 
-/* The compiler's numbers are those of the wire. */
+/* The floating-point formats of the compiler must be those of the packets. */
 typedef char tac_checks_float[(sizeof(float) == 4U && FLT_MANT_DIG == 24) ? 1 : -1];
 typedef char tac_checks_double[(sizeof(double) == 8U && DBL_MANT_DIG == 53) ? 1 : -1];
 
@@ -40,7 +40,7 @@ static uint64_t get(const uint8_t *from, unsigned bytes) {
   return value;
 }
 
-/* CRC-32 of the polynomial 0x04C11DB7, least bit first, four bits at a time. */
+/* CRC-32 with the polynomial 0x04C11DB7, least significant bit first, four bits at a time. */
 static uint32_t checksum(const uint8_t *content, size_t size) {
   static const uint32_t table[16] = {
       0x00000000U, 0x1DB71064U, 0x3B6E20C8U, 0x26D930ACU, 0x76DC4190U, 0x6B6B51F4U, 0x4DB26158U, 0x5005713CU,
@@ -63,7 +63,7 @@ static uint32_t turned_right(uint32_t word, unsigned by) {
   return (word >> by) | (word << (32U - by));
 }
 
-/* Mix two words of the message into a column or a diagonal. */
+/* Mix two words of the message into a column or a diagonal of the BLAKE2s state. */
 static void mix(uint32_t *v, unsigned a, unsigned b, unsigned c, unsigned d, uint32_t x, uint32_t y) {
   v[a] += v[b] + x;
   v[d] = turned_right(v[d] ^ v[a], 16U);
@@ -75,7 +75,7 @@ static void mix(uint32_t *v, unsigned a, unsigned b, unsigned c, unsigned d, uin
   v[b] = turned_right(v[b] ^ v[c], 7U);
 }
 
-/* Take a block of a message into the state of BLAKE2s; `bytes` of the message end with it. */
+/* Add a block of the message to the BLAKE2s state; `bytes` is the length of the message up to the end of the block. */
 static void compress(uint32_t *state, const uint8_t *block, uint64_t bytes, bool last) {
   static const uint8_t order[10][16] = {
       {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}, {14, 10, 4, 8, 9, 15, 13, 6, 1, 12, 0, 2, 11, 7, 5, 3},
@@ -87,7 +87,7 @@ static void compress(uint32_t *state, const uint8_t *block, uint64_t bytes, bool
   uint32_t v[16];
   uint32_t words[16];
   for (unsigned i = 0U; i < 16U; i++) {
-    const uint8_t *at = &block[4U * i]; /* least byte first, unlike the packet */
+    const uint8_t *at = &block[4U * i]; /* little-endian, unlike the packet */
     words[i] = (uint32_t)at[0] | ((uint32_t)at[1] << 8U) | ((uint32_t)at[2] << 16U) | ((uint32_t)at[3] << 24U);
     v[i] = (i < 8U) ? state[i] : BLAKE_START[i - 8U];
   }
@@ -109,7 +109,7 @@ static void compress(uint32_t *state, const uint8_t *block, uint64_t bytes, bool
   }
 }
 
-/* Write the tag of a content of at least one byte: BLAKE2s with a key, 16 bytes long, personalised "taciturn". */
+/* Write the tag of at least one byte of content: keyed BLAKE2s of 16 bytes with the personalization "taciturn". */
 static void write_tag(tac_key key, const uint8_t *content, size_t size, uint8_t *tag) {
   uint32_t state[8];
   uint8_t block[BLOCK_SIZE] = {0};
@@ -137,7 +137,7 @@ static bool fits(tac_key key) {
   return key.size >= (uint8_t)LEAST_KEY && key.size <= (uint8_t)MOST_KEY;
 }
 
-/* Tell whether a tag is right, in a time that does not depend on where it is wrong. */
+/* Return whether a tag is correct, in constant time. */
 static bool has_tag(tac_key key, const uint8_t *content, size_t size) {
   uint8_t tag[TAG_SIZE];
   uint8_t difference = 0U;
@@ -165,7 +165,7 @@ static unsigned width(uint8_t encoding) {
   return widths[encoding];
 }
 
-/* Write a number with 24 bits; false: it is too large for them. */
+/* Write a number as float32. Return false if the number exceeds its range. */
 static bool put_single(uint8_t *to, tac_real value) {
   float narrow = (float)value;
   uint32_t bits;
@@ -181,7 +181,7 @@ static void put_double(uint8_t *to, tac_real value) {
   put(to, bits, 8U);
 }
 
-/* Write the nearest whole number of steps. */
+/* Write a number as the nearest integer multiple of the step size. */
 static void put_steps(uint8_t *to, tac_real value, tac_real per_unit) {
   tac_real steps = value * per_unit;
   if (steps > LARGEST_STEP) {
@@ -195,7 +195,7 @@ static void put_steps(uint8_t *to, tac_real value, tac_real per_unit) {
   put(to, (uint16_t)(int32_t)steps, 2U);
 }
 
-/* Write an entry of a payload; false: it is no number that can be written. */
+/* Write an entry of a payload. Return false if the number cannot be represented. */
 static bool put_entry(uint8_t *to, const tac_shape *shape, unsigned entry, tac_real value) {
   bool written = is_finite(value);
   if (!written) {
@@ -211,7 +211,7 @@ static bool put_entry(uint8_t *to, const tac_shape *shape, unsigned entry, tac_r
   return written;
 }
 
-/* Return an entry of a payload: it need not be finite. */
+/* Return an entry of a payload, which may be infinite or NaN. */
 static tac_real get_entry(const uint8_t *from, const tac_shape *shape, unsigned entry) {
   if (shape->encoding == (uint8_t)TAC_ENCODED_INT16) {
     int32_t steps = (int32_t)get(from, 2U);
@@ -267,7 +267,7 @@ size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, u
   return size;
 }
 
-/* Check all that stands around a payload which ends at `end`. */
+/* Check everything except the payload, which ends at `end`. */
 static tac_verdict check(const tac_wire *wire, tac_key key, const uint8_t *datagram, size_t end) {
   bool authenticated = (datagram[AT_ENCODING] & (uint8_t)AUTHENTICATED) != 0U;
   if (datagram[AT_VERSION] != (uint8_t)VERSION || authenticated != (key.bytes != NULL)) {
@@ -288,7 +288,7 @@ static tac_verdict check(const tac_wire *wire, tac_key key, const uint8_t *datag
   return TAC_OK;
 }
 
-/* Read the payload of a packet; false: it is not of its shape, or holds what is no finite number. */
+/* Read the payload of a packet. Return false if its format is wrong, or if a value is not finite. */
 static bool read_values(const tac_shape *shape, const uint8_t *payload, tac_packet *packet) {
   for (unsigned i = 0U; i < shape->entries; i++) {
     packet->values[i] = get_entry(&payload[(size_t)i * width(shape->encoding)], shape, i);

@@ -1,4 +1,4 @@
-// Curves over time: one uPlot a panel, a legend of our own that tells the values, colours of the style sheet.
+// Curves over time: one uPlot chart per panel, with a legend that shows values, and colours from the style sheet.
 
 export function color(name) {
   return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -12,7 +12,7 @@ export function format(value) {
   return String(Number(value.toPrecision(4)));
 }
 
-// What the lines of a legend look like, also without colour.
+// Create a legend whose entries also differ in line style, and return its elements for the values.
 export function legend(panel, series) {
   const host = panel.querySelector(".legend");
   host.replaceChildren();
@@ -31,6 +31,12 @@ export function legend(panel, series) {
 const DASHES = { dashed: [7, 4], dotted: [2, 3] };
 const FONT = "11px system-ui, sans-serif";
 
+// Return the range from the first to the last time, or a range of 1 s if there is only one time.
+function span({ data: [times] }) {
+  const [first, last] = [times[0] ?? 0, times.at(-1) ?? 0];
+  return [first, last > first ? last : first + 1];
+}
+
 function range(lower, upper, include) {
   return (plot, least, most) => {
     const known = [least, most, ...include].filter((value) => value !== null && Number.isFinite(value));
@@ -41,8 +47,8 @@ function range(lower, upper, include) {
   };
 }
 
-// Whether curves are drawn on a log scale, and their values there: where none is negative and they span more than two
-// decades. Zeros are put below all others.
+// Return whether curves need a log scale (values >= 0 that span more than two decades), and their values on the chosen
+// scale. Zeros are shown below all other values.
 export function scaled(values) {
   const known = values.flat().filter((value) => value !== null);
   let least = Infinity, most = 0;
@@ -56,7 +62,7 @@ export function scaled(values) {
   return [true, values.map((list) => list.map((value) => value === null ? null : Math.max(value, floor)))];
 }
 
-// The powers of ten of a log scale, so many that their labels have room.
+// Return the powers of ten on a log scale, limited to the number of labels that fit.
 function decades(plot, axis, least, most) {
   const low = Math.ceil(Math.log10(least) - 1e-9), high = Math.floor(Math.log10(most) + 1e-9), found = [];
   const stride = Math.max(1, Math.ceil((high - low + 1) * 20 / plot.bbox.height * devicePixelRatio));
@@ -64,7 +70,7 @@ function decades(plot, axis, least, most) {
   return found;
 }
 
-// series: [{name, color, look: "solid" | "dashed" | "dotted" | "disc" | "ring", steps}]
+// series: [{name, color, look: "solid" | "dashed" | "dotted" | "thin" | "disc" | "ring", steps}]
 export class Curves {
   constructor(panel, series, { lower, upper, include = [], log = false } = {}) {
     this.panel = panel;
@@ -81,7 +87,7 @@ export class Curves {
     this.plot = new uPlot({
       width: this.host.clientWidth, height: this.host.clientHeight, padding: [8, 18, 0, 0],
       scales: {
-        x: { time: false, range: (plot, least, most) => [least ?? 0, most > least ? most : (least ?? 0) + 1] },
+        x: { time: false, range: span },
         y: log ? { distr: 3, range: (plot, least, most) => [least ?? 0.1, (most ?? 1) * 1.6] }
           : { range: range(lower, upper, include) },
       },
@@ -108,19 +114,20 @@ export class Curves {
       return { stroke, paths: () => null, points };
     }
     return {
-      stroke, width: 1.6, dash: DASHES[look], points: { show: false },
+      stroke, width: look === "thin" ? 1 : 1.6, dash: DASHES[look],
+      points: { show: (plot) => plot.data[0].length < 3, size: 5 }, // show points if there are too few steps for a line
       paths: steps ? uPlot.paths.stepped({ align: 1 }) : undefined,
     };
   }
 
-  // data: [times, values of a series, ...]; null where there is none
+  // data: [times, values of each series, ...], with null for a missing value
   set(data) {
     this.data = data;
     this.plot.setData(data);
     this.tell();
   }
 
-  // The values at the cursor, or the latest ones.
+  // Show the values at the cursor, or the latest values.
   tell() {
     if (!this.data) return;
     const at = this.plot?.cursor.idx ?? this.data[0].length - 1;

@@ -1,4 +1,4 @@
-// What is no curve over time: the path in the plane, and the raster of sends.
+// Drawings other than curves over time: the path in the plane, and the raster of packets.
 
 import { color, format } from "./curves.js";
 
@@ -51,11 +51,12 @@ function extent(lists, i) {
   return low <= high ? [low, high] : [-1, 1];
 }
 
-// The first two states against each other, with equal scales.
-export function drawPlane(pen, width, height, { about, rows }) {
+// Draw the second state over the first state, with equal scales.
+export function drawPlane(pen, width, height, { about, rows, others }) {
   const truth = rows.map((row) => row.state), estimate = rows.map((row) => row.estimate);
+  const other = others.slice(0, rows.length).map((row) => row.state);
   const [left, bottom, room] = [46, 32, 10];
-  const ranges = [0, 1].map((i) => extent([truth, estimate, about.reference], i));
+  const ranges = [0, 1].map((i) => extent([truth, estimate, other, about.reference], i));
   const [wide, high] = [width - left - room, height - bottom - room];
   const unit = 1.08 * Math.max((ranges[0][1] - ranges[0][0]) / wide, (ranges[1][1] - ranges[1][0]) / high, 1e-6);
   const middle = ranges.map(([low, high]) => (low + high) / 2);
@@ -94,10 +95,11 @@ export function drawPlane(pen, width, height, { about, rows }) {
     pen.setLineDash([]);
   };
   line(about.reference, "reference", [2, 3], 2);
+  line(other, "other", [], 1);
   line(truth, "true", [], 1.8);
   line(estimate, "estimate", [6, 4], 1.5);
   about.links.forEach((link, i) => {
-    // a link that sends always would hide the path
+    // marks at every step would hide the path
     if (rows.length > 20 && rows.every((row) => row.sent[link])) return;
     for (const row of rows) if (row.sent[link]) dot(pen, across(row.state[0]), up(row.state[1]), i);
   });
@@ -121,7 +123,7 @@ function stroke(pen, points) {
   pen.stroke();
 }
 
-// The first link is a ring, the others are discs.
+// Draw a packet of the first link as a ring, and a packet of other links as a disc.
 function dot(pen, x, y, i) {
   pen.beginPath();
   pen.arc(x, y, i === 0 ? 4.5 : 2.8, 0, 2 * Math.PI);
@@ -131,7 +133,7 @@ function dot(pen, x, y, i) {
   else pen.fill();
 }
 
-// One row a link, one column a tick: the latest ticks that fit.
+// Draw one row per link and one column per step, for the latest steps that fit.
 export function drawRaster(pen, width, height, { about, rows }) {
   const left = 62, bottom = 18, pitch = 9, top = 10;
   const shown = rows.slice(-Math.max(1, Math.floor((width - left - 6) / pitch)));

@@ -1,5 +1,5 @@
-// The page of a run: hears the events, keeps the rows of the round, and draws them at most ten times a second and for
-// at most a fifth of the time.
+// The live page of a run. It receives the events, stores the rows of the round, and draws them at most ten times per
+// second, using at most a fifth of the time. The charts of a new round replace the old charts when its first row arrives.
 
 import { Curves, format, legend, scaled } from "./curves.js";
 import { Drawing, drawPlane, drawRaster } from "./drawings.js";
@@ -7,16 +7,18 @@ import { Drawing, drawPlane, drawRaster } from "./drawings.js";
 const $ = (id) => document.getElementById(id);
 const token = new URLSearchParams(location.search).get("token");
 const at = (path, query = {}) => `${path}?${new URLSearchParams({ ...query, ...(token && { token }) })}`;
-const SILENCE = 6000; // milliseconds without a word after which the run counts as lost; it speaks every two seconds
-const LINES = 200; // of the log
-const KEPT = 50000; // rows of an endless round
-const RECENT = 200; // ticks of the trigger that are drawn: of more, nobody sees when it passes the threshold
+const SILENCE = 6000; // milliseconds without an event after which the connection is lost; events come every 2 s
+const LINES = 200; // largest number of lines in the list of events
+const KEPT = 50000; // number of rows stored of a long round
+const RECENT = 200; // number of steps in the trigger chart; with more, a crossing of the threshold would be invisible
 
-let round = null; // {about, rows}
+let round = null; // round that is drawn: {about, rows, others}
+let coming = null; // next round, before its first row
+let waiting = null, since = 0; // text about the current preparation, and the time when it began
 let panels = {};
 let link = "lost", paused = false, dirty = false, next = 0;
 
-// Listening.
+// Connection to the run.
 
 let source = null, heard = 0;
 
@@ -28,18 +30,31 @@ function connect() {
     heard = Date.now();
     act(JSON.parse(event.data));
   });
-  let anew = true; // then all is told again; when the browser reconnects by itself, only what was missed
+  let anew = true; // a new source repeats the whole round; a reconnection by the browser only sends the missed events
   source.onopen = () => {
-    if (anew) $("log").querySelector("ol").replaceChildren();
+    if (anew) $("events").querySelector("ol").replaceChildren();
     anew = false;
     setLink("connected");
   };
   source.onerror = () => { if (link !== "ended") setLink("lost"); };
-  on("wait", () => { clear(); round = null; paused = false; showStatus(); });
+  on("wait", (text) => {
+    if (text === null) { clear(); round = coming = null; paused = false; }
+    [waiting, since] = [text ?? "waiting for the first round", Date.now()];
+    showStatus();
+  });
   on("begin", begin);
-  on("tick", (row) => { if (round.rows.push(row) > 2 * KEPT) round.rows.splice(0, KEPT); plan(); });
+  on("tick", (row) => {
+    if (coming) enter();
+    if (round.rows.push(row) > 2 * KEPT) round.rows.splice(0, KEPT);
+    plan();
+  });
+  on("compared", (row) => {
+    const { others } = coming ?? round;
+    if (others.push(row) > 2 * KEPT) others.splice(0, KEPT);
+    plan();
+  });
   on("picture", (newest) => { camera.wanted = newest; camera.load(); });
-  on("note", note);
+  on("note", ({ text, step }) => note(text, step ?? undefined));
   on("asked", hear);
   on("end", () => setLink("ended"));
   on("alive", () => {});
@@ -47,6 +62,7 @@ function connect() {
 
 setInterval(() => {
   const silent = Date.now() - heard;
+  if (waiting) showStatus();
   if (silent > SILENCE || (source.readyState === EventSource.CLOSED && silent > 1000)) {
     if (link !== "ended") setLink("lost");
     connect();
@@ -59,17 +75,26 @@ function setLink(state) {
 }
 
 function showStatus() {
-  const state = link === "connected" ? (round ? (paused ? "paused" : "connected") : "waiting") : link;
-  const degraded = round?.rows.at(-1)?.degraded ? ", degraded" : "";
-  const text = { waiting: "waiting for a round", lost: "lost, trying again" }[state] ?? state + degraded;
-  if ($("status").textContent !== text) $("status").textContent = text; // else it is read aloud again
+  const begun = coming ?? round;
+  const state = link !== "connected" ? link : waiting ? "waiting" : paused ? "paused" : "connected";
+  const degraded = round?.rows.at(-1)?.degraded ? ", degraded operation" : "";
+  const text = { waiting: "preparing", lost: "connection lost, reconnecting" }[state] ?? state + degraded;
+  if ($("status").textContent !== text) $("status").textContent = text; // avoid repeated screen reader output
   $("status").dataset.state = state;
-  for (const id of ["knob", "pause", "push"]) $(id).disabled = link !== "connected" || !round;
-  $("pause").textContent = paused ? "Go on" : "Pause";
+  const seconds = Math.round((Date.now() - since) / 1000);
+  const prepares = waiting ? `${waiting}${seconds ? ` (${seconds} s)` : ""}` : text;
+  $("waiting").hidden = Boolean(round);
+  $("waiting").textContent = prepares;
+  document.querySelector("main").hidden = !round;
+  if (waiting && round) $("progress").textContent = prepares;
+  $("controls").hidden = !begun;
+  for (const id of ["parameter", "pause", "push"]) $(id).disabled = link !== "connected" || !begun;
+  if (begun && !begun.about.pauses) $("pause").disabled = true;
+  $("pause").textContent = paused ? "Resume" : "Pause";
   $("pause").setAttribute("aria-pressed", String(paused));
 }
 
-// The camera: only the newest picture is fetched, when the one before has come.
+// The camera: after a picture has been loaded, only the newest picture is fetched.
 
 const camera = {
   wanted: 0, shown: 0, busy: false,
@@ -89,7 +114,7 @@ const camera = {
 $("picture").onload = () => camera.done(true);
 $("picture").onerror = () => camera.done(false);
 
-// A round.
+// Rounds.
 
 function clear() {
   for (const panel of Object.values(panels)) panel.close();
@@ -97,13 +122,27 @@ function clear() {
 }
 
 function begin(about) {
-  clear();
-  round = { about, rows: [] };
+  coming = { about, rows: [], others: [] };
   paused = false;
+  waiting = null;
+  $("what").textContent = `${about.robot}, ${about.policy}`;
+  document.title = `${about.robot}, ${about.policy} – taciturn`;
+  $("progress").textContent = `round ${about.round}`;
+  parameter.begin(about);
+  showStatus();
+}
+
+// Create the charts of the next round after its first row has arrived.
+function enter() {
+  clear();
+  [round, coming] = [coming, null];
+  const { about } = round;
+  showStatus();
   const sends = about.links.map((name, i) => (
-    { name: `${name} sends`, color: ["third", "ink"][i] ?? "bound", look: i ? "disc" : "ring" }));
+    { name: `${name} packets`, color: ["third", "ink"][i] ?? "bound", look: i ? "disc" : "ring" }));
+  const every = { name: "every sample", color: "other", look: "thin" };
   const path = [
-    { name: "true", color: "true", look: "solid" }, { name: "estimate", color: "estimate", look: "dashed" },
+    { name: "true", color: "true", look: "solid" }, { name: "estimate", color: "estimate", look: "dashed" }, every,
     ...(about.reference.length ? [{ name: "reference", color: "reference", look: "dotted" }] : []),
   ];
   const looks = [["true", "solid"], ["estimate", "dashed"], ["third", "dotted"]];
@@ -118,17 +157,14 @@ function begin(about) {
   $("path").querySelector("h2").textContent = title;
   panels.input = new Curves($("input"), styled(about.inputs).map((one) => ({ ...one, steps: true })));
   panels.cost = new Curves($("cost"), [
-    { name: "cost", color: "true", look: "solid" },
-    ...(about.bound === null ? [] : [{ name: "guaranteed at most", color: "bound", look: "dashed" }]),
+    { name: "event-triggered", color: "true", look: "solid" }, every,
+    ...(about.bound === null ? [] : [{ name: "guaranteed mean", color: "bound", look: "dashed" }]),
   ], { lower: 0 });
-  panels.rate = new Curves($("rate"), styled(about.links), { lower: 0, upper: 1.05 });
+  panels.packets = new Curves($("packets"), [
+    ...styled(about.links), ...about.links.map((name, i) => ({ ...every, look: i ? "dotted" : "thin", name: `${name}, every sample` })),
+  ], { lower: 0 });
   panels.raster = new Drawing($("raster"), drawRaster);
   newTrigger(false);
-  $("what").textContent = `${about.robot}, ${about.policy}`;
-  document.title = `${about.robot}, ${about.policy} – taciturn`;
-  knob.begin(about);
-  showStatus();
-  plan();
 }
 
 function newTrigger(log) {
@@ -137,7 +173,7 @@ function newTrigger(log) {
     { name: "value", color: "true", look: "solid", steps: true },
     { name: "threshold", color: "lost", look: "dashed", steps: true },
   ], { log });
-  $("trigger").querySelector("h2").textContent = log ? "trigger (log; 0 at the bottom)" : "trigger";
+  $("trigger").querySelector("h2").textContent = log ? "trigger (log scale; 0 at the bottom)" : "trigger";
 }
 
 // Drawing.
@@ -153,62 +189,96 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
 });
 
 function draw() {
-  if (!round) return;
-  const { about, rows } = round, began = performance.now();
+  if (!round?.rows.length) return;
+  const { about, rows, others } = round, began = performance.now();
   const time = rows.map((row) => row.time), of = (pick) => rows.map(pick), last = rows.at(-1);
+  const shift = rows.length && others.length ? rows[0].tick - others[0].tick : 0; // the first rows of a long round are removed
+  const every = (pick) => rows.map((_, i) => others[i + shift] ? pick(others[i + shift]) : null);
   if (about.robot === "omni") panels.path.set(round);
   else {
     panels.path.set([
-      time, of((row) => row.state[0]), of((row) => row.estimate?.[0] ?? null),
+      time, of((row) => row.state[0]), of((row) => row.estimate?.[0] ?? null), every((row) => row.state[0]),
       ...(about.reference.length ? [of((row) => about.reference[row.tick]?.[0] ?? null)] : []),
       ...about.links.map((name) => of((row) => row.sent[name] ? row.state[0] : null)),
     ]);
   }
   panels.input.set([time, ...about.inputs.map((_, i) => of((row) => row.input[i]))]);
-  panels.cost.set([time, of((row) => row.cost), ...(about.bound === null ? [] : [time.map(() => about.bound)])]);
-  panels.rate.set([time, ...about.links.map((name) => of((row) => row.rate[name]))]);
+  panels.cost.set([
+    time, of((row) => row.cost), every((row) => row.cost),
+    ...(about.bound === null ? [] : [time.map(() => about.bound)]),
+  ]);
+  panels.packets.set([
+    time, ...about.links.map((name) => of((row) => row.packets[name])),
+    ...about.links.map((name) => every((row) => row.packets[name])),
+  ]);
   panels.raster.set(round);
   const recent = rows.slice(-RECENT);
   const [log, values] = scaled([recent.map((row) => row.trigger), recent.map((row) => row.threshold)]);
   if (log !== panels.trigger.log) newTrigger(log);
   panels.trigger.set([time.slice(-RECENT), ...values]);
-  const reached = last ? `, tick ${last.tick + 1} of ${about.ticks}, ${format(last.time)} s` : "";
-  $("progress").textContent = `round ${about.round}${reached}`;
-  if (last) showNow(about, last);
+  if (!waiting && !coming) {
+    $("progress").textContent = `round ${about.round}, ${last.tick + 1} of ${about.ticks} steps, ${format(last.time)} s`;
+  }
+  showNow(about, last);
+  showComparison(about, rows, others);
+  showDrops(about, last);
   showStatus();
-  next = Date.now() + Math.max(100, 4 * (performance.now() - began)); // a long round leaves time for everything else
+  next = Date.now() + Math.max(100, 4 * (performance.now() - began)); // limit the share of time for drawing
   document.body.dataset.rows = rows.length;
 }
 
-function showNow(about, row) {
-  const line = (name, ...values) => {
-    const cells = [document.createElement("th"), ...values.map(() => document.createElement("td"))];
-    cells.forEach((cell, i) => { cell.textContent = [name, ...values][i]; });
-    const found = document.createElement("tr");
-    found.append(...cells);
-    return found;
+function line(name, ...values) {
+  const cells = [document.createElement("th"), ...values.map(() => document.createElement("td"))];
+  cells.forEach((cell, i) => { cell.textContent = [name, ...values][i]; });
+  const found = document.createElement("tr");
+  found.append(...cells);
+  return found;
+}
+
+// Compare both loops after the latest step that both have completed.
+function showComparison(about, rows, others) {
+  const step = Math.min(rows.at(-1).tick, others.at(-1)?.tick ?? -1);
+  const [own, other] = [rows, others].map((list) => list[step - list[0]?.tick]), both = Boolean(own && other);
+  const compared = (name, pick) => {
+    const values = both ? [pick(own), pick(other)] : [null, null];
+    return line(name, ...values.map(format), values[1] ? `${Math.round(100 * values[0] / values[1])} %` : "–");
   };
+  $("compared").textContent = both ? `after ${step + 1} step${step ? "s" : ""}` : "so far";
+  $("compare").querySelector("tbody").replaceChildren(
+    compared("cost", (row) => row.cost),
+    ...about.links.map((name) => compared(`${name} packets`, (row) => row.packets[name])));
+}
+
+// Show the packet losses by design, with one sentence per link.
+function showDrops(about, row) {
+  const told = about.links.map((name, i) => [name, about.losses[i]])
+    .filter(([name, loss]) => loss > 0 && row.packets[name])
+    .map(([name, loss]) => (
+      `${row.drops[name]} of ${row.packets[name]} packets dropped on the ${name} link, as designed (p = ${loss})`));
+  $("drops").textContent = told.join("\n") || "no packets dropped by design";
+}
+
+function showNow(about, row) {
   $("now").querySelector("tbody").replaceChildren(
     ...about.states.map((name, i) => line(name, format(row.state[i]), format(row.estimate?.[i]))),
     ...about.inputs.map((name, i) => line(name, format(row.input[i]), "")));
 }
 
-function note(text) {
-  const entry = document.createElement("li"), when = document.createElement("time");
-  const last = round?.rows.at(-1);
-  when.textContent = last ? `${format(last.time)} s` : "";
+function note(text, step = round?.rows.at(-1)?.tick) {
+  const entry = document.createElement("li"), when = document.createElement("span");
+  when.textContent = Number.isInteger(step) ? `step ${step}` : "";
   entry.append(when, text);
-  const list = $("log").querySelector("ol");
+  const list = $("events").querySelector("ol");
   list.prepend(entry);
   while (list.children.length > LINES) list.lastChild.remove();
 }
 
-// Asking.
+// Requests.
 
-const knob = {
+const parameter = {
   held: false, value: 0,
-  begin({ knob: [name, least, largest], value }) {
-    // from the least to the largest value by equal factors; where the least is 0, over four decades above 0
+  begin({ parameter: [name, least, largest], meaning, value }) {
+    // logarithmic scale from the smallest to the largest value; if the smallest is 0, four decades and 0
     const [foot, span] = [least || largest * 1e-4, least ? 0 : 1];
     const between = (step) => foot * (largest / foot) ** ((step - span) / (1000 - span));
     const rounded = (step) => Math.min(Math.max(Number(between(step).toPrecision(3)), least), largest);
@@ -216,22 +286,23 @@ const knob = {
     const share = (known) => Math.log(known / foot) / Math.log(largest / foot);
     this.write = (known) => known < foot ? 0 : Math.round(span + (1000 - span) * share(known));
     this.value = value;
-    $("knob-name").textContent = name;
-    if (!this.held) $("knob").value = this.write(value);
+    $("parameter-name").textContent = name;
+    $("meaning").textContent = meaning;
+    if (!this.held) $("parameter").value = this.write(value);
     this.say(format(value));
   },
   say(text) {
-    $("knob-value").textContent = text;
-    $("knob").setAttribute("aria-valuetext", text);
+    $("parameter-value").textContent = text;
+    $("parameter").setAttribute("aria-valuetext", text);
   },
 };
-$("knob").oninput = () => {
-  knob.held = true;
-  knob.say(`${format(knob.value)} → ${format(knob.read(+$("knob").value))}`);
+$("parameter").oninput = () => {
+  parameter.held = true;
+  parameter.say(`${format(parameter.value)} → ${format(parameter.read(+$("parameter").value))}`);
 };
-$("knob").onchange = () => {
-  knob.held = false;
-  ask("value", knob.read(+$("knob").value));
+$("parameter").onchange = () => {
+  parameter.held = false;
+  ask("value", parameter.read(+$("parameter").value));
 };
 $("pause").onclick = () => ask("pause", paused ? 0 : 1);
 $("push").onclick = () => ask("push", 1);
@@ -241,21 +312,24 @@ async function ask(what, value) {
   const headers = { "Content-Type": "application/json", ...(token && { Authorization: `Bearer ${token}` }) };
   try {
     const answer = await fetch("ask", { method: "POST", headers, body: JSON.stringify({ ask: what, value }) });
-    if (!answer.ok) note(`${what} was refused: ${await answer.text()}`);
+    if (!answer.ok) note(`${what} rejected: ${await answer.text()}`);
   } catch {
-    note(`${what} was not heard: the run cannot be reached`);
+    note(`${what} failed: the run cannot be reached`);
   }
 }
 
-// What somebody asked, on this page or on another one.
+// Show a request of this page or of another page.
 function hear({ ask: what, value }) {
-  if (what === "pause") paused = value === 1;
-  if (what === "value" && !knob.held) {
-    $("knob").value = knob.write(value);
-    knob.say(value === knob.value ? format(value) : `${format(knob.value)} → ${format(value)}`);
+  if (what === "pause") {
+    paused = value === 1;
+    note(paused ? "pause" : "resume");
+  } else if (what === "value") {
+    if (!parameter.held) {
+      $("parameter").value = parameter.write(value);
+      parameter.say(value === parameter.value ? format(value) : `${format(parameter.value)} → ${format(value)}`);
+    }
+    note(`${$("parameter-name").textContent} set to ${format(value)}: the next round starts with it`);
   }
-  const name = $("knob-name").textContent;
-  note({ pause: value ? "pause" : "go on", push: "push", value: `${name} ${format(value)}` }[what]);
   showStatus();
 }
 

@@ -1,0 +1,135 @@
+"""Base class of tabular results, with export to pandas, CSV and LaTeX and display in notebooks."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast
+
+import numpy.typing as npt
+
+from taciturn._display import Displayed, brief, html_pairs, html_table
+from taciturn._files import write_whole
+from taciturn._table import check_table, data_frame, save_table
+from taciturn._version import __version__
+from taciturn.model.estimate import Estimate
+
+if TYPE_CHECKING:
+    import pandas
+
+SPECIAL = {"\\": r"\textbackslash{}", **{letter: rf"\{letter}" for letter in "&%$#_{}"}}
+FIRST, LAST = 20, 10  # numbers of first and last rows that a notebook shows of a long table
+Record = Mapping[str, object]
+Column: TypeAlias = Sequence[Any] | npt.NDArray[Any]
+Columns: TypeAlias = Mapping[str, Column]
+
+
+def columns_of(records: Sequence[Record]) -> Columns:
+    """Return the columns of a list of rows; missing entries are None."""
+    names = dict.fromkeys(name for record in records for name in record)
+    return {name: [record.get(name) for record in records] for name in names}
+
+
+class Tabular(Displayed, ABC):
+    """A result with rows and named columns, in which an estimate is a single entry."""
+
+    index: ClassVar[str] = ""
+    """Name of the column that numbers the rows; empty if there is no such column."""
+    heading: ClassVar[tuple[str, ...]] = ()
+    """Names of the attributes that apply to the whole table, such as units and notes."""
+
+    @abstractmethod
+    def columns(self) -> Columns:
+        """Return the columns by name, all with the same length."""
+
+    def records(self) -> list[Record]:
+        """Return the rows as mappings from column names to entries."""
+        columns = self.columns()
+        return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+
+    def about(self) -> dict[str, object]:
+        """Return the attributes that apply to the whole table, by name."""
+        return {name: getattr(self, name) for name in self.heading}
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the table as a data frame; an estimate has one column for its value and one for its standard error.
+
+        Raises:
+            ProblemError: if pandas is not installed.
+        """
+        columns: dict[str, Column] = {}
+        for name, values in self.columns().items():
+            columns[name] = values
+            if any(isinstance(value, Estimate) for value in values):
+                columns[name] = [value.value if isinstance(value, Estimate) else value for value in values]
+                errors = [value.standard_error if isinstance(value, Estimate) else None for value in values]
+                columns[f"{name}_standard_error"] = errors
+        if self.index:
+            return data_frame(columns, self.index, columns.pop(self.index))
+        return data_frame(columns, "row", range(len(next(iter(columns.values()), ()))))
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write the table of ``to_pandas`` to a CSV file.
+
+        Raises:
+            ProblemError: if the name does not end in .csv, the file cannot be written, or pandas is not installed.
+        """
+        target = Path(path)
+        check_table(target, (".csv",))
+        frame = self.to_pandas()
+        save_table(frame.reset_index() if self.index else frame, target)
+
+    def to_latex(self, path: str | Path | None = None) -> str:
+        r"""Return the table in LaTeX, and write it to a file if a path is given.
+
+        An estimate is a single entry, value \\pm standard error. The error has two digits, and the value is rounded to
+        the same decimal place. A number without an error has six digits. Comments above the table contain version,
+        units and notes.
+        """
+        columns = self.columns()
+        told = {type(self).__name__: f"Taciturn {__version__}", **self.about()}
+        comments = [f"% {name.replace('_', ' ')}: {line}" for name, value in told.items() for line in _lines(value)]
+        lines = [" & ".join(_plain(name.replace("_", " ")) for name in columns)]
+        lines += [" & ".join(map(_entry, row)) for row in zip(*columns.values(), strict=True)]
+        head, *body = [rf"{line} \\" for line in lines]
+        parts = [rf"\begin{{tabular}}{{l{'r' * (len(columns) - 1)}}}", r"\hline", head, r"\hline", *body, r"\hline"]
+        text = "\n".join([*comments, *parts, r"\end{tabular}"]) + "\n"
+        if path is not None:
+            write_whole(Path(path), text.encode())
+        return text
+
+    def html(self) -> str:
+        """Return the table as HTML, with its general attributes; a long table shows only its first and last rows."""
+        columns = self.columns()
+        rows = [[escape(_text(value)) for value in row] for row in zip(*columns.values(), strict=True)]
+        if len(rows) > FIRST + LAST:
+            rows = [*rows[:FIRST], ["…"] * len(columns), *rows[-LAST:]]
+        above = html_pairs(type(self).__name__, self.about())
+        return above + html_table([name.replace("_", " ") for name in columns], rows)
+
+
+def _lines(value: object) -> list[str]:
+    """Return the lines of a comment, one for each sentence; an empty value gives an empty list."""
+    if isinstance(value, tuple):
+        return [" ".join(str(one).split()) for one in cast("tuple[object, ...]", value)]
+    return [] if value in (None, "") else [_text(value)]
+
+
+def _text(value: Any) -> str:
+    if hasattr(value, "dtype"):
+        value = value.item()
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return "" if value is None else str(value) if isinstance(value, str | Estimate) else brief(value)
+
+
+def _entry(value: object) -> str:
+    if isinstance(value, Estimate):
+        return "$" + str(value).replace("±", r"\pm") + "$"
+    return f"${value:.6g}$" if isinstance(value, float) else _plain(_text(value))
+
+
+def _plain(text: str) -> str:
+    return "".join(SPECIAL.get(letter, letter) for letter in text)

@@ -1,0 +1,163 @@
+"""Detection of averages that do not exist or have unreliable errors: outages, rare large costs, silence."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from taciturn._modes import eigenvalues, lost_modes, persistent, root
+from taciturn.analyse.outcomes import outcomes
+from taciturn.errors import UnstableError
+from taciturn.loop import Loop
+from taciturn.lqg.riccati import states_with_cost
+from taciturn.model.estimate import Estimate
+from taciturn.model.policy import LinkName, Send
+
+LARGE = 1 / 3  # a standard error above this share of the cost gives a warning
+NEARLY = 1e-9  # least growth above 1 that counts as unstable
+HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its value: two standard errors below 2
+
+
+def expect_arrivals(loop: Loop) -> None:
+    """Raise an error if link outages make the mean square of the loop infinite, for any send decisions.
+
+    Raises:
+        UnstableError: a link drops every packet, or too many in a row, and the plant does not come to rest by itself.
+    """
+    for link, outage, growth in _outages(loop):
+        if outage == 1:
+            raise UnstableError(
+                f"the loop of {loop.policy.kind} diverges: the {link} link drops every packet, and the plant does not "
+                "come to rest by itself; expected a loss below 1"
+            )
+        if outage * growth**2 >= 1:
+            raise UnstableError(
+                f"the loop of {loop.policy.kind} diverges: an outage of the {link} link lasts another step with "
+                f"probability {outage:.4g}, and in this step the mean square error grows by a factor of "
+                f"{growth**2:.4g}; expected a product below 1: fewer losses, or shorter bursts"
+            )
+    found = outcomes(loop)
+    if found is not None and not found.decides and (growth := found.growth(2)) >= 1:
+        raise UnstableError(
+            f"the loop of {loop.policy.kind} diverges: with these losses its mean square grows by a factor of "
+            f"{growth:.6g} per step; expected fewer losses"
+        )
+
+
+def find_doubts(
+    loop: Loop, cost: Estimate, rates: Mapping[str, Estimate], steps: int, settled: bool
+) -> tuple[str, ...]:
+    """Return the warnings about a simulated average.
+
+    Args:
+        loop: the closed loop.
+        cost: the average cost.
+        rates: sends per step, by link.
+        steps: simulated steps of all paths together.
+        settled: whether the initial transient has decayed.
+    """
+    silent = [link for link, rate in rates.items() if rate.value == 0]
+    notes: tuple[str, ...] = ()
+    limit = loop.problem.plant.input_limit
+    if limit is not None and np.isfinite(limit).all() and _fastest(loop) > 1 + NEARLY:
+        notes += (
+            "the plant is unstable and its inputs are limited: the noise eventually drives the state to a point from "
+            "which no input returns it, so no average exists; this one is over the time before",
+        )
+    if silent and comes_never_to_rest(loop):
+        notes += (
+            f"nothing was sent on the {silent[0]} link in the {steps} steps simulated, and the plant does not come to "
+            "rest by itself: the cost depends on the length of the run and is not an average",
+        )
+    elif silent:
+        notes += (f"nothing was sent on the {silent[0]} link in {steps} steps: the cost is that of silence",)
+    elif not settled:
+        notes += (
+            f"the loop has not settled within {steps} steps: cost and rates still depend on the initial state and "
+            "are not averages",
+        )
+    return notes + doubt_errors(cost, steps)
+
+
+def doubt_moments(loop: Loop) -> tuple[str, ...]:
+    """Return a warning if link outages make the variance of the stage cost infinite."""
+    for link, outage, growth in _outages(loop):
+        if outage * growth**4 >= 1:
+            return (
+                f"the variance of the cost is infinite: an outage of the {link} link lasts another step with "
+                f"probability {outage:.4g}, and in this step the squared cost grows by a factor of {growth**4:.4g}. So "
+                "the standard error is meaningless, and the average is probably too small",
+            )
+    found = outcomes(loop)
+    if found is None or (growth := found.growth(4)) < 1:
+        return ()
+    if found.decides and (square := found.growth(2)) >= 1:
+        return (
+            f"with these losses the mean square would grow by a factor of {square:.4g} per step if every packet were "
+            "sent: the cost is probably infinite, and this average depends on the simulated time",
+        )
+    sent = " if every packet is sent" if found.decides else ""
+    return (
+        f"the variance of the cost is infinite: with these losses the squared cost grows by a factor of {growth:.4g} "
+        f"per step{sent}. So the standard error is meaningless, and the average is probably too small",
+    )
+
+
+def doubt_tail(tail: float) -> tuple[str, ...]:
+    """Return a warning if the costs of the paths have so heavy a tail that their variance is infinite."""
+    if tail >= HEAVY:
+        return ()
+    return (
+        f"the highest costs of paths follow a power law of index {tail:.2g}, and below an index of 2 the variance is "
+        "infinite: do not trust the standard error; the average is probably too small",
+    )
+
+
+def _outages(loop: Loop) -> list[tuple[str, float, float]]:
+    """Return each required link, the probability that an outage lasts another step, and the growth of the error in it.
+
+    While no packet arrives, inputs do not depend on the noise since the last packet, so the fastest mode that the noise
+    excites grows freely. This applies to linear plants in which all modes that do not decay are visible in the cost.
+    """
+    policy, growth = loop.policy, _fastest(loop)
+    if growth == 0 or "actuator" in policy.site("sensor"):
+        return []
+    links: set[LinkName] = {step.link for step in policy.steps if isinstance(step, Send)}
+    needed = [link for link in sorted(links) if "controller" not in policy.site(link)]
+    return [(link, loop.network.outage(link), growth) for link in needed]
+
+
+def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
+    """Return a warning if a standard error is a large share of the cost."""
+    if cost.standard_error <= LARGE * abs(cost.value):
+        return ()
+    share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
+    return (
+        f"the standard error is {share:.2g} of the cost after {steps} steps: a few steps or paths dominate the "
+        "cost, and its mean square may not exist",
+    )
+
+
+def comes_never_to_rest(loop: Loop) -> bool:
+    """Return whether noise excites a mode that does not decay, if all such modes of a linear plant affect the cost.
+
+    States without a cost-to-go are ignored.
+    """
+    return _fastest(loop) > 0
+
+
+def _fastest(loop: Loop) -> float:
+    """Return the growth per step, at least 1, of the fastest mode that noise excites and that does not decay, or 0."""
+    problem, plant = loop.problem, loop.problem.plant
+    if plant.function is not None:
+        return 0.0
+    seen = states_with_cost(plant.A, plant.B, problem.Q, problem.R, problem.N)
+    place = np.ix_(seen, seen)
+    A = plant.A[place]
+    modes = np.sort(np.abs(persistent(eigenvalues(A), A, False)))
+    if not modes.size or len(lost_modes(A.T, problem.Q[place], False)):
+        return 0.0
+    for still in np.abs(lost_modes(A, root(plant.W[place]), False)):
+        modes = np.delete(modes, np.argmin(np.abs(modes - still)))
+    return max(1.0, float(modes[-1])) if modes.size else 0.0

@@ -1,0 +1,236 @@
+"""Objects show themselves in one line, as HTML, and as tables for pandas, text and papers."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import importlib
+import pkgutil
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import taciturn
+from taciturn._display import LONGEST, Displayed
+from taciturn.model.table import Tabular
+from taciturn.study.reproduction import Reproduction, Row, Table
+
+
+@cache
+def shown() -> dict[str, Any]:
+    """Return what users hold in a session: problems, policies, loops, results."""
+    problem = taciturn.load("two-mass-lqg")
+    policy = problem.design()
+    loop = problem.close(policy)
+    rough = 1e-2
+    compared = taciturn.compare(
+        {"a": problem, "b": problem.changed({"kind": "periodic", "theta": None, "every": 2})},
+        0.5,
+        standard_error=rough,
+    )
+    return {
+        "plant": problem.plant,
+        "continuous plant": taciturn.load("double-integrator").plant,
+        "cost": problem.cost,
+        "network": problem.network,
+        "problem": problem,
+        "policy": policy,
+        "event policy": taciturn.load("double-integrator")
+        .changed({"kind": "integral", "period": None, "slope": 2.0, "alpha": 0.4})
+        .designed(),
+        "loop": loop,
+        "averages": taciturn.average(loop, steps=20_000),
+        "evaluation": taciturn.evaluate(problem, steps=20_000),
+        "tradeoff": taciturn.tradeoff(problem, {"theta": [0.1, 1.0]}, standard_error=rough),
+        "comparison": compared,
+        "tuned": compared.ranking[0].tuned,
+        "trajectory": taciturn.simulate(loop, 20),
+        "certificates": taciturn.certify(taciturn.Problem(SCALAR, UNIT, taciturn.Network(), "lqg", {"theta": 0.5})),
+        "schedule": taciturn.load("rover").design().schedule,
+        "channel": taciturn.share_channel(
+            {"a": problem}, copies=4, capacity=2, scheduler="round-robin", ticks=200, confidence=0
+        ),
+        "estimate": taciturn.Estimate(0.7441801, 0.0000312, "simulation"),
+        "optimal policy": taciturn.load("double-integrator")
+        .changed({"kind": "optimal", "period": 0.25, "price": 1.0})
+        .designed(),
+        "reproduction": Reproduction("one", (BOTH,), {}, {"two-mass-lqg": problem}),
+        "table": BOTH,
+    }
+
+
+BOTH = Table(
+    "Table 1",
+    (
+        Row({"θ": 0.1}, {"cost": 0.75}, {"cost": taciturn.Estimate(0.7441801, 0.0000312, "simulation")}),
+        Row({"θ": 1.0}, {}, {"cost": taciturn.Estimate(0.82128, 0.00032, "simulation")}),
+    ),
+    ("the thesis & its 600 runs",),
+)
+
+
+SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
+UNIT = taciturn.Cost(Q=[[1.0]], R=[[1.0]])
+NAMES = (
+    "plant", "continuous plant", "cost", "network", "problem", "policy", "event policy", "loop", "averages",
+    "evaluation", "tradeoff", "comparison", "tuned", "trajectory", "certificates", "schedule", "channel", "estimate",
+    "optimal policy", "reproduction", "table",
+)  # fmt: skip
+TABLES = (
+    "evaluation", "tradeoff", "comparison", "tuned", "trajectory", "certificates", "schedule", "channel", "table",
+)  # fmt: skip
+
+
+class Balanced(HTMLParser):
+    """Checks that every tag is closed, and nothing is loaded or run."""
+
+    def __init__(self) -> None:
+        """Begin outside of all tags."""
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        """Enter a tag."""
+        assert tag in {"table", "thead", "tbody", "tr", "th", "td", "strong"}
+        assert {name for name, _ in attrs} <= {"style"}
+        self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        """Leave it."""
+        assert self.open.pop() == tag
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_object_shows_itself_in_a_line_and_in_a_notebook(name: str) -> None:
+    """At most 200 characters, one line; HTML that is whole."""
+    value = shown()[name]
+    text = repr(value)
+    assert len(text) <= LONGEST
+    assert "\n" not in text
+    assert text.startswith(type(value).__name__)
+    page = Balanced()
+    page.feed(value._repr_html_())
+    assert not page.open
+
+
+def test_every_public_class_of_data_shows_itself_by_one_mechanism() -> None:
+    """No public dataclass keeps the repr that lists every entry of its matrices."""
+    data: set[type] = set()
+    for module in pkgutil.walk_packages(taciturn.__path__, "taciturn."):
+        path = module.name.split(".")[1:]
+        if path[0] not in ("cli", "program") and not any(part.startswith("_") for part in path):
+            held = vars(importlib.import_module(module.name))
+            public = [one for name, one in held.items() if isinstance(one, type) and not name.startswith("_")]
+            data |= {one for one in public if dataclasses.is_dataclass(one) and one.__module__ == module.name}
+    assert len(data) > 100
+    assert not [one for one in data if one.__repr__ is not Displayed.__repr__]
+    tables = {one.__name__ for one in data if issubclass(one, Tabular)}
+    assert tables >= {
+        "Evaluation", "Tradeoff", "Comparison", "Tuned", "TunedPeriod", "Trajectory", "Schedule", "Sharing", "Losses",
+        "Certificates", "NetworkRun", "Bench", "Table",
+    }  # fmt: skip
+
+
+def held_in(value: Any) -> Iterator[Any]:
+    """Return every object of data within another one."""
+    if dataclasses.is_dataclass(value):
+        yield value
+        value = tuple(getattr(value, field.name) for field in dataclasses.fields(value))
+    if isinstance(value, Mapping):
+        value = tuple(value.values())
+    if isinstance(value, list | tuple):
+        for one in value:
+            yield from held_in(one)
+
+
+def test_what_results_and_policies_hold_fits_a_line_as_well() -> None:
+    """Steps, triggers, points, contestants and schedules: a user meets them in a session too."""
+    found = [one for name in NAMES for one in held_in(shown()[name])]
+    assert {type(one).__name__ for one in found} >= {"Assign", "Decide", "Trigger", "Form", "Point", "Contestant"}
+    assert max(len(repr(one)) for one in found) <= LONGEST
+    assert not [one for one in found if "\n" in repr(one)]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_of_results_is_the_same_in_pandas_text_and_latex(name: str, tmp_path: Path) -> None:
+    """The rows of the records; an estimate is one entry in LaTeX, and two columns elsewhere."""
+    value = shown()[name]
+    records = value.records()
+    table = value.to_pandas()
+    assert len(table) == len(records)
+    value.to_csv(tmp_path / "table.csv")
+    with (tmp_path / "table.csv").open(encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(records)
+    tex = value.to_latex(tmp_path / "table.tex")
+    assert (tmp_path / "table.tex").read_text(encoding="utf-8") == tex
+    assert tex.count(r"\\") == len(records) + 1
+    estimates = [entry for row in records for entry in row.values() if isinstance(entry, taciturn.Estimate)]
+    assert tex.count(r"\pm") == sum("±" in str(entry) for entry in estimates)
+    above, _, below = tex.partition(r"\begin{tabular}")
+    assert not re.search(r"(?<!\\)[%#]", below)
+    assert all(line.startswith("% ") for line in above.splitlines())
+    assert f"Taciturn {taciturn.__version__}" in above
+    if estimates:
+        assert any(column.endswith("_standard_error") for column in table.columns)
+
+
+def test_an_estimate_has_the_digits_that_its_error_supports() -> None:
+    """Two digits of the error, and the value to the same decimal: in a line, in a notebook and in LaTeX."""
+    found = shown()["estimate"]
+    assert str(found) == "0.744180 ± 0.000031"
+    assert repr(found) == "Estimate(value=0.744180 ± 0.000031, method='simulation')"
+    assert ">0.744180 ± 0.000031<" in found.html()
+    assert r"$0.1$ & $0.75$ & $0.744180 \pm 0.000031$ \\" in BOTH.to_latex()
+
+
+def test_the_column_that_numbers_the_rows_is_written(tmp_path: Path) -> None:
+    """Time is the index of a path in pandas, and the first column of its text."""
+    path = shown()["trajectory"]
+    assert path.to_pandas().index.name == "time"
+    path.to_csv(tmp_path / "path.csv")
+    with (tmp_path / "path.csv").open(encoding="utf-8") as file:
+        times = [float(row["time"]) for row in csv.DictReader(file)]
+    assert times == path.time.tolist()
+
+
+def test_a_notebook_shows_the_ends_of_a_long_table() -> None:
+    """The first 20 and the last 10 steps of a path, and words for what was sent."""
+    problem = taciturn.load("two-mass-lqg")
+    path = taciturn.simulate(problem.close(problem.design()), 1000)
+    page = path.html()
+    assert page.count("<tr>") == 1 + 1 + 20 + 1 + 10  # unit, heading, first, gap, last
+    assert f">{path.time[-1]:.6g}<" in page
+    assert {">yes<", ">no<"} <= set(re.findall(">(?:yes|no)<", page))
+
+
+def test_a_bound_in_a_table_still_holds() -> None:
+    """It has six digits, rounded away from what it bounds."""
+    found = shown()["tradeoff"]
+    for row, point in zip(found.records(), found.points, strict=True):
+        exact = point.evaluation.cost_bound
+        assert exact <= row["guarantee"] <= exact * (1 + 1e-5)
+
+
+def test_rates_of_an_average_and_of_an_evaluation_have_the_same_unit() -> None:
+    """Per second of a continuous plant, per step of a discrete one; both name it."""
+    for name, changes, unit in (
+        ("double-integrator", {"kind": "consistent", "period": 0.25}, "second"),
+        ("two-mass-lqg", {}, "step"),
+    ):
+        problem = taciturn.load(name).changed(changes)
+        mean = taciturn.average(problem.close(problem.design()), steps=20_000)
+        found = taciturn.evaluate(problem, steps=20_000)
+        assert mean.rate_unit == found.rate_unit == found.document()["rate_unit"] == unit
+        assert mean.rates == found.rates, "the same draws"
+
+
+def test_a_table_is_written_as_csv_only() -> None:
+    """Another ending is refused before anything is written."""
+    with pytest.raises(taciturn.ProblemError, match=r"unknown format; expected \.csv$"):
+        shown()["evaluation"].to_csv("table.xlsx")
