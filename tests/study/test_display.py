@@ -19,6 +19,7 @@ import taciturn
 from taciturn._display import LONGEST, Displayed
 from taciturn.model.table import Tabular
 from taciturn.study.reproduction import Reproduction, Row, Table
+from taciturn.study.sweep import SweepTable
 
 
 @cache
@@ -46,6 +47,7 @@ def shown() -> dict[str, Any]:
         "loop": loop,
         "averages": taciturn.average(loop, steps=20_000),
         "evaluation": taciturn.evaluate(problem, steps=20_000),
+        "sweep": SweepTable(taciturn.sweep(problem, {"theta": [0.1, 1.0]}, standard_error=rough)),
         "tradeoff": taciturn.tradeoff(problem, {"theta": [0.1, 1.0]}, standard_error=rough),
         "comparison": compared,
         "tuned": compared.ranking[0].tuned,
@@ -79,10 +81,11 @@ UNIT = taciturn.Cost(Q=[[1.0]], R=[[1.0]])
 NAMES = (
     "plant", "continuous plant", "cost", "network", "problem", "policy", "event policy", "loop", "averages",
     "evaluation", "tradeoff", "comparison", "tuned", "trajectory", "certificates", "schedule", "channel", "estimate",
-    "optimal policy", "reproduction", "table",
+    "optimal policy", "reproduction", "sweep", "table",
 )  # fmt: skip
 TABLES = (
-    "evaluation", "tradeoff", "comparison", "tuned", "trajectory", "certificates", "schedule", "channel", "table",
+    "evaluation", "tradeoff", "comparison", "tuned", "trajectory", "certificates", "schedule", "channel", "sweep",
+    "table",
 )  # fmt: skip
 
 

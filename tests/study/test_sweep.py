@@ -23,7 +23,7 @@ from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
 from taciturn._dask import dask_workers
 from taciturn.model.network import Network
 from taciturn.study.store import save_whole
-from taciturn.study.sweep import table_of
+from taciturn.study.sweep import SweepTable
 
 MASSES = load("two-mass-lqg")
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
@@ -166,7 +166,7 @@ def test_a_result_is_read_again_from_every_file(whole: xarray.Dataset, tmp_path:
     save_whole(whole, tmp_path / "whole.nc")
     with xarray.open_dataset(tmp_path / "whole.nc", engine="h5netcdf") as found:
         xarray.testing.assert_identical(found.load(), whole)
-    table = table_of(whole)
+    table = SweepTable(whole).to_pandas()
     assert len(table) == 6
     row = table[(table.theta == 1.0) & (table.actuation == "model")]
     assert row.cost.item() == whole.cost.sel(theta=1.0, actuation="model").item()

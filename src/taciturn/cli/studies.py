@@ -138,7 +138,7 @@ def sweep(
     from taciturn._grid import parse_grid
     from taciturn._table import check_table, save_table
     from taciturn.study.store import save_whole
-    from taciturn.study.sweep import table_of
+    from taciturn.study.sweep import SweepTable
     from taciturn.study.workers import processes
 
     check_effort(standard_error, steps)
@@ -171,7 +171,7 @@ def sweep(
         print(f"taciturn: {note}", file=sys.stderr)
     _print.sweep(found, result if written else None)
     if table is not None:
-        save_table(table_of(found), table)
+        save_table(SweepTable(found).to_pandas(), table)
         typer.echo(f"table: {table}")
     missed = ~found.reached & (found.refusal == "")
     if missed.any():
