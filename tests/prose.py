@@ -17,6 +17,7 @@ TERMS = {  # pattern: what a control engineer's textbook says instead
     r"(?<![-._\w])ticks?\b(?![:=(_]| is )": "step, or sampling instant",
     r"\b(?:a|each|every|one|two|per|between|next|last) looks?\b|\blooks (?:since|between|per)\b": "check",
     r"\b(?:sends?|sending) always\b|\balways sending\b": "sending every sample",
+    r"\ball-time (?:cost|control|LQG)s?\b": "periodic LQG at every sample",
     r"\bnever[- ]die\b": "conditional (survival-weighted) sampling",
     r"\bprice of silence\b": "trigger threshold",
     r"\bknobs?\b": "tuning parameter",

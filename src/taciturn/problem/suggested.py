@@ -14,7 +14,7 @@ from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
 
 LOOKS = 5  # checks per time constant of the fastest mode of the controlled plant
-SHARE = 0.2  # suggested price of a send, relative to the all-time cost of a step
+SHARE = 0.2  # suggested price of a send, relative to the cost of a step with every sample
 USUAL: Mapping[str, float | int] = {
     "theta": 0.1,
     "sigma": 0.1,
