@@ -107,7 +107,7 @@ class CertaintyEquivalentDesign(Displayed):
 
 
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
-    """Return the regulator, the filter and the cost of every sample J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) for an average cost.
+    """Return regulator, filter and the cost of every sample J_all = tr(QΣ) + tr(K(Σ̃ − Σ)), an average cost.
 
     Raises:
         ProblemError: if the cost has a horizon or a discount, which the policy kind does not support.
