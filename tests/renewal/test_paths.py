@@ -1,4 +1,4 @@
-"""Never-die paths: against closed forms, the quadrature, plain simulation in many dimensions, and their own claims."""
+"""Conditional (survival-weighted) sampling: against closed forms, the quadrature, plain simulation, its own claims."""
 
 from __future__ import annotations
 

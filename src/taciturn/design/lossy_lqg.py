@@ -104,7 +104,7 @@ def lossy_lqg(
     network = given.without_bursts()
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
-    settling, times = 0.0, "" if cost.horizon is None else "N"
+    settling, times = 0.0, "" if cost.horizon is None else f"·{cost.horizon}"
     seen = states_with_cost(plant.A, plant.B, cost.Q, cost.R, cost.N)
     A, B = plant.A[np.ix_(seen, seen)], plant.B[seen]
     if cost.horizon is None:
