@@ -180,3 +180,19 @@ def test_a_terminal_without_boxes_gets_plain_ones(run: Run, monkeypatch: pytest.
     drawn = terminal.buffer.getvalue().decode("latin-1").split("\n\n")[1]
     assert drawn.isascii()
     assert drawn.startswith("+-----")
+
+
+def test_the_packets_of_the_nodes_are_printed_for_other_languages(run: Run, write: Write) -> None:
+    """``--wire``: one JSON document with fingerprint, packets and computations; refused where there are no nodes."""
+    told = run("show", "two-mass", "--wire")
+    assert (told.code, told.err) == (0, "")
+    found = json.loads(told.out)
+    assert [entry["offset"] + entry["bytes"] for entry in found["wire"]["header"]][-1] == 32
+    assert [node["role"] for node in found["nodes"]] == ["controller", "actuator"]
+    assert found["problem_digest"]
+    both = run("show", "two-mass", "--wire", "--plot", "x.svg")
+    assert (both.code, both.out) == (2, "")
+    assert "--wire and --plot are both given" in both.err
+    none = run("show", write(WALK + WEIGHTS + '[policy]\nkind = "integral"\nslope = 0.4\nalpha = 1.0\n'), "--wire")
+    assert (none.code, none.out) == (2, "")
+    assert "integral without a period has no nodes" in none.err

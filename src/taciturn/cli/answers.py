@@ -100,6 +100,9 @@ def show(
     no_functions: NoFunctions = False,
     as_json: Json = False,
     plot: Plot = None,
+    wire: Annotated[
+        bool, typer.Option("--wire", help="Print packets and computations of the nodes as JSON, for other languages.")
+    ] = False,
 ) -> None:
     """Show plant, gains, guarantee, triggers and node diagram of a problem, without a simulation."""
     import taciturn
@@ -111,6 +114,17 @@ def show(
         check_format(plot)
     found = describe(load_changed(file, settings, no_functions))
     drawn = found.diagram
+    if wire:
+        if plot is not None:
+            raise taciturn.ProblemError("--wire and --plot are both given; expected one of them")
+        if found.nodes is None:
+            raise taciturn.ProblemError(
+                f"{found.problem.kind} without a period has no nodes; expected policy.period, or no --wire"
+            )
+        from taciturn.runtime.description import describe_wire
+
+        print_json(describe_wire(found.nodes, found.problem.network), origin(found.problem))
+        return
     if plot is not None and drawn is None:
         raise taciturn.ProblemError(
             f"{found.problem.kind} without a period has no nodes to draw; expected policy.period, or no --plot"
