@@ -193,7 +193,7 @@ def test_the_packets_of_the_nodes_are_printed_for_other_languages(run: Run, writ
     both = run("show", "two-mass", "--wire", "--plot", "x.svg")
     assert (both.code, both.out) == (2, "")
     assert "--wire and --plot are both given" in both.err
-    policy = '[policy]\nkind = "integral"\nslope = 0.4\nalpha = 1.0\n'
-    none = run("show", write(WALK, WEIGHTS, policy), "--wire")
+    policy = f'[policy]\nkind = "integral"\n{KINDS["integral"]}\n'
+    none = run("show", write(JUMPS, ONE, policy), "--wire")
     assert (none.code, none.out) == (2, "")
     assert "integral without a period has no nodes" in none.err
