@@ -229,7 +229,7 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
     """Yield the cycles of ``sends`` intervals that add up to ``length``, one for each set of rotations.
 
-    Of all rotations of a cycle, the lexicographically largest one is given.
+    The lexicographically largest rotation of each cycle is given.
     """
     return _extended((), length, sends, range(1, length + 1))
 
