@@ -44,7 +44,7 @@ class LowerBound(Displayed):
     price: float
 
     def at_rate(self, rate: float) -> float:
-        """Return the lower bound at another rate of sends per step, for the same price."""
+        """Return the lower bound on the cost at another rate of sends per step, for the same price per send."""
         return self.cost + self.price * (self.rate - rate)
 
 
@@ -141,7 +141,7 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progr
 
 
 def resets(loop: Loop) -> Reset:
-    """Return the error of a loop that a send resets and that only Gaussian noise drives.
+    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives.
 
     Raises:
         ProblemError: the loop has no such error.
