@@ -79,7 +79,7 @@ def relevant(raw: Coordinates) -> Coordinates:
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return an orthonormal basis of the least subspace that contains these columns and is invariant under all maps."""
+    """Return an orthonormal basis of the least subspace that contains given columns and is invariant under all F."""
     basis = np.zeros((len(columns), 0))
     new = _added(columns, basis)
     scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]

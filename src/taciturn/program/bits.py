@@ -96,7 +96,7 @@ def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
 
 
 def power_of_two(b: Builder, whole: int) -> int:
-    """Return 2^k, given a word whose last bits are those of the integer k."""
+    """Return the number 2^k for an integer k that is given by the last bits of a word."""
     # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
     biased = b.emit("word_add", whole, literal(b, layout.bias))

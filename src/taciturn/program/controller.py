@@ -71,5 +71,5 @@ def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, C
 
 
 def is_bad(link: str) -> str:
-    """Return the name of the memory that is 1 while a link is in its bad state, and 0 otherwise."""
+    """Return the name of the memory that is 1 while a link with burst losses is in its bad state, and 0 otherwise."""
     return f"{link} link is bad"

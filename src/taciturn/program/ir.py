@@ -152,7 +152,7 @@ class Builder:
         return self.emit("lookup", self._table(values), index)
 
     def pick(self, values: Sequence[float], word: int) -> int:
-        """Return the entry of an eight-entry table at the last three bits of a word."""
+        """Return the entry of an eight-entry table that the last three bits of a word select."""
         assert len(values) == EIGHT
         return self.emit("pick", self._table(values), word)
 

@@ -100,7 +100,7 @@ class Answer:
 
     @property
     def off(self) -> float:
-        """The larger of the relative errors of rate and excess."""
+        """The larger of the relative errors of send rate and excess cost."""
         excess = self.found.excess
         return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 

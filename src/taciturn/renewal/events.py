@@ -165,7 +165,7 @@ def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Arra
 
 
 def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
-    """Return initial states of a program, (states, paths): the named values, and 0 for all other states."""
+    """Return the initial states of a program, (states, paths): given values by name, and 0 for all other states."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:

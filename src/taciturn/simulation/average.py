@@ -264,7 +264,7 @@ class Averaging:
         return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
-        """Finish the simulation and return the same result as ``average``.
+        """Continue the simulation to its end, and return the same result as :func:`average`.
 
         Raises:
             UnstableError: the loop diverges.

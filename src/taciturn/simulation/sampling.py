@@ -1,4 +1,4 @@
-"""Simulation of many paths of one loop, or of two with the same draws, to estimate a mean and its standard error."""
+"""Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def mean(values: Array) -> Estimate:
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean over independent paths, with its variance reduced by control variates of mean 0.
+    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0.
 
     The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
 

@@ -94,7 +94,7 @@ class Trajectory(Tabular):
         }
 
     def columns(self) -> Columns:
-        """Return one row per step: states, estimates, inputs, measurements, trigger and sends."""
+        """Return a table with one row per step: states, estimates, inputs, measurements, trigger and sends."""
         columns: dict[str, Column] = {"time": self.time}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input), ("y", self.measurement)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
