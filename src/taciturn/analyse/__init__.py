@@ -1,4 +1,4 @@
-"""Exact analysis of closed loops: properties that are proved or computed without simulation.
+"""Analysis of closed loops without simulation: proved bounds and exactly computed properties.
 
 The package converts a closed loop to one of two forms.
 

@@ -1,4 +1,4 @@
-"""Certificates of switched linear loops by quadratic Lyapunov functions, each verified before it is returned.
+"""Certificates of switched linear loops by quadratic Lyapunov functions; each is verified before it is returned.
 
 V(z) = z'P_iz if the action i is taken; some certificates use one P for all actions. Some inequalities must hold only if
 i is taken now (and j next). The S-procedure subtracts non-negative multiples of the margins by which i (and j) has the
@@ -35,12 +35,12 @@ ONCE = 2  # and the amount by which V may be below 0
 
 
 class NoCertificateError(ProblemError):
-    """No solution of the inequalities was found, or the solution could not be verified."""
+    """Raised if no solution of a certificate's matrix inequalities was found, or if it could not be verified."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Certificate(Displayed):
-    """A proof: the inequalities and a solution that is verified with bounds on rounding errors.
+    """A proof of a loop's property: matrix inequalities, and a solution verified with bounds on rounding errors.
 
     Args:
         inequalities: the inequalities that were solved.
@@ -52,13 +52,13 @@ class Certificate(Displayed):
 
     @property
     def matrices(self) -> tuple[Array, ...]:
-        """The matrix P of each action, or one for all."""
+        """Lyapunov matrix P of each action of the loop, or one matrix for all actions."""
         return self.solution.matrices
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Decay(Displayed):
-    """A decay rate of the loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero.
+    """A proven decay rate ρ of a loop without noise: V(z⁺) ≤ ρ²V(z) + β; if β is 0, the state converges to zero.
 
     Args:
         rate: ρ per step.
@@ -79,7 +79,9 @@ class Decay(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gain(Displayed):
-    """An l2 gain: Σ stage cost ≤ γ² Σ|w|² + β·steps + once, for every noise signal w and z_0 = 0.
+    """A proven l2 gain γ of a loop from noise to cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + once.
+
+    It holds for every noise signal w and z_0 = 0.
 
     Args:
         value: γ, from noise in units of its standard deviation to the root of the stage cost.
@@ -96,7 +98,7 @@ class Gain(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Moment(Displayed):
-    """A bound on the long-run average of the stage cost, or of |Xz|², under white noise of unit covariance.
+    """A proven bound on a loop's average stage cost, or on E|Xz|² of its states, under white noise of unit covariance.
 
     Args:
         value: the bound, per step.
@@ -108,7 +110,7 @@ class Moment(Displayed):
 
 
 def find_decay(loop: Switched) -> Decay:
-    """Return a proven decay rate of the loop without noise.
+    """Return a proven decay rate of a switched linear loop without noise.
 
     The result is the least ρ with F_i'P_jF_i ⪯ ρ²P_i after the S-procedure at i and at j, and P_i ≻ 0 if i is taken. A
     bisection finds it, and verifies each ρ that it tries.
@@ -151,7 +153,7 @@ def find_decay(loop: Switched) -> Decay:
 
 
 def find_gain(loop: Switched) -> Gain:
-    """Return a bound on the l2 gain from any noise to the cost.
+    """Return a proven bound on the l2 gain of a switched linear loop from any noise to the cost.
 
     The function first finds the least γ with V(F_iz + Gw) − z'P_iz + z'M_iz ≤ γ²|w|² + β after the S-procedure at i and
     at j, and then the least β for 1.05 γ.
@@ -186,7 +188,7 @@ def find_gain(loop: Switched) -> Gain:
 
 
 def bound_cost(loop: Switched) -> Moment:
-    """Return a bound on the average stage cost per step under white noise, ``constant`` included.
+    """Return a proven bound on the average stage cost per step of a loop under white noise, ``constant`` included.
 
     The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
     residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or
@@ -211,7 +213,7 @@ def bound_cost(loop: Switched) -> Moment:
 
 
 def bound_state(loop: Switched) -> Moment:
-    """Return a bound on the mean square of the plant's state, E|x|², by the inequalities of :func:`bound_cost`.
+    """Return a proven bound on the mean square E|x|² of the plant's state under white noise.
 
     Raises:
         NoCertificateError: no bound is found.
@@ -243,7 +245,7 @@ class _Asked:
         scalars: Sequence[tuple[int, Array]] = (),
         left: Inequality | None = None,
     ) -> None:
-        """Add an inequality that must hold whenever these actions are taken.
+        """Add a matrix inequality that must hold whenever the given actions of the loop are taken.
 
         Args:
             constant: constant term of the inequality.
@@ -267,7 +269,7 @@ class _Asked:
             self.listed.append(Inequality(left.constant, left.squares, [each for each in numbers if each[1].any()]))
 
     def all(self) -> Inequalities:
-        """Return all inequalities that were added."""
+        """Return all matrix inequalities that were added to this list."""
         return Inequalities(self.sizes, self.scalars, tuple(self.listed))
 
 

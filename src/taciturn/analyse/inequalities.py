@@ -1,4 +1,4 @@
-"""Linear matrix inequalities as data: a solver finds a solution, and bounds on rounding errors prove it."""
+"""Linear matrix inequalities: a solver finds a solution, which is verified with bounds on rounding errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Square = tuple[float, int, Array]
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequality(Displayed):
-    """The inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0.
+    """Linear matrix inequality constant + Σ weight·T'P_kT + Σ s_j S_j ⪰ 0 in matrices P_k and scalars s_j.
 
     Args:
         constant: symmetric matrix, (n, n).
@@ -33,7 +33,7 @@ class Inequality(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Displayed):
-    """Values of the unknowns: symmetric matrices and non-negative scalars."""
+    """Values of the unknowns of matrix inequalities: symmetric matrices and non-negative scalars."""
 
     matrices: tuple[Array, ...]
     scalars: Array
@@ -41,7 +41,7 @@ class Solution(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Inequalities(Displayed):
-    """Inequalities in symmetric matrices of given sizes and in a given number of scalars s ≥ 0.
+    """Set of linear matrix inequalities in symmetric matrices of given sizes and in scalars s ≥ 0.
 
     Args:
         sizes: sizes of the unknown matrices P_k.
@@ -68,14 +68,14 @@ class Inequalities(Displayed):
         return None if found is None else self.solution(found)
 
     def shortfall(self, solution: Solution) -> float:
-        """Return 0 if the solution provably satisfies every inequality; otherwise the largest possible violation."""
+        """Return 0 if a solution provably satisfies every inequality; otherwise the largest possible violation."""
         if len(solution.scalars) and not solution.scalars.min() >= 0:
             return float("inf")
         with np.errstate(all="ignore"):  # an overflow makes the proof fail
             return max((_shortfall(one, solution) for one in self.listed), default=0.0)
 
     def raised(self, solution: Solution, index: int) -> Solution:
-        """Return the solution with one scalar increased as far as the (1, 1) inequalities in this scalar require."""
+        """Return a solution with one scalar increased until the scalar inequalities that contain it hold."""
         scalars = np.array(solution.scalars)
         for one in self.listed:
             weight = sum(float(S[0, 0]) for j, S in one.scalars if j == index)
@@ -86,17 +86,17 @@ class Inequalities(Displayed):
         return Solution(solution.matrices, scalars)
 
     def value(self, position: int, solution: Solution) -> Array:
-        """Return the computed left side of an inequality."""
+        """Return the left-hand side of an inequality, computed for a given solution."""
         return _evaluated(self.listed[position], solution)[0]
 
     @property
     def signed(self) -> range:
-        """Indices of the scalars among all unknowns."""
+        """Indices of the scalars in the vector of all unknowns."""
         first = sum(size * (size + 1) // 2 for size in self.sizes)
         return range(first, first + self.scalars)
 
     def solution(self, values: Array) -> Solution:
-        """Return the vector of unknowns as matrices and scalars."""
+        """Return a solution (matrices and scalars) from the vector of all unknowns."""
         matrices: list[Array] = []
         at = 0
         for size in self.sizes:
@@ -108,7 +108,7 @@ class Inequalities(Displayed):
         return Solution(tuple(matrices), np.maximum(values[at:], 0.0))
 
     def block(self, one: Inequality) -> tuple[Array, Array]:
-        """Return the coefficient matrix of the unknowns, (n², unknowns), and the constant."""
+        """Return the coefficient matrix of the unknowns in an inequality, (n², unknowns), and its constant."""
         n = len(one.constant)
         starts = np.cumsum([0, *(size * (size + 1) // 2 for size in self.sizes)])
         A = np.zeros((n, n, int(starts[-1]) + self.scalars))
@@ -123,7 +123,9 @@ class Inequalities(Displayed):
 
 
 class Widest:
-    """The solution with the largest common margin, for inequalities between two lists of the same structure.
+    """Finds the solution with the largest common margin of inequalities that depend linearly on a parameter.
+
+    They are interpolated between two lists of the same structure.
 
     Args:
         first: the inequalities at share 0.
@@ -142,7 +144,7 @@ class Widest:
         self._first, self._minimum = first, Minimum(objective, blocks, first.signed)
 
     def at(self, share: float) -> Solution | None:
-        """Return the solution at a share from 0 (first) to 1 (last), or None if no solution has a positive margin."""
+        """Return the solution at a parameter from 0 (first list) to 1 (last list), or None if no margin is positive."""
         found = self._minimum.at(share)
         return None if found is None or found[-1] <= 0 else self._first.solution(found[:-1])
 

@@ -1,4 +1,4 @@
-"""Lower bounds on the cost of all schedules of a controller at a given rate, and the optimal schedule."""
+"""Lower bounds on the cost of all send schedules of a controller at a given rate, and the optimal send schedule."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EASY = 0.97  # sends per step from which on the bound is the cost of sending eve
 
 @dataclass(frozen=True, repr=False)
 class LowerBound(Displayed):
-    """A lower bound on the cost of all schedules of a controller at a given rate.
+    """A lower bound on the cost of all send schedules of a controller at a given rate of sends.
 
     Args:
         cost: the bound, in units of the cost.
@@ -44,14 +44,14 @@ class LowerBound(Displayed):
     price: float
 
     def at_rate(self, rate: float) -> float:
-        """Return the lower bound at another rate of sends per step, for the same price."""
+        """Return the lower bound on the cost at another rate of sends per step, for the same price per send."""
         return self.cost + self.price * (self.rate - rate)
 
 
 def bound_below(
     loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
-    """Return a lower bound on the cost of all schedules of a loop's controller, at a given rate of sends per step.
+    """Return a lower bound on the cost of all send schedules of a loop's controller, at a given rate per step.
 
     For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
     price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
@@ -105,7 +105,7 @@ def bound_below(
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the optimal schedule of a loop's controller at a price per send, solved by quadrature.
+    """Return the optimal send schedule of a loop's controller at a price per send, computed by quadrature.
 
     Args:
         loop: loop of the design, with Gaussian noise, an actuator that runs a model, and at most three relevant states.
@@ -141,7 +141,7 @@ def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progr
 
 
 def resets(loop: Loop) -> Reset:
-    """Return the error of a loop that a send resets and that only Gaussian noise drives.
+    """Return the error of a loop that a send resets to zero and that only Gaussian noise drives.
 
     Raises:
         ProblemError: the loop has no such error.

@@ -1,4 +1,4 @@
-"""Loops over links that drop packets as jump linear maps: z⁺ = F_o z + G w; the outcome o lists the links that drop.
+"""Jump linear maps z⁺ = F_o z + G w of loops over lossy links; the outcome o lists the links that drop a packet.
 
 The probability of an outcome depends only on the state of the links. Therefore the second and the fourth moments of z
 satisfy linear recursions. The moments exist in the long run only if these recursions are stable:
@@ -35,7 +35,7 @@ WHOLE = 400  # largest number of rows of a recursion matrix that is stored as a 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Outcomes(Displayed):
-    """A loop that sends every packet, over links that drop some of them.
+    """Jump linear map of a loop that sends at every step, over links that drop some packets.
 
     Args:
         F: dynamics matrix of each outcome, (outcomes, r, r).
@@ -50,7 +50,7 @@ class Outcomes(Displayed):
     decides: bool
 
     def growth(self, power: int) -> float:
-        """Return the asymptotic growth factor per step of the moments of order ``power`` (2 or 4).
+        """Return the asymptotic growth factor per step of the second or fourth moments of the loop's state.
 
         For order 4 the result is 0 if there are too many states.
         """
@@ -79,7 +79,10 @@ class Outcomes(Displayed):
 
 
 def outcomes(loop: Loop) -> Outcomes | None:
-    """Return the loop that sends every packet; None if no link drops packets, or if it is not a jump linear map."""
+    """Return the jump linear map of a loop that sends every packet over lossy links.
+
+    The result is None if no link drops packets, or if the loop is not a jump linear map.
+    """
     sent = {step.link for step in loop.policy.steps if isinstance(step, Send)}
     both: tuple[LinkName, ...] = ("sensor", "actuator")
     links: list[LinkName] = [link for link in both if link in sent and loop.network.outage(link) > 0]

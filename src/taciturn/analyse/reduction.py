@@ -1,4 +1,4 @@
-"""Minimal coordinates: the reachable and observable states of a switched map, scaled to about unit size."""
+"""Reduction of a switched linear map to its reachable and observable states, scaled to about unit size."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BLUR = 1e-9  # least eigenvalue of the correlation matrix that is used
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Coordinates(Displayed):
-    """A switched map with its cost and trigger, in given coordinates.
+    """A switched linear map with its cost and trigger, in given coordinates of the state.
 
     Args:
         F: dynamics matrix of each action.
@@ -39,7 +39,7 @@ class Coordinates(Displayed):
     starts: Array
 
     def changed(self, inverse: Array, T: Array) -> Coordinates:
-        """Return the map in the coordinates ``inverse`` z; z is T times the new coordinates."""
+        """Return this map in the new coordinates ``inverse``·z, where z is T times the new coordinates."""
         return Coordinates(
             tuple(inverse @ F @ T for F in self.F),
             inverse @ self.G,
@@ -51,7 +51,7 @@ class Coordinates(Displayed):
 
 
 def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
-    """Return an equivalent map in the fewest coordinates, scaled to about unit variance.
+    """Return an equivalent switched linear map in the fewest coordinates, scaled to about unit variance.
 
     The result contains the states that are reachable from the initial columns and the noise, and observable in the
     rows, the cost and the trigger. A certificate does not depend on the scaling; unit size makes the solver more
@@ -67,7 +67,7 @@ def reduce(raw: Coordinates, c: Sequence[float]) -> Coordinates:
 
 
 def relevant(raw: Coordinates) -> Coordinates:
-    """Return the map restricted to the states that are reachable and observable, without scaling to unit variance."""
+    """Return a switched linear map restricted to reachable and observable states, without scaling to unit variance."""
     sizes = balancing(sum((np.abs(F) for F in raw.F), np.zeros_like(raw.F[0])))
     found = raw.changed(np.diag(1 / sizes), np.diag(sizes))
     reached = invariant(np.column_stack([_unit(found.G), _unit(found.starts)]), found.F)
@@ -79,7 +79,7 @@ def relevant(raw: Coordinates) -> Coordinates:
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return an orthonormal basis of the least subspace that contains these columns and is invariant under all maps."""
+    """Return an orthonormal basis of the least subspace that contains given columns and is invariant under all F."""
     basis = np.zeros((len(columns), 0))
     new = _added(columns, basis)
     scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]

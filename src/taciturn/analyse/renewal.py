@@ -1,4 +1,4 @@
-"""Loops whose sends reset an error: rate, cost and intervals without simulation."""
+"""Send rate, cost and intervals of loops whose sends reset an error, computed without simulation."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LEAST_OF_JUMPS = 1e8  # operations for jumps in one dimension
 
 
 def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-    """Return the sends per step and the cost beyond sending every sample, by quadrature of the renewal equations.
+    """Return sends per step and excess cost over sending every sample, by quadrature of the renewal equations.
 
     Let e be the error of the prediction after a decision, E = {e: e'Ψe ≤ δ}, and k the density of the next error. Then
 
@@ -60,7 +60,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
 
 
 class RenewalQuadrature:
-    """The renewal equations of a loop: a prediction of the computing effort, and the solution.
+    """Renewal equations of a loop: predicts the effort to solve them, and solves them by quadrature.
 
     Args:
         loop: loop with the plant and network of the design.
@@ -90,11 +90,11 @@ class RenewalQuadrature:
         return ACCURACY_OF_JUMPS if self.gaussian is None else self.gaussian.usual
 
     def accuracy(self, error: float) -> float:
-        """Return the relative accuracy for an absolute error of the excess, from a rough value of the excess."""
+        """Return the relative accuracy that gives an absolute error of the excess cost, from its rough value."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
 
     def predict(self, accuracy: float) -> float:
-        """Return the approximate number of operations for a relative accuracy, without solving the equations."""
+        """Return approximately how many operations a relative accuracy requires, without solving the equations."""
         return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
@@ -107,7 +107,9 @@ class RenewalQuadrature:
 
 
 class ConditionalSampling:
-    """Estimates of rate and excess from paths conditioned on no send, weighted with the probability of no send.
+    """Estimates of a loop's send rate and excess cost from simulated paths that are conditioned on no send.
+
+    The paths are weighted with the probability of no send.
 
     Args:
         loop: loop with the plant and network of the design.
@@ -129,11 +131,11 @@ class ConditionalSampling:
 
     @cached_property
     def pilot(self) -> PathAnswer:
-        """The estimate from a pilot run with few paths."""
+        """Estimate of send rate and excess cost from a pilot run with few paths."""
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float, others: float) -> float:
-        """Run the pilot, and return the approximate number of operations for a standard error of the excess.
+        """Return approximately how many operations a standard error of the excess cost requires, from a pilot run.
 
         If the pilot alone would take more operations than other methods, it is not run, and its own number is returned.
 
@@ -153,7 +155,7 @@ class ConditionalSampling:
             return float("inf")
 
     def run(self, standard_error: float) -> PathAnswer:
-        """Return rate per step and excess, with the given standard error of the excess."""
+        """Return send rate per step and excess cost, with the given standard error of the excess cost."""
         if self.pilot.excess.standard_error <= standard_error:
             return self.pilot
         return self._solved(self._share(standard_error))
@@ -169,7 +171,9 @@ class ConditionalSampling:
 
 
 def bound_rate(loop: Loop) -> tuple[float, float] | None:
-    """Return certified bounds on the sends per step if one error alone decides, or None if no bounds are known.
+    """Return certified bounds on the sends per step of a loop, or None if no bounds are known.
+
+    They are known if one error alone decides.
 
     Source: royen2014
     """
@@ -186,7 +190,7 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
 
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return bounds on the number of sends in any window of ``ticks`` steps: on its mean, and with a confidence.
+    """Return bounds on the number of sends in any window of ``ticks`` steps: on the mean, and with a confidence.
 
     Args:
         loop: loop whose decision depends only on the error that a send resets.
@@ -216,7 +220,7 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
 
 
 def expect_affordable(loop: Loop) -> None:
-    """Raise an error if the equations take much longer to solve than a simulation.
+    """Raise an error if the renewal equations of a loop take much longer to solve than a simulation.
 
     Raises:
         NoQuadratureError: the noise consists of jumps in more than one dimension.
@@ -229,7 +233,7 @@ def expect_affordable(loop: Loop) -> None:
 
 
 def chain_of(loop: Loop) -> Chain:
-    """Return the Markov chain of a loop whose decision and cost depend on one error alone.
+    """Return the Markov chain of the error on which alone the send decision and the cost of a loop depend.
 
     Raises:
         NoQuadratureError: the decision or the cost depends on more than one error.

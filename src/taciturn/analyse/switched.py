@@ -1,4 +1,4 @@
-"""Closed loops as switched linear maps: z⁺ = F_i z + G w; the action i with the least z'Ψ_i z + c_i is taken."""
+"""Closed loops as switched linear maps z⁺ = F_i z + G w, with the action i that minimises z'Ψ_i z + c_i."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ SERVED = "expected linear steps and one trigger that compares quadratic forms, a
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Switched(Displayed):
-    """The switched linear map of a loop, in coordinates z of about unit size.
+    """Switched linear map of a closed loop with its cost and trigger, in coordinates z of about unit size.
 
     Args:
         labels: names of the actions.
@@ -65,7 +65,7 @@ class Switched(Displayed):
 
     @property
     def homogeneous(self) -> bool:
-        """Whether the decision depends on the direction of z only, so that the state can converge to zero."""
+        """Whether the send decision depends only on the direction of the state z, so that z can converge to zero."""
         return len(set(self.c)) == 1
 
     @property
@@ -74,12 +74,12 @@ class Switched(Displayed):
         return len(self.G)
 
     def margins(self, action: int) -> list[tuple[Array, float]]:
-        """Return, for every other action, (D, d) with z'Dz + d ≥ 0 whenever this action is taken."""
+        """Return the conditions z'Dz + d ≥ 0 under which an action is taken: (D, d) for every other action."""
         own, others = action, [j for j in range(len(self.labels)) if j != action]
         return [(self.Psi[j] - self.Psi[own], self.c[j] - self.c[own]) for j in others]
 
     def under(self, action: int) -> Switched:
-        """Return the loop that always takes the given action."""
+        """Return the map of the loop that takes the given action at every step."""
         return Switched(
             (self.labels[action],),
             (self.F[action],),
@@ -95,7 +95,7 @@ class Switched(Displayed):
 
 
 def switched(loop: Loop) -> Switched:
-    """Return the matrices of a closed loop with its plant.
+    """Return the switched linear map of a closed loop, including its plant.
 
     z contains the plant's state, the memories of the nodes, and the measurement noise of the step. The reduction
     removes states that neither noise nor the initial state of the plant can reach. It also removes states that affect
@@ -145,7 +145,7 @@ def switched(loop: Loop) -> Switched:
 
 
 def switched_innovations(loop: Loop) -> Switched:
-    """Return the matrices of the innovations form of a closed loop: the estimate, driven by innovations.
+    """Return the switched linear map of a closed loop's innovations form: the estimate, driven by innovations.
 
     The result has the same distribution as that of :func:`switched` if the plant is that of the design and the filter
     is in steady state. ``constant`` is tr(QΣ).
@@ -202,7 +202,7 @@ def _finished(reading: Reading, found: Coordinates, constant: float, hidden: flo
 
 
 class Reading:
-    """The signals of one step as linear maps of the memories and of the measurement noise.
+    """Signals of a policy in one step as linear maps of the loop's memories and the measurement noise.
 
     Args:
         loop: the closed loop.
@@ -236,17 +236,17 @@ class Reading:
         self.c: tuple[float, ...] = (0.0,)
 
     def rows(self, name: str) -> slice:
-        """Return the rows of a memory in z."""
+        """Return the positions of a memory's entries in the vector z."""
         names = list(self.sizes)
         first = sum(self.sizes[other] for other in names[: names.index(name)])
         return slice(first, first + self.sizes[name])
 
     def memory(self, name: str) -> Array:
-        """Return the map to a memory."""
+        """Return the matrix that maps the vector z to one memory."""
         return np.eye(self.size)[self.rows(name)]
 
     def start(self) -> Array:
-        """Return the initial values of the policy's memories."""
+        """Return the vector z with the initial values of the policy's memories."""
         value = np.zeros(self.size)
         for name in self.sizes:
             if name in self.policy.initial and name != STATE:
@@ -254,12 +254,12 @@ class Reading:
         return value
 
     def following(self, signals: Mapping[str, Array]) -> Array:
-        """Return the map to the memories of the next step, with zero rows for its new measurement noise."""
+        """Return the matrix that maps z to the memories of the next step, with zero rows for new measurement noise."""
         rows = [signals[name] for name in self.sizes if name != NOISE]
         return np.vstack([*rows, np.zeros((self.sizes[NOISE], self.size))])
 
     def sends(self) -> int | None:
-        """Return the action under which every link that the policy decides on sends, or None."""
+        """Return the action in which every link with a send decision sends, or None if there is no such action."""
         for action in range(len(self.labels)):
             sent = {s.link for s in self.steps if isinstance(s, Send) and self._is_sent(s, action)}
             if sent.issuperset(self.policy.scheduled):
@@ -267,11 +267,11 @@ class Reading:
         return None
 
     def actions(self) -> list[dict[str, Array]]:
-        """Return the signals at the end of a step for each action."""
+        """Return the signals of the policy at the end of a step, for each action."""
         return [self.walk(action) for action in range(len(self.labels))]
 
     def walk(self, action: int, lost: Collection[LinkName] = ()) -> dict[str, Array]:
-        """Return the signals at the end of a step for an action, if the links ``lost`` drop their packets."""
+        """Return the policy's signals at the end of a step for an action, if the links ``lost`` drop their packets."""
         signals = {name: self.memory(name) for name in self.sizes} | self.given
         arrived: dict[str, int] = {}
         for step in self.steps:
@@ -340,7 +340,10 @@ def _beyond(step: Evaluate | Apply | Draw) -> str:
 
 
 def refuse_loops(loop: Loop, dropping: bool = False) -> None:
-    """Raise an error if a loop is not a switched linear map over an infinite horizon; ``dropping`` allows losses."""
+    """Raise an error if a loop is not a switched linear map over an infinite horizon.
+
+    ``dropping`` allows links that drop packets.
+    """
     policy, network = loop.policy, loop.network
     sent = {step.link for step in policy.steps if isinstance(step, Send)}
     lost = [link for link in ENDS if link in sent and network.loss(link) > 0]

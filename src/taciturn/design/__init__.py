@@ -1,4 +1,4 @@
-"""Design functions of all policies, one family per file, each with its guarantee.
+"""Design functions of all policies, one family of policies per file, with their guarantees on the cost.
 
 A design function takes a plant, a cost and its parameters, and returns a ``Policy``, which is data rather than code.
 The function solves the underlying LQG problem (``taciturn.lqg``), writes the policy steps, and states the theorem. The

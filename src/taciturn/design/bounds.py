@@ -1,4 +1,4 @@
-"""Bounds on the additional cost of not sending, for triggers with a threshold on the error.
+"""Bounds on the additional cost of steps without a send, for triggers with a threshold on the error.
 
 Completion of squares gives J = J_all + E[(1−σ)e'L'HLe].
 """
@@ -17,7 +17,7 @@ LARGEST = 1e100  # largest threshold, factor or share of a rule; its square does
 
 
 def largest_ratio(M: Array, weight: Array) -> float | None:
-    """Return the least μ with M ⪯ μ·weight, both semidefinite; None if M is nonzero on the null space of ``weight``."""
+    """Return the least μ with M ⪯ μ·weight for semidefinite matrices, or None if no μ satisfies this."""
     size = np.maximum(np.diag(weight), 0.0)
     size = np.sqrt(np.where(size > 0, size, np.maximum(np.diag(M), 0.0)))
     unit = np.where(size > 0, size, 1.0)  # scaling that makes the result independent of units
@@ -32,12 +32,12 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the term by which a bound excludes the inter-sample noise cost c of a sampled plant from its share."""
+    """Return the text of the term that excludes the inter-sample noise cost c from the share in a cost bound."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
-    """Return the guarantee J ≤ J_all + δ(1 − rate), for at most δ of additional cost per silent step."""
+    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each cost at most δ more."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
         problem.per_unit(all_time + per_silence),
@@ -51,7 +51,7 @@ def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, s
 def bound_by_state(
     certainty: CertaintyEquivalentDesign, sigma: float, threshold: float, source: str
 ) -> tuple[Guarantee | None, tuple[str, ...]]:
-    """Return the guarantee for an error with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note if there is none.
+    """Return the guarantee of a trigger with E|e|² ≤ σ²E|x̂|² + Y²(1 − rate), or None and a note if no bound is known.
 
     With μ = λ_max(L'HL), E[(1−σ_k)e'L'HLe] ≤ μ(σ²E|x̂|² + Y²(1 − rate)), and the stage cost is at least q|x̂|² + tr(QΣ)
     with q = λ_min(Q − NR^{-1}N'). Therefore, with s = σ²μ/q < 1, J ≤ (J_all − s tr(QΣ) + μY²(1 − rate))/(1 − s). For a

@@ -1,4 +1,4 @@
-"""The catalogue of policy kinds, with the design function and the tuning parameters of each kind."""
+"""Catalogue of all policy kinds, with the design function and the tuning parameters of each kind."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ CATALOGUE: Mapping[str, Callable[..., AnyPolicy]] = {
 
 @dataclass(frozen=True, repr=False)
 class TradeoffParameter(Displayed):
-    """The parameter that trades the cost of a policy for its rate.
+    """The main parameter of a policy kind, which trades the cost of a policy against its send rate.
 
     Args:
         name: key of ``[policy]``; if several of the kind's parameters are given, the first is varied.

@@ -50,7 +50,7 @@ SEND, CLOCK, DEVIATION = "send", "clock", "deviation"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CertaintyEquivalentDesign(Displayed):
-    """The common part of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter.
+    """Common design data of certainty-equivalent policies: discrete-time problem, regulator and Kalman filter.
 
     Args:
         problem: the discrete-time problem.
@@ -70,27 +70,27 @@ class CertaintyEquivalentDesign(Displayed):
 
     @property
     def corrections(self) -> Array:
-        """Covariance Σ̃ − Σ of the corrections of the estimate by measurements, semidefinite despite rounding."""
+        """Covariance Σ̃ − Σ of the corrections of the state estimate by measurements, semidefinite despite rounding."""
         return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
 
     @property
     def estimation_cost(self) -> float:
-        """Cost tr(QΣ) per step of the estimation error."""
+        """Cost tr(QΣ) per step that the estimation error causes."""
         return float(np.trace(self.problem.Q @ self.filter.posterior))
 
     @cached_property
     def held(self) -> Held:
-        """The control problem with an input that is held between sends."""
+        """Control problem in which the input is held between sends."""
         p = self.problem
         return Held(p.plant.A, p.plant.B, p.Q, p.R, p.N, self.corrections)
 
     @property
     def square(self) -> Array:
-        """Weight L'HL of the cost e'L'HLe of control from a state that differs from the estimate by e, (n, n)."""
+        """Weight L'HL of the additional cost e'L'HLe if control uses a state that differs from the estimate by e."""
         return self.regulator.L.T @ self.regulator.H @ self.regulator.L
 
     def reset(self, actuation: Actuation) -> Reset | None:
-        """Return the error x̃ − x̂ of the actuator's model, which a send resets, or None if a send does not reset it.
+        """Return the error x̃ − x̂ of the actuator's model if a send resets it to zero, or None otherwise.
 
         The error is driven by the corrections of the estimate, which are independent between steps if the state is
         measured or all noise is Gaussian.
@@ -101,13 +101,13 @@ class CertaintyEquivalentDesign(Displayed):
         return Reset(self.corrections, {DEVIATION: np.eye(len(L.T)), "error": L}, self.square / problem.tick)
 
     def completed_square(self) -> Identity:
-        """Return J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)]."""
+        """Return the cost identity J = J_all + E[(1−σ)(û − Lx̂)'H(û − Lx̂)], where σ is 1 at a send."""
         problem = self.problem
         return completed_square(problem.per_unit(self.cost_all_time), self.regulator.H / problem.tick)
 
 
 def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
-    """Return regulator, filter and the cost of every sample J_all = tr(QΣ) + tr(K(Σ̃ − Σ)), an average cost.
+    """Return regulator, Kalman filter and the average cost of sending every sample, tr(QΣ) + tr(K(Σ̃ − Σ)).
 
     Raises:
         ProblemError: if the cost has a horizon or a discount, which the policy kind does not support.
@@ -131,7 +131,7 @@ def design_certainty(kind: str, problem: Discrete) -> CertaintyEquivalentDesign:
 
 
 def expect_average(kind: str, cost: Cost) -> None:
-    """Reject a cost that is not an average.
+    """Raise an error if the cost has a horizon or a discount, and so is not an average.
 
     Raises:
         ProblemError: if the cost has a horizon or a discount.
@@ -154,7 +154,7 @@ def control_steps(
     before: tuple[Step, ...] = (),
     after: tuple[Step, ...] = (),
 ) -> tuple[tuple[Step, ...], dict[str, Array]]:
-    """Return the policy steps and the initial values of the memories.
+    """Return the policy steps of filter, trigger and actuator, and the initial values of their memories.
 
     Args:
         plant: the discrete-time plant.
@@ -200,7 +200,7 @@ def certainty_policy(
     slower: float = 1.0,
     notes: tuple[str, ...] = (),
 ) -> Policy:
-    """Return the policy whose controller is at the sensor's site and sends over the actuator link.
+    """Return a policy whose controller is at the sensor's site and sends inputs over the actuator link.
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -249,7 +249,7 @@ def sensor_policy(
     closed_form: ClosedForm | None = None,
     schedule: Schedule | None = None,
 ) -> Policy:
-    """Return the policy whose controller is at the actuator's site and receives the packets of the sensor.
+    """Return a policy whose controller is at the actuator's site and receives packets from the sensor.
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -293,7 +293,9 @@ def steps_at_the_actuator(plant: Plant, estimation: FilterSteps, L: Matrix) -> t
 
 
 def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
-    """Return J = constant + E[(1−σ)(û − Lx̂)'H(û − Lx̂)]: a silent step costs exactly e'He, and a send costs 0.
+    """Return the cost identity J = constant + E[(1−σ)e'He] with e = û − Lx̂, where σ is 1 at a send.
+
+    A silent step costs exactly e'He, and a send costs 0.
 
     Source: khashooei2017
     """
@@ -301,7 +303,10 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
 
 
 def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
-    """Return the policy step and the identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with other gains."""
+    """Return the cost identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with other gains than L.
+
+    The policy step that computes u − Lx̂ is returned too.
+    """
     problem, regulator = certainty.problem, certainty.regulator
     step = Assign("controller", "excess", {HELD: np.eye(problem.plant.inputs), ESTIMATE: -regulator.L})
     form = Form(("excess",), regulator.H / problem.tick)
@@ -309,7 +314,9 @@ def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity
 
 
 def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
-    """Return the form (1+θ) e'He − θ·(stage cost in silence), which is at most θ tr(QΣ) whenever nothing is sent.
+    """Return the trigger's quadratic form (1+θ) e'He − θ·(stage cost in silence) of a policy with the share θ.
+
+    It is at most θ tr(QΣ) whenever nothing is sent.
 
     With e = û − Lx̂, the form equals [x̂; e]'Γ[x̂; e] of (2.13) and [x̂; û]'Γ[x̂; û] of (3.10).
 
@@ -328,7 +335,7 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:
-    """Return the step counter 0, 1, …, ``ticks`` − 1, which then continues at ``start``, or stops if that is None."""
+    """Return a step counter 0, 1, …, ``ticks`` − 1, which then continues at ``start``, or stops if that is None."""
     table = np.arange(1, ticks + 1)
     table[-1] = ticks - 1 if start is None else start
     return Location(CLOCK, table)

@@ -15,7 +15,7 @@ ROUNDING = 1e-12  # relative tolerance for a threshold equal to its largest cons
 
 
 def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, delta: float | None = None) -> Policy:
-    """Design the policy that checks its error every τ seconds, and sends the state if prediction would cost too much.
+    """Design the policy that checks the prediction error every τ seconds, and sends the state if it costs too much.
 
     Sensor and actuator run dx̂/dt = (A + BL)x̂, and a send sets x̂ to x. With e = x − x̂ before the decision, the state
     is sent iff

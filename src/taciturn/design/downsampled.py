@@ -1,4 +1,4 @@
-"""The downsampled threshold: checked often after a send, and seldom otherwise."""
+"""Downsampled threshold: the error is checked soon after a send, and less often after a check without a send."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def downsampled(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that checks a threshold only at some of the steps, and sends if |e| > Y.
+    """Design LQG control that checks only at some steps whether the error |e| exceeds a threshold Y, and then sends.
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The next check follows ``fast`` steps after a
     send, and ``slow`` steps after a check without a send. This is periodic event-triggered control [heemels2013] with

@@ -1,4 +1,4 @@
-"""The dynamic trigger: a relative threshold that may be exceeded temporarily, by use of an accumulated credit."""
+"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily, by use of stored credit."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def dynamic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends if and only if gain·(|e|² − σ²|x̂|²) > η.
+    """Design LQG control with the dynamic trigger gain·(|e|² − σ²|x̂|²) > η, where η is a stored credit.
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The credit η accumulates the unused part of
     the relative threshold,

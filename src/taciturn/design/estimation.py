@@ -1,4 +1,4 @@
-"""State estimation in a controller: a steady-state Kalman filter, or the measured state itself."""
+"""State estimation in the controller of a policy: a steady-state Kalman filter, or the measured state itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ESTIMATE, HELD = "estimate", "held"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FilterSteps(Displayed):
-    """The policy steps that compute ``estimate`` from ``y``, and the theoretical moments of the estimation error.
+    """Policy steps that compute the state estimate from the measurement, and the covariances of the estimation error.
 
     Args:
         correct: policy steps before the control is computed.
@@ -33,7 +33,7 @@ class FilterSteps(Displayed):
 
 
 def estimate_state(plant: Plant, steady: Filter) -> FilterSteps:
-    """Return the policy steps of the filtered estimate x̂_k = E[x_k | y_0, …, y_k] in steady state.
+    """Return the policy steps that compute the steady-state filtered estimate x̂_k = E[x_k | y_0, …, y_k].
 
     If the full state is measured, x̂ = x, Σ = 0 and Σ̃ = W.
 

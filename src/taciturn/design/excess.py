@@ -1,4 +1,4 @@
-"""The excess trigger: send when the exact cost of silence would exceed a threshold."""
+"""Excess trigger: the controller sends when the exact additional cost of silence would exceed a threshold."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def excess(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends if and only if silence would cost more than δ beyond sending every sample.
+    """Design LQG control that sends when silence would add more than δ to the cost of sending every sample.
 
     Let e = û − Lx̂, with the input û applied in silence, and H = R + B'KB. Then J = J_all + E[(1−σ)e'He], and an input
     is sent iff e'He > δ. Silence costs at most δ per step, so J ≤ J_all + δ(1 − rate), with the rate in sends per step.

@@ -1,4 +1,4 @@
-"""The consistent dynamic trigger: send when the prediction cost since the last send reaches an allowed value."""
+"""Consistent dynamic trigger: the sensor sends when the prediction cost since the last send reaches a limit."""
 
 from __future__ import annotations
 
@@ -152,7 +152,7 @@ def _largest_slope(price: PredictionCost, trigger: IntegralTrigger) -> float:
 
 
 def sampled_error(plant: ContinuousPlant, price: PredictionCost, period: float) -> SampledProcess:
-    """Return the process of the error sampled at the checks."""
+    """Return the process of the prediction error from one check to the next."""
     noise = price.spread(period) if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
     return SampledProcess(price.flow(period), noise, price.weight(period), period * price.growth(period), period)
 
@@ -263,7 +263,7 @@ class _Search:
     period: float | None
 
     def given(self, alpha: float) -> Estimate:
-        """Return a given α, if it is consistent.
+        """Return a given α after a check that it is consistent with the mean interval L(α) that results.
 
         Raises:
             ProblemError: if α > L(α), or the effective slope αC/L(α) is too large.
@@ -283,7 +283,7 @@ class _Search:
         return Estimate(alpha, 0.0, "exact")
 
     def fixed_point(self) -> Estimate:
-        """Return the largest α* = L(α*), computed with common random numbers.
+        """Return the largest fixed point α* = L(α*) of the mean interval L(α), by simulation.
 
         Raises:
             ProblemError: if the slope is too large.
@@ -344,5 +344,5 @@ class _Search:
         return 1 / self.process.jumps.rate if isinstance(self.process, JumpProcess) else 4 * self.process.period
 
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
-        """Return estimates from simulated intervals with the given α."""
+        """Return estimates of mean interval and cost from simulated intervals with the given α."""
         return estimate_cycles(self.process, replace(self.trigger, c=alpha * self.slope), cycles=cycles)

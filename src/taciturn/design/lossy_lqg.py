@@ -50,7 +50,7 @@ def lossy_lqg(
     network: Network | None = None,
     reference: Reference | None = None,
 ) -> Policy:
-    """Design the policy that sends when silence would cost more than the price of a send, over links that drop packets.
+    """Design LQG control over links that drop packets, which sends an input when silence would cost more than a send.
 
     The sensor sends the state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
     if no packet arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. Let α and β be the loss
@@ -147,7 +147,7 @@ def lossy_lqg(
 
 
 def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Plant:
-    """Return the plant, if the design for lossy links supports the plant and the cost.
+    """Return the plant if the design for lossy links supports plant and cost; otherwise raise an error.
 
     Raises:
         ProblemError: if the plant is continuous in time or has C or V, or the cost has N or a discount.

@@ -1,4 +1,4 @@
-"""Output-feedback event-triggered LQG: send only if silence would cost more than a share θ of the stage cost."""
+"""Output-feedback event-triggered LQG, which sends only if silence would cost more than a share θ of the stage cost."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def lqg(
     epsilon: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design the policy whose cost is at most 1 + θ times that of sending at every step.
+    """Design event-triggered LQG control whose cost is at most 1 + θ times the cost of sending at every step.
 
     With the filtered estimate x̂ and e = û − Lx̂, where û is the input applied in silence, send if and only if
 

@@ -1,4 +1,4 @@
-"""The mixed threshold: send when the error exceeds the sum of a relative and an absolute threshold."""
+"""Mixed threshold: the controller sends when the error exceeds the sum of a relative and an absolute threshold."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def mixed(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends if and only if |e|² > σ²|x̂|² + Y².
+    """Design LQG control that sends when the squared error |e|² exceeds the mixed threshold σ²|x̂|² + Y².
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses: the last estimate sent, or its prediction.
 
@@ -65,7 +65,7 @@ def relative_to_state(
     actuation: Actuation,
     source: str,
 ) -> Policy:
-    """Return the policy that sends iff |e|² > σ²|x̂|² + Y²."""
+    """Return the policy that sends when the squared error |e|² exceeds the threshold σ²|x̂|² + Y²."""
     sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
     threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
     problem = discretise(plant, cost, period)

@@ -1,4 +1,4 @@
-"""The nearly optimal trigger for an error that a send resets, with a fitted function for the savings of later steps."""
+"""Nearly optimal trigger for an error that a send resets, with a fitted function for the savings of later steps."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ from taciturn.model.trigger import Form, GaussianTerm, Trigger
 
 
 def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> Policy:
-    """Design the schedule that nearly minimises J + λ·rate, in sends per step or per second.
+    """Design the policy that nearly minimises J + λ·rate, the cost J plus a price λ for each send.
+
+    The rate is in sends per step or per second.
 
     The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
     The optimal schedule sends iff e'Γe + V(e) > g, where −V(e) is the expected later saving if nothing is sent. This
@@ -57,7 +59,7 @@ def modelled(
     period: float | None,
     silence: Callable[[Discrete, Reset], Form],
 ) -> Policy:
-    """Return the policy whose actuator runs a model, and which sends if a form of the model's error is above 0.
+    """Return a policy whose actuator runs a model, and which sends if a function of the model's error is positive.
 
     Args:
         kind: name of the policy kind in the catalogue.

@@ -1,4 +1,4 @@
-"""The optimal schedule for an error that a send resets, at a price per send."""
+"""Optimal send schedule for an error that a send resets, at a price per send."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from taciturn.renewal.policy import OptimalPolicy
 
 
 def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period: float | None = None) -> OptimalPolicy:
-    """Design the schedule that minimises J + λ·rate, in sends per step or per second.
+    """Design the send schedule that minimises J + λ·rate, the cost J plus a price λ for each send.
+
+    The rate is in sends per step or per second.
 
     The actuator runs a model. A send resets the prediction error e, and silence costs e'Γe beyond sending every sample.
     The optimal schedule sends iff e'Γe + V(e) > g, where V(e) = E min(0, e⁺'Γe⁺ + V(e⁺) − g) is the value of not

@@ -1,4 +1,4 @@
-"""Time-triggered control: sending at every step, and optimal control that sends at fixed steps."""
+"""Time-triggered LQG control that sends at every step, or at fixed steps."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ MEASURES_WHEN_IT_SENDS = (
 
 
 def all_time(plant: Plant | ContinuousPlant, cost: Cost, *, period: float | None = None) -> Policy:
-    """Design optimal LQG control that sends at every step: J_all = tr(QΣ) + tr(K(Σ̃ − Σ)) per step.
+    """Design optimal LQG control that sends at every step.
+
+    Its cost per step is J_all = tr(QΣ) + tr(K(Σ̃ − Σ)).
 
     Args:
         plant: the plant.
@@ -67,7 +69,7 @@ def periodic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design the optimal time-triggered controller, which sends at fixed steps.
+    """Design the optimal time-triggered LQG controller, which sends at fixed steps.
 
     With ``every``, the plant is measured and filtered at every step, and the input is sent every ``every`` steps, or
     after each interval of a cycle. Without ``every``, a continuous plant is sampled exactly at ``period``
@@ -115,7 +117,7 @@ def periodic(
 
 
 def predicted_cost(certainty: CertaintyEquivalentDesign, intervals: Sequence[int]) -> float:
-    """Return the cost per step of control whose actuator predicts between sends.
+    """Return the cost per step of periodic control whose actuator predicts the state between sends.
 
     The additional cost above J_all is the sum of Σ_{j<k} tr(L'HL V_j) over all intervals k of the cycle, divided by the
     number of its steps. V_j is the error covariance accumulated from the innovations of j steps after a send.
@@ -127,7 +129,7 @@ def predicted_cost(certainty: CertaintyEquivalentDesign, intervals: Sequence[int
 
 
 def held_in_cycles(kind: str, certainty: CertaintyEquivalentDesign, pattern: Pattern) -> Policy:
-    """Return the policy that updates a held input according to a pattern, with its exact cost."""
+    """Return the policy that holds its input and updates it according to a periodic pattern, with its exact cost."""
     _, gains = pattern.unrolled()
     L = gains[0] if len(pattern.gains) == 1 else Scheduled(CLOCK, gains)
     return _time_triggered(kind, certainty, L, "hold", pattern.intervals, certainty.estimation_cost + pattern.cost)

@@ -1,4 +1,4 @@
-"""The best periodic schedule with a given number of sends within a given number of steps."""
+"""Optimal periodic schedule with a given number of sends within a given number of steps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST = 1000  # largest number of steps of a pattern
 def periodic_schedule(
     plant: Plant | ContinuousPlant, cost: Cost, *, length: int, sends: int, period: float | None = None
 ) -> Policy:
-    """Design the best controller that sends according to a repeating pattern of steps.
+    """Design the optimal controller that sends in a repeating pattern with a given number of steps and sends.
 
     All patterns of ``length`` steps with ``sends`` sends are compared, up to rotation. The input is held between sends.
     Each pattern is evaluated with the optimal gains of its periodic Riccati equation and its exact cost.

@@ -1,4 +1,4 @@
-"""Policies whose sensor and controller run the same continuous-time model, which each send corrects."""
+"""Policies whose sensor and controller run the same continuous-time model; each send corrects the model's state."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ERROR = "error"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Predicted(Displayed):
-    """The common part of policies that check the error of a prediction every τ seconds.
+    """Common design data of policies that check the prediction error every τ seconds.
 
     Args:
         problem: the discrete-time problem between checks; its input is the state of the model.
@@ -41,13 +41,13 @@ class Predicted(Displayed):
 
     @property
     def reset(self) -> Reset:
-        """The prediction error, which a send resets."""
+        """The prediction error, which a send resets to zero."""
         square = self.Gamma / self.problem.tick
         return Reset(self.problem.plant.W, {ERROR: np.eye(len(self.Gamma))}, square)
 
 
 def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, period: float | None) -> Predicted:
-    """Return the problem of a sensor that checks the prediction error every τ seconds.
+    """Return the design data of a policy whose sensor checks the prediction error every τ seconds.
 
     Raises:
         ProblemError: if the plant is discrete in time or has C or V, the cost is not an average, or period is missing.
@@ -64,7 +64,7 @@ def predict_continuously(kind: str, plant: Plant | ContinuousPlant, cost: Cost, 
 def predicted_policy(
     kind: str, predicted: Predicted, rule: Trigger, guarantee: Guarantee | None = None, notes: tuple[str, ...] = ()
 ) -> Policy:
-    """Return the policy whose sensor decides by a trigger on the ``error`` of the prediction.
+    """Return a policy whose sensor decides whether to send by a given trigger on the prediction error.
 
     Args:
         kind: name of the policy kind in the catalogue.
@@ -96,7 +96,7 @@ def predicted_policy(
 
 
 def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost: Cost) -> ContinuousPlant:
-    """Return the plant, if sensor and actuator can predict its state in continuous time.
+    """Return the plant if sensor and actuator can predict its state in continuous time; otherwise raise an error.
 
     Raises:
         ProblemError: if the plant is discrete in time or has C or V, or the cost is not an average.
@@ -115,7 +115,7 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the policy steps of a sensor that decides on the error of a prediction made at both ends.
+    """Return the policy steps of sensor and actuator that both predict the state; the prediction error triggers sends.
 
     Args:
         closed: state transition matrix e^{(A+BL)τ} of the model, (n, n).

@@ -1,4 +1,4 @@
-"""Weights of input errors and estimation errors for average, discounted and finite-horizon costs."""
+"""Cost weights of input errors and estimation errors, for average, discounted and finite-horizon costs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Prices(Displayed):
-    """The optimal gain and the weight of input errors: constant, or for each step of a finite horizon.
+    """Optimal gains, costs-to-go and weights of input errors: constant, or for each step of a finite horizon.
 
     Args:
         problem: the discrete-time problem.
@@ -34,12 +34,12 @@ class Prices(Displayed):
 
     @property
     def P(self) -> Array:
-        """Weight L'HL of the estimation error, (n, n), or (N, n, n)."""
+        """Weight L'HL of the estimation error in the cost, (n, n), or for each step, (N, n, n)."""
         return np.swapaxes(self.L, -1, -2) @ self.H @ self.L
 
     @property
     def average(self) -> bool:
-        """Whether the cost is an average, and not a finite-horizon or discounted total."""
+        """Whether the cost is a long-run average, and not a finite-horizon or discounted total."""
         return not self.problem.cost.mission
 
     @property
@@ -51,15 +51,15 @@ class Prices(Displayed):
         return 1.0 if self.average else 1 / (1 - cost.discount)
 
     def in_units(self, cost: float) -> float:
-        """Return a cost per step or a total in the units of the cost, including the inter-sample noise cost."""
+        """Return a cost per step (or a total) in the user's units, including the inter-sample noise cost."""
         return self.problem.per_unit(cost) if self.average else cost + self.problem.noise_cost * self.ticks
 
     def square(self) -> Matrix:
-        """Return the weight H of the completed square in the units of the cost."""
+        """Return the weight H of the completed square in the user's units of the cost."""
         return by_clock(self.H / self.problem.tick if self.average else self.H)
 
     def total(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of applying Lx̂ at every step, per step or in total.
+        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, or in total.
 
         The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
         and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.
@@ -98,7 +98,7 @@ class Prices(Displayed):
 
 
 def price_control(problem: Discrete) -> Prices:
-    """Return the optimal gain and the weights of input and estimation errors of a problem.
+    """Return the optimal gains and the weights of input and estimation errors for a discrete-time control problem.
 
     Raises:
         UnstableError: if no stabilising gain exists, or the cost overflows over the horizon.

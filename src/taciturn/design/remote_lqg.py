@@ -1,4 +1,4 @@
-"""Remote LQG control: an offline schedule queries the sensor, and an online trigger sends the input."""
+"""Remote LQG control: an offline schedule decides on sensor queries, and an online trigger on sends of the input."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def remote_lqg(
     controller: Controller = "remote",
     period: float | None = None,
 ) -> Policy:
-    """Design the policy that queries the sensor by a schedule and sends the input by a trigger.
+    """Design LQG control that queries the sensor by an offline schedule and sends the input by an online trigger.
 
     The measurement of step k is available to the control of step k + 1: x̂_k predicts x_k with error covariance Σ_k.
     The sensor is queried iff h(Σ_k) > ζ, where h is the reduction of the optimal cost-to-go by a query. Since h depends

@@ -1,4 +1,4 @@
-"""Rollout: select the cheapest of all schedules that have as many sends as periodic control."""
+"""Rollout: the controller selects the cheapest of all schedules that have as many sends as periodic control."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class _Future:
         self.form = Form((ESTIMATE, "candidate"), V, noise)
 
     def gain(self, tick: int) -> Array:
-        """Return the gain of a step; at a step without a send, the gain is arbitrary."""
+        """Return the feedback gain of a step of this schedule; it is arbitrary at a step without a send."""
         return self.gains.get(tick, next(iter(self.gains.values())))
 
 

@@ -1,4 +1,4 @@
-"""Send-on-delta: the sensor sends when an output has changed by more than a threshold."""
+"""Send-on-delta: the sensor sends when an output has changed by more than a threshold since the last send."""
 
 from __future__ import annotations
 

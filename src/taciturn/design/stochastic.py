@@ -1,4 +1,4 @@
-"""The stochastic trigger: a random threshold preserves Gaussian distributions, so cost and rate are exact."""
+"""Stochastic trigger: a random threshold keeps the error Gaussian, so that cost and rate can be computed exactly."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def stochastic(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that stays silent with probability exp(−½ s e'We).
+    """Design LQG control with a random trigger, which does not send an error e with probability exp(−½ s e'We).
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The controller sends iff ½ s e'We > ξ, where ξ
     is drawn from the exponential distribution with mean 1. With ``actuation = "model"``, a send resets e, and silence

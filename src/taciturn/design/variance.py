@@ -1,4 +1,4 @@
-"""Variance-based triggering: the sensor sends when the predicted variance of an output is too large."""
+"""Variance-based triggering: the sensor sends when the predicted variance of an output exceeds a threshold."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
 def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, period: float | None = None) -> Policy:
-    """Design LQG control whose sensor sends if and only if max_i (CΣ̃C')_ii > threshold.
+    """Design LQG control whose sensor sends when the predicted variance (CΣ̃C')_ii of some output exceeds a threshold.
 
     Σ̃ is the error covariance of the state prediction at both ends. Since Σ̃ does not depend on the measured values, the
     rule is a repeating schedule that is computed offline. The controller is at the actuator and filters the received

@@ -1,4 +1,6 @@
-"""Coordinates in which a quadratic problem has numbers of similar size: units that are powers of two, or main axes.
+"""Coordinates in which the matrices of a regulator problem have entries of similar size.
+
+They are units that are powers of two, or principal axes of the cost.
 
 All decisions of the solvers use these coordinates, so that results do not depend on the units of a problem.
 """
@@ -20,7 +22,7 @@ FLAT = 1e-12  # relative eigenvalue of a cost in its own units, below which axes
 
 
 class Quadratic(NamedTuple):
-    """The problem of a regulator: dynamics (A, B) and weights [[Q, N], [N', R]]."""
+    """A linear-quadratic regulator problem: dynamics (A, B) and weights [[Q, N], [N', R]]."""
 
     A: Array
     B: Array
@@ -30,7 +32,7 @@ class Quadratic(NamedTuple):
 
     @classmethod
     def checked(cls, A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike) -> Quadratic:
-        """Return the problem for given matrices, after a check, with read-only arrays.
+        """Return the regulator problem with the given matrices, after a check of their shapes and symmetry.
 
         Raises:
             ProblemError: data of the wrong shape or not finite, or Q or R is not symmetric.
@@ -47,30 +49,30 @@ class Quadratic(NamedTuple):
         )
 
     def among(self, states: Bits) -> Quadratic:
-        """Return the problem restricted to some of the states."""
+        """Return the regulator problem restricted to some of the states."""
         A, B, Q, R, N = self
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
     def under(self, L: Array) -> tuple[Array, Array]:
-        """Return the closed loop A + BL and its stage cost."""
+        """Return the closed loop A + BL for a gain L, and its weight of the stage cost."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
         return self.A + self.B @ L, symmetrised(stage)
 
     def terms(self, L: Array) -> Array:
-        """Return the sum of the absolute terms in the stage cost of each state, (n,)."""
+        """Return, for each state, the sum of the absolute values of the terms in its stage cost, (n,)."""
         size = np.abs(L)
         pushed = 2 * np.abs(self.N.T) + np.abs(self.R) @ size
         return np.asarray(np.abs(self.Q.diagonal()) + (size * pushed).sum(axis=0), dtype=np.float64)
 
     def moved(self, K: Array, L: Array) -> Array:
-        """Return a bound on the cost of the next state from each state, without cancellation in A + BL, (n,)."""
+        """Return, for each state, a bound on the cost-to-go one step later, from absolute values of A and BL, (n,)."""
         size = np.abs(self.A) + np.abs(self.B) @ np.abs(L)
         return np.asarray((np.sqrt(np.maximum(K.diagonal(), 0.0)) @ size) ** 2, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class Axes:
-    """Coordinates x = T z of the state and u = units·v of the input.
+    """Change of coordinates of a regulator problem: x = T z for the state and u = units·v for the input.
 
     Args:
         T: transformation of the state, (n, n).
@@ -83,7 +85,7 @@ class Axes:
     units: Array
 
     def problem(self, given: Quadratic) -> Quadratic:
-        """Return a problem in these coordinates; the result is exact if T contains only powers of two."""
+        """Return a regulator problem in these coordinates; it is exact if T contains only powers of two."""
         A, B, Q, R, N = given
         return Quadratic(
             self.inverse @ A @ self.T,
@@ -94,39 +96,39 @@ class Axes:
         )
 
     def then(self, inner: Axes) -> Axes:
-        """Return the composition of these coordinates with ``inner``, which are relative to them."""
+        """Return the composition of these coordinates with the coordinates ``inner``, which are relative to them."""
         return Axes(self.T @ inner.T, inner.inverse @ self.inverse, self.units * inner.units)
 
     def sizes(self, given: Quadratic) -> tuple[Array, Array]:
-        """Return the sums of the absolute terms of A and Q in these coordinates; rounding is relative to them."""
+        """Return the sums of the absolute terms of A and Q in these coordinates, which scale the rounding errors."""
         T, inverse = np.abs(self.T), np.abs(self.inverse)
         return inverse @ np.abs(given.A) @ T, T.T @ np.abs(given.Q) @ T
 
     def gain(self, L: Array) -> Array:
-        """Return a gain in these coordinates."""
+        """Return a gain, given in the original coordinates, in these coordinates."""
         return L @ self.T / self.units[:, None]
 
     def gain_from(self, L: Array) -> Array:
-        """Return a gain in the original coordinates, from these."""
+        """Return a gain, given in these coordinates, in the original coordinates."""
         return self.units[:, None] * (L @ self.inverse)
 
     def form_from(self, K: Array) -> Array:
-        """Return a quadratic form in the original coordinates, from these."""
+        """Return the matrix of a quadratic form of the state in the original coordinates."""
         return symmetrised(self.inverse.T @ K @ self.inverse)
 
     def price_from(self, H: Array) -> Array:
-        """Return a quadratic form of the input in its original units."""
+        """Return the matrix of a quadratic form of the input in the original units of the input."""
         return H / self.units / self.units[:, None]
 
 
 def units_of_reach(given: Quadratic) -> Axes:
-    """Return the units in which inputs of unit size move each state by about 1."""
+    """Return units of states and inputs in which inputs of unit size move each state by about 1."""
     state, inputs = reach(given.A, given.B)
     return Axes(np.diag(state), np.diag(1 / state), inputs)
 
 
 def units_of_weight(given: Quadratic) -> Axes:
-    """Return the units in which the weight of each state, or of the states that it affects, is about 1."""
+    """Return units of the states in which the cost weight of each state, or of states that it affects, is about 1."""
     natural = _spread(given.A, np.maximum(given.Q.diagonal(), 0.0))
     units = _power_of_two(np.sqrt(natural))
     pushed = given.R.diagonal() + natural @ given.B**2
@@ -134,7 +136,7 @@ def units_of_weight(given: Quadratic) -> Axes:
 
 
 def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
-    """Return for each state the cost that counts as zero: rounding, or a cost that iterations drive to zero, (n,).
+    """Return for each state the cost-to-go that counts as zero, because of rounding or slow convergence, (n,).
 
     A state with a weight in Q has at least this cost. The natural size of the cost of another state follows from the
     weight of the inputs that affect it, or from the states that it affects.
@@ -154,7 +156,7 @@ def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
 
 
 def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
-    """Return the units in which the cost K of a closed loop F, and the weight H of the inputs, have a diagonal of 1.
+    """Return units in which the cost-to-go K of a closed loop and the weight H of its inputs have a diagonal near 1.
 
     A state without cost gets the unit of the states that affect it.
 
@@ -175,7 +177,7 @@ def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
 
 
 def principal_axes(of: Axes, K: Array) -> Axes:
-    """Return the principal axes of a cost K that is given in the coordinates ``of``, each scaled to unit cost."""
+    """Return the principal axes of a cost-to-go K, each scaled to unit cost; K is given in the coordinates ``of``."""
     values, vectors = np.linalg.eigh(K)
     largest = float(values[-1]) if values[-1] > TINY else 1.0
     units = _power_of_two(np.sqrt(np.maximum(values, FLAT * largest)))

@@ -1,4 +1,4 @@
-"""A cache of solutions, keyed by array bytes: the cells of a sweep often share plant and cost."""
+"""A cache of Riccati solutions, keyed by array bytes; the points of a sweep often have the same plant and cost."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Return a function with a cache of its latest results, keyed by the bytes of its arguments.
+    """Return a function of arrays with a cache of its latest results, keyed by the bytes of its arguments.
 
     Args:
         solve: a function of arrays and numbers; its results must be read-only, because callers share them.

@@ -1,4 +1,4 @@
-"""The stabilising solution of the continuous Riccati equation: by scipy, refined by Newton's method."""
+"""Stabilising solution of the continuous-time Riccati equation, by SciPy and then Newton's method."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from taciturn.lqg._worth import Worth
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
-    """Return the solution with A + BL stable, for definite R, or None if none was found."""
+    """Return the stabilising solution of the continuous Riccati equation for definite R, or None if none was found."""
     return _FLOW.solve(Quadratic(A, B, Q, R, N))
 
 
 def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
-    """Return which states have a nonzero cost-to-go."""
+    """Return the states with a nonzero cost-to-go, and the modes of the other states."""
     return _FLOW.worth(Quadratic(A, B, Q, R, N))
 
 

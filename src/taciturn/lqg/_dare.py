@@ -1,4 +1,4 @@
-"""The stabilising solution of the discrete Riccati equation: by doubling, refined by Newton's method.
+"""Stabilising solution of the discrete-time Riccati equation, by doubling and then Newton's method.
 
 The regulator and, by duality, the filter use it. H = R + B'KB may be singular (noise-free measurements). The gain then
 satisfies H L = −(B'KA + N'), and in the directions in which H is zero it is any gain with which A + BL is stable.
@@ -24,7 +24,7 @@ LAST = 1e-6  # small terminal weight, relative to the cost of moving a state, so
 
 
 def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
-    """Return H = R + B'KB and its inverse, or a pseudo-inverse that maps null directions to zero.
+    """Return the input weight H = R + B'KB and its inverse, or a pseudo-inverse if H is singular.
 
     A diagonal entry counts as zero if it is smaller than the rounding of the products in its sum. The other entries
     are scaled to a unit diagonal, so that the result does not depend on the units of the variables.
@@ -46,17 +46,17 @@ def price(B: Array, K: Array, R: Array) -> tuple[Array, Array]:
 
 
 def solve(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Solution | None:
-    """Return the solution with A + BL stable, or None if none was found."""
+    """Return the stabilising solution of the discrete-time Riccati equation, or None if none was found."""
     return STEPS.solve(Quadratic(A, B, Q, R, N))
 
 
 def worth(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Worth:
-    """Return which states have a nonzero cost-to-go."""
+    """Return the states with a nonzero cost-to-go, and the modes of the other states."""
     return STEPS.worth(Quadratic(A, B, Q, R, N))
 
 
 def is_clear(found: Solution) -> bool:
-    """Return whether a solution is sound and its closed loop has a distance from the unit circle.
+    """Return whether a Riccati solution is accurate and its closed-loop modes are well inside the unit circle.
 
     Then all modes that do not decay are controllable, and all modes on the unit circle affect the cost, except modes
     that have neither property.

@@ -1,4 +1,4 @@
-"""The doubling algorithm for discrete Riccati equations: after k iterations it has the cost of 2^k steps."""
+"""Doubling algorithm for discrete-time Riccati equations: k iterations give the cost-to-go over 2^k steps."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ SETTLED = 1e-6  # last relative change; the remaining error is its square, which
 
 
 def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array) -> Array:
-    """Return the stabilising solution of a discrete Riccati equation, or of a stack of them; not finite if none exists.
+    """Return the stabilising solution of a discrete-time Riccati equation; it is not finite if none exists.
+
+    A stack of equations can be solved together.
 
     The solution K = X + Δ is the limit of the cost of more and more steps with a terminal weight X ≻ 0. Δ solves an
     equation without cross weight, with the input weight H = R + B'XB, which is definite even if R is not. From

@@ -1,4 +1,4 @@
-"""The Riccati map of many steps in closed form: the decay of a difference of two covariances under measurements."""
+"""Closed form of the filter Riccati recursion over many steps, relative to the steady covariance."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CONDITION = 1e6  # largest condition number of the inverted matrix, for nine acc
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """The Riccati map of s = 0, 1, … steps, relative to the steady covariance Σ̄.
+    """Filter Riccati recursion Ric^s over s = 0, 1, … steps in closed form, relative to the steady covariance Σ̄.
 
     With F̄ = A − ḠC and O_s = Σ_{j<s} F̄'^j C'(CΣ̄C' + V)^{-1}C F̄^j, any two covariances X and Y satisfy
 
@@ -43,12 +43,12 @@ class Flow:
     observed: Array
 
     def attracts(self, covariances: Array) -> bool:
-        """Return whether covariances (…, n, n) converge to the steady one, so that the closed form is accurate."""
+        """Return whether given covariances converge to the steady one, so that the closed form is accurate for them."""
         off = (covariances - self.steady) @ self.observed[-1]
         return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < CONDITION).all())
 
     def weighed(self, P: Array, discount: float) -> Array:
-        """Return α^{s+1} F̄'^s P F̄^s for every s, and last the sum over all later s, (steps + 1, n, n).
+        """Return the discounted weights α^{s+1} F̄'^s P F̄^s for every step s, and last their sum over all later steps.
 
         Args:
             P: weight, (n, n), or one for each remaining step, (remaining steps, n, n); then there is no sum at the end.
@@ -64,13 +64,13 @@ class Flow:
         return np.concatenate([each, factors[-1:] * rest])
 
     def faded(self, covariance: Array, parts: Array, ticks: slice) -> Array:
-        """Return (I + (X − Σ̄)O_s)^{-1} parts for a range of s, (steps, n, columns)."""
+        """Return (I + (X − Σ̄)O_s)^{-1}·parts of the closed form for a covariance X and a range of steps s."""
         off = np.eye(len(self.unit)) + (covariance - self.steady) @ self.observed[ticks]
         return np.asarray(np.linalg.solve(off, np.broadcast_to(parts, (len(off), *parts.shape))), dtype=np.float64)
 
 
 def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
-    """Return the Riccati map for all steps that are not negligible.
+    """Return the closed form of the filter Riccati recursion, for all steps that are not negligible.
 
     Args:
         plant: plant with A, C, W and V.

@@ -1,4 +1,4 @@
-"""The effect of a time interval on a noisy linear system and its quadratic cost; consecutive intervals compose exactly.
+"""Exact effect of a time interval on a noisy linear system and on its quadratic cost.
 
 ``Ad``, ``Bd``, the weights, the noise and its cost all follow from one extended system ż = Fz + noise of intensity G
 with the cost ∫ z'Mz dt. The vector z contains the state and the data that the actuator stores between two decisions.
@@ -19,7 +19,7 @@ DECAYED = 0.5  # norm of a transition matrix below which all modes have decayed
 
 @dataclass(frozen=True, eq=False)
 class Sampled:
-    """A discrete problem that is equivalent to an interval of continuous time, or of several steps.
+    """A discrete-time LQ problem whose step is equivalent to an interval of continuous time, or to several steps.
 
     x⁺ = Ax + Bu + w, with w of covariance W. The mean cost of the interval is x'Qx + u'Ru + 2x'Nu + noise_cost. No
     controller can change ``noise_cost``, but costs of intervals of different length can only be compared with it.
@@ -36,7 +36,10 @@ class Sampled:
 
 @dataclass(frozen=True, eq=False)
 class Interval:
-    """Transition matrix ``Phi``, weight ``M`` at the start, noise covariance ``G`` at the end, and cost of noise."""
+    """Effect of a time interval on a noisy linear system: transition matrix, noise covariance, and cost.
+
+    ``Phi`` is the transition matrix, ``M`` the weight at the start, and ``G`` the noise covariance at the end.
+    """
 
     Phi: Array
     M: Array
@@ -45,7 +48,7 @@ class Interval:
 
 
 def compose(first: Interval, second: Interval) -> Interval:
-    """Return the interval that consists of ``first`` followed by ``second``."""
+    """Return the effect of the interval ``first`` followed by the interval ``second``."""
     return Interval(
         second.Phi @ first.Phi,
         symmetrised(first.M + first.Phi.T @ second.M @ first.Phi),
@@ -55,7 +58,7 @@ def compose(first: Interval, second: Interval) -> Interval:
 
 
 def repeat(once: Interval, times: int) -> Interval:
-    """Return ``times`` intervals in a row, by binary powers."""
+    """Return the effect of the same interval repeated ``times`` times, by binary powers."""
     result: Interval | None = None
     while True:
         if times & 1:
@@ -68,7 +71,7 @@ def repeat(once: Interval, times: int) -> Interval:
 
 
 def integrate(F: Array, M: Array, G: Array, period: float, units: Array) -> Interval:
-    """Return the interval of length ``period`` for ż = Fz + noise of intensity ``G`` with cost ∫ z'Mz dt.
+    """Return the effect of a time ``period`` on ż = Fz + noise of intensity G, with the cost ∫ z'Mz dt.
 
     Φ = e^{Fh}, M_h = ∫ e^{F't}Me^{Ft}dt, G_h = ∫ e^{Ft}Ge^{F't}dt, c = ∫ tr(M G_t)dt. They are computed by
     power series over h/2^k, then by k doublings, which only add semidefinite terms. (Block exponentials with e^{−Fh} in
@@ -130,7 +133,7 @@ def _series(F: Array, M: Array, G: Array, step: float) -> tuple[Array, Array, Ar
 
 
 def split(stretch: Interval, states: int) -> Sampled:
-    """Return the interval as a problem whose first ``states`` variables are the state and the others the input."""
+    """Return an interval as an LQ problem: the first ``states`` variables are the state, and the others the input."""
     n = states
     return Sampled(
         A=_arrays.frozen(stretch.Phi[:n, :n]),

@@ -1,4 +1,4 @@
-"""The mean square of a loop over lossy links under a given gain: its cost and its growth.
+"""Mean-square cost and growth of a loop over lossy links under a given gain.
 
 The cost-to-go has a weight K of the state and a weight P of the estimation error. One step of the loop is a linear map
 of the pairs (K, T), T = K + P:
@@ -24,7 +24,9 @@ NEAREST = 1e-12  # least relative distance to the level at which the equations a
 
 
 class MeanSquare:
-    """The map of pairs of weights (K, T) under a gain, divided by a level in every step.
+    """Mean-square analysis of a loop over lossy links under a given gain: its growth and its cost.
+
+    It represents the linear map of the pairs of weights (K, T), divided by a level in every step.
 
     Args:
         A: (n, n) dynamics.
@@ -46,21 +48,21 @@ class MeanSquare:
         self.spread = self.alpha * (1 - self.alpha)  # variance of the loss
 
     def at(self, level: float) -> MeanSquare:
-        """Return the same loop at another level."""
+        """Return the same loop with its map divided by another level per step."""
         return MeanSquare(self.A, self.B, self.L, (self.alpha, self.beta), self.reach, level)
 
     @property
     def apart(self) -> float:
-        """The growth without the coupling of the two equations, a lower bound on the growth."""
+        """Growth of the mean square without the coupling of the two Lyapunov equations, a lower bound on the growth."""
         return max(radius(self.moved) ** 2, self.beta * radius(self.A) ** 2)
 
     @property
     def bounded(self) -> bool:
-        """Whether the mean square grows by less than the level per step."""
+        """Whether the mean square of the loop grows by less than the factor ``level`` per step."""
         return self.apart < self.level and self.joined() < 1
 
     def growth(self) -> float:
-        """Return the factor per step by which the mean square grows, without noise."""
+        """Return the factor per step by which the mean square of the loop without noise grows."""
         if len(self.A) <= FEW:
             if self.reach:
                 return radius(self._stacked)
@@ -78,13 +80,18 @@ class MeanSquare:
         return _scipy.crossing(lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high)
 
     def joined(self) -> float:
-        """Return the spectral radius of the map of Y through both equations; the sums over all steps exist below 1."""
+        """Return the spectral radius of the map of Y through both Lyapunov equations of the loop.
+
+        The sums over all steps exist if it is below 1.
+        """
         if self.spread == 0:
             return 0.0
         return radius(self._turn) if np.isfinite(self._turn).all() else np.inf
 
     def solve(self, first: Array, second: Array) -> tuple[Array, Array]:
-        """Solve the coupled Lyapunov equations for K and T, the sums over all steps of terms added in each step.
+        """Solve the coupled Lyapunov equations of the loop for the weights K and T.
+
+        K and T are the sums over all steps of terms that are added in each step.
 
         Args:
             first: term added to K, (n, n).

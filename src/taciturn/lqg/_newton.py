@@ -1,4 +1,4 @@
-"""Newton's method for discrete and continuous Riccati equations, in suitable coordinates, with an error bound."""
+"""Newton's method for discrete-time and continuous-time Riccati equations, with an error bound."""
 
 from __future__ import annotations
 
@@ -61,16 +61,16 @@ class Solution(Displayed):
 
     @property
     def relative(self) -> Array:
-        """Bound on the relative error of the cost of each state, (n,)."""
+        """Bound on the relative error of the cost-to-go of each state, (n,)."""
         return self.error.diagonal() / np.maximum(self.unit, TINY)
 
     @property
     def doubt(self) -> float:
-        """Bound on the relative error of tr(KW) if the noise excites each state in proportion to its unit of cost."""
+        """Bound on the relative error of the noise cost tr(KW), for noise with an equal cost in every state."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
     def within(self, worth: Worth, others: float) -> Solution:
-        """Return the solution of a problem with additional states that have no cost-to-go.
+        """Return this Riccati solution extended by states that have no cost-to-go.
 
         Args:
             worth: the states of this solution, and the modes of the additional states.
@@ -85,12 +85,12 @@ class Solution(Displayed):
 
     @property
     def sound(self) -> bool:
-        """Whether residual and error are small enough."""
+        """Whether the residual and the error bound of this Riccati solution are small enough."""
         return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
 
 
 def refuse_doubtful(found: Solution, what: str, remedy: str, A: Array | None) -> None:
-    """Reject a solution whose residual or error is too large.
+    """Raise an error if the residual or the error bound of a Riccati solution is too large.
 
     Args:
         found: the solution.
@@ -125,7 +125,7 @@ def _along(axes: Axes, K: Array, _: Quadratic) -> Axes:
 
 
 class Answer(NamedTuple):
-    """The best gain L for a cost-to-go K, the weight H of a deviation from it, and the (pseudo-)inverse of H."""
+    """Optimal gain L for a cost-to-go K, the weight H of a deviation from the optimal input, and the inverse of H."""
 
     K: Array
     L: Array
@@ -134,7 +134,7 @@ class Answer(NamedTuple):
 
 
 class Time(ABC):
-    """The differences between a discrete-time Riccati equation and one of continuous time.
+    """Operations of Newton's method that differ between discrete-time and continuous-time Riccati equations.
 
     Args:
         edge: pace (modulus or real part) of a marginally stable mode.
@@ -146,38 +146,41 @@ class Time(ABC):
 
     @abstractmethod
     def rough(self, given: Quadratic) -> Array | None:
-        """Return an approximate solution that needs refinement, or None if it overflows."""
+        """Return an approximate Riccati solution as a start of Newton's method, or None if it overflows."""
 
     @abstractmethod
     def pace(self, modes: Modes) -> Array:
-        """Return the moduli of modes, or their real parts in continuous time."""
+        """Return the moduli of eigenvalues in discrete time, or their real parts in continuous time."""
 
     @abstractmethod
     def margin(self, given: Quadratic) -> float:
-        """Return how far inside the stability limit a mode must be to decay."""
+        """Return how far inside the stability limit an eigenvalue must be to count as stable."""
 
     @abstractmethod
     def summed(self, F: Array, stage: Array) -> Array:
-        """Return the cost-to-go of a stable closed loop with a stage cost."""
+        """Return the cost-to-go of a stable closed loop with a given stage cost, by a Lyapunov equation."""
 
     @abstractmethod
     def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
-        """Return the best gain for a cost-to-go; in directions in which all gains are equivalent, it keeps L."""
+        """Return the optimal gain for a cost-to-go; in directions in which all gains are equivalent, L is kept."""
 
     @abstractmethod
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
-        """Return the residual of K as the cost of the loop F, and for each state the size of F in units of cost."""
+        """Return the Lyapunov residual of the cost-to-go K of a closed loop F, and the size of F for each state.
+
+        The size is in units of cost.
+        """
 
     @abstractmethod
     def missed(self, given: Quadratic, F: Array, found: Answer) -> Array:
-        """Return the residual of the gain in H L = −(B'KA + N'), or in continuous time R L = −(B'K + N')."""
+        """Return the residual of the gain equation: H L = −(B'KA + N'), or R L = −(B'K + N') in continuous time."""
 
     @abstractmethod
     def step(self, F: Array) -> Array:
-        """Return a closed-loop matrix as that of a discrete step, up to a factor."""
+        """Return the closed-loop matrix of a discrete step, up to a factor, from a closed-loop matrix."""
 
     def solve(self, given: Quadratic) -> Solution | None:
-        """Return the most accurate solution found, or None if no start stabilises or no iteration converges."""
+        """Return the most accurate Riccati solution found, or None if no start stabilises or no iteration converges."""
         worth = self.worth(given)
         if worth.states.all():
             return self._solved(given)
@@ -186,11 +189,11 @@ class Time(ABC):
         return None if found is None else found.within(worth, slowest)
 
     def worth(self, given: Quadratic) -> Worth:
-        """Return which states have a nonzero cost-to-go."""
+        """Return the states with a nonzero cost-to-go, and the modes of the other states."""
         return worth_of(given, lambda modes: self.pace(modes) - self.edge, self.margin(given))
 
     def slowest(self, F: Array) -> float:
-        """Return the pace of the slowest mode of a closed loop."""
+        """Return the modulus, or in continuous time the real part, of the slowest mode of a closed loop."""
         return float(self.pace(eigenvalues(F)).max(initial=self.fastest))
 
     def _solved(self, given: Quadratic) -> Solution | None:
@@ -292,7 +295,7 @@ class Time(ABC):
         return None
 
     def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
-        """Return a solution with its error, measured in the coordinates in which it was found.
+        """Return a Riccati solution with its error bound, evaluated in the coordinates in which it was computed.
 
         Args:
             given: the problem as it was given.

@@ -1,4 +1,4 @@
-"""The states whose cost-to-go is exactly zero, found from zeros in the data; Riccati equations are solved without them.
+"""States whose cost-to-go is exactly zero, found from zeros in the data, and left out of Riccati equations.
 
 Examples are registers that no noise reaches, and modes that nothing drives and that do not affect the cost. The cost of
 such a state has no natural size to which an error could be relative, and iterations only halve it towards zero.
@@ -17,7 +17,7 @@ from taciturn.lqg._axes import Quadratic
 
 
 class Worth(NamedTuple):
-    """Which states have a cost-to-go, and the modes of the other states.
+    """Partition of the states: those with a nonzero cost-to-go, and the modes of the other states.
 
     Args:
         states: the states with a cost-to-go, for which the equation must be solved, (n,).
@@ -33,7 +33,7 @@ class Worth(NamedTuple):
 
 
 def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) -> Worth:
-    """Return the states that have a cost-to-go.
+    """Return the states with a nonzero cost-to-go, and the modes of the other states.
 
     A state x has no cost-to-go, Kx = 0, if it needs no input: neither the state nor any state that it affects has a
     weight, and all their modes decay, or are marginally stable and not affected by an input. Modes are computed for
@@ -74,7 +74,7 @@ def worth_of(given: Quadratic, beyond: Callable[[Modes], Array], margin: float) 
 
 
 def closure(found: Bits, leads: Bits) -> Bits:
-    """Return these states and all states that they affect, directly or through others.
+    """Return the given states and all states that they affect, directly or through other states.
 
     Args:
         found: the states, (n,).

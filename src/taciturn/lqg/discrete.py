@@ -1,4 +1,4 @@
-"""The discrete-time problem of a policy: a discrete plant unchanged, or a continuous plant sampled exactly."""
+"""Discrete-time control problem of a policy: a discrete plant unchanged, or a continuous plant sampled exactly."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discrete(Displayed):
-    """A discrete plant and its cost per step.
+    """A discrete-time control problem: a plant from step to step, and its cost per step.
 
     Args:
         plant: the plant from step to step.
@@ -50,7 +50,7 @@ class Discrete(Displayed):
 
     @cached_property
     def moving(self) -> Bits:
-        """The states without uncontrollable marginally stable ones that do not affect the cost, (n,).
+        """States on which an average cost depends: all but uncontrollable, marginally stable ones without cost, (n,).
 
         States that the excluded ones affect are excluded too. An average cost does not depend on the excluded states,
         and their variance may grow without bound.
@@ -60,18 +60,18 @@ class Discrete(Displayed):
         return ~closure(resting, np.asarray(A != 0, dtype=np.bool_))
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, (n, n), restricted to the states ``moving``."""
+        """Return the modulus of the slowest mode of a closed loop, restricted to the states in ``moving``."""
         return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:
-        """Return the user's cost from a cost per step: with inter-sample noise cost, per second for a sampled plant."""
+        """Convert a cost per step to the user's units: plus inter-sample noise cost, and per second if sampled."""
         return (cost + self.noise_cost) / self.tick
 
 
 def discretise(
     plant: Plant | ContinuousPlant, cost: Cost, period: float | None, prediction: Prediction | None = None
 ) -> Discrete:
-    """Return the discrete-time problem of a plant and a cost.
+    """Return the discrete-time control problem of a plant and a cost; a continuous plant is sampled exactly.
 
     Args:
         plant: a discrete plant, or a continuous plant, which is sampled exactly.

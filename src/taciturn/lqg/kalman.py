@@ -1,4 +1,4 @@
-"""Kalman filters in filtered form, steady and time-varying, also for noise-free measurements."""
+"""Steady and time-varying Kalman filters, also for noise-free measurements."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CRUMB = 1e-14  # posterior variance relative to the prior, below which it counts
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Filter(Displayed):
-    """A steady filter x̂ = x̂⁻ + gain (y − C x̂⁻) with the prediction x̂⁻.
+    """A steady Kalman filter, x̂ = x̂⁻ + gain (y − C x̂⁻) with the prediction x̂⁻, and its covariances.
 
     ``prior`` and ``posterior`` are the error covariances before and after the measurement, and ``innovation`` is the
     covariance S of y − C x̂⁻. The corrections of the estimate have the covariance gain S gain' = prior − posterior.
@@ -41,7 +41,7 @@ class Filter(Displayed):
     slowest: float
 
     def among(self, unknown: Bits, worth: Worth) -> Filter:
-        """Return the filter of a plant with additional states that no noise reaches.
+        """Return this filter extended to a plant with additional states that no noise reaches.
 
         Args:
             unknown: the states of this filter.
@@ -59,7 +59,7 @@ class Filter(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Covariances(Displayed):
-    """A time-varying filter for k = 0 … steps.
+    """Covariances and gains of a time-varying Kalman filter for the steps k = 0 … steps.
 
     ``prior`` and ``posterior`` have shape (steps+1, n, n), ``gains`` (steps+1, n, p).
     """
@@ -70,7 +70,7 @@ class Covariances(Displayed):
 
 
 def steady_filter(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike) -> Filter:
-    """Return the stable steady Kalman filter of x⁺ = Ax + w, y = Cx + v.
+    """Return the stable steady Kalman filter of the plant x⁺ = Ax + w, y = Cx + v.
 
     Σ̃ = AΣA' + W,  S = CΣ̃C' + V,  gain = Σ̃C'S^{-1},  Σ = Σ̃ − gain S gain', with A − A gain C stable.
 
@@ -164,7 +164,7 @@ def predict_covariances(
 
 
 def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: ArrayLike) -> Array:
-    """Return the next predicted covariance after one measurement and one step.
+    """Return the predicted error covariance after one measurement and one step of the plant.
 
     Ric(Σ) = AΣA' + W − AΣC'(CΣC' + V)^{-1}CΣA', with the pseudo-inverse if CΣC' + V is singular.
 
@@ -194,7 +194,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return the states with a mode on the unit circle that no noise reaches and that is unobservable, (n,).
+    """Return the states with an unobservable mode on the unit circle that no noise reaches, (n,).
 
     The estimation error of these states remains that of the start.
     """
@@ -202,7 +202,7 @@ def resting_states(plant: Plant) -> Bits:
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
-    """Reject an uncertain initial state that no measurement corrects and that causes a cost forever.
+    """Raise an error for an uncertain initial state that no measurement corrects and that causes a cost forever.
 
     Args:
         plant: the plant, with the covariance of its initial state.
@@ -224,7 +224,9 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
 def forgetting(
     plant: Plant, filtered: Sequence[Array], regulated: float, remedy: str = "take more measurements"
 ) -> float:
-    """Return the memory in steps of a filter, steady or along a repeating schedule, together with a regulator.
+    """Return the time constant, in steps, of a Kalman filter together with a regulator.
+
+    The filter is steady, or its gains repeat along a schedule.
 
     The result is 1/(1 − |slowest mode per step|), without the modes of ``resting_states``.
 

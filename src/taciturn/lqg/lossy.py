@@ -1,4 +1,4 @@
-"""Optimal control over links that drop packets: gains, their fixed point, and critical loss probabilities.
+"""Optimal control over links that drop packets: finite-horizon and steady gains, and critical loss probabilities.
 
 The actuator applies zero if no packet arrives. A packet of the sensor link contains the state.
 """
@@ -28,7 +28,7 @@ NILPOTENT = 1e-6  # a growth below this counts as none
 
 @dataclass(frozen=True, repr=False)
 class Channel(Displayed):
-    """The properties of the network that determine the gains.
+    """Properties of the lossy links that determine the optimal gains.
 
     Args:
         actuator_loss: α, loss probability of the actuator link, in [0, 1].
@@ -44,18 +44,18 @@ class Channel(Displayed):
 
     @property
     def exposure(self) -> float:
-        """Probability φ that a present estimation error persists at the next control: β, or 1 with the delay."""
+        """Probability φ that an estimation error persists at the next control: β, or 1 with a delay of one step."""
         return 1.0 if self.delayed else self.sensor_loss
 
     @property
     def coupling(self) -> float:
-        """Factor αφ of the estimation error caused by an unacknowledged input; 0 with acknowledgements."""
+        """Factor αφ of the estimation error that an unacknowledged input causes; 0 with acknowledgements."""
         return 0.0 if self.acknowledged else self.actuator_loss * self.exposure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LossyRegulator(Displayed):
-    """Gains over lossy links: u = L x̂, the cost x̂'Γx̂ of silence, and the cost e'Pe of an estimation error e.
+    """Optimal gains over lossy links, u = L x̂, with the cost x̂'Γx̂ of silence and the cost e'Pe of an error e.
 
     K and P are (n, n), L is (m, n), and Gamma is (n, n). For a finite horizon they have one more leading axis, of
     length N + 1 for K and P, and N for L and Gamma. The cost of noise, tr((K + φP)W), has an error of at most
@@ -69,7 +69,7 @@ class LossyRegulator(Displayed):
     error: Array
 
     def within(self, states: Bits) -> LossyRegulator:
-        """Return the gains of a plant with additional states that have no cost-to-go.
+        """Return these gains extended to a plant with additional states that have no cost-to-go.
 
         Args:
             states: the states of these gains.
@@ -85,7 +85,7 @@ class LossyRegulator(Displayed):
 def lossy_step(
     A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return K, P, L and Γ of a step, from K and P of the next step.
+    """Return the weights K, P and Γ and the gain L of a step over lossy links, from K and P of the next step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
@@ -107,7 +107,9 @@ def lossy_step(
 def regulate_lossy_finite(
     A: Array, B: Array, Q: Array, R: Array, terminal: Array, horizon: int, channel: Channel
 ) -> LossyRegulator:
-    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over lossy links: K_N = Q_N, P_N = 0.
+    """Return the gains that minimise x_N'Q_N x_N + Σ_{k<N} (x'Qx + û'Rû) over links that drop packets.
+
+    The recursion starts with K_N = Q_N and P_N = 0.
 
     Args:
         A: (n, n) dynamics.
@@ -143,7 +145,9 @@ def regulate_lossy_finite(
 
 
 def regulate_lossy(A: Array, B: Array, Q: Array, R: Array, channel: Channel) -> LossyRegulator:
-    """Return the gains of the infinite-horizon average over lossy links: the fixed point of :func:`lossy_step`.
+    """Return the gains that minimise the infinite-horizon average cost over links that drop packets.
+
+    They are the fixed point of :func:`lossy_step`.
 
     The gains are computed by policy iteration: the cost of a stabilising gain from linear equations, then the best gain
     for this cost. This converges quadratically, and all its gains are stabilising.
@@ -231,7 +235,9 @@ def _doubt(
 
 
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
-    """Return the critical actuator loss at this sensor loss, and the critical sensor loss at this actuator loss.
+    """Return the critical loss probability of each link at the given loss probability of the opposite link.
+
+    The actuator link is first.
 
     At or above either value, no linear control keeps the mean square of an unstable plant bounded. A value is 1 if
     losses on the link cannot make the plant unstable, and 0 if the losses on the other link alone are too large.
@@ -250,7 +256,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
-    """Return a sentence with the losses and those that mean-square stability allows."""
+    """Return a sentence that states the loss probabilities and those that mean-square stability allows."""
     many = int((np.abs(eigenvalues(A)) >= 1 - SCATTER).sum()) > MOST_MODES
     actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
@@ -266,7 +272,7 @@ def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
 
 
 def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
-    """Return the least growth per step of the mean square over all linear gains, and a gain with this growth.
+    """Return the least mean-square growth per step over all linear gains, and a gain with this growth.
 
     Only modes on or outside the unit circle matter. For these, the growth under a gain is the spectral radius of a
     positive linear map on pairs of weights. Policy iteration minimises it: the cost of the gain with stage costs
@@ -314,7 +320,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
-    """Return the factor per step by which the mean square grows under a gain, without noise.
+    """Return the factor per step by which the mean square of the loop without noise grows under a given gain.
 
     Source: schenato2007
     """

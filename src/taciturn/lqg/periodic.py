@@ -1,4 +1,4 @@
-"""Control with an input that changes only at fixed steps: optimal gains and exact cost for any cycle of intervals.
+"""Optimal gains and exact cost of control whose input changes only at fixed steps, in a cycle of intervals.
 
 An interval of k steps is one step of a slower plant, the lifted plant. A cycle of intervals is one step of an even
 slower plant, whose input contains the inputs of all sends. One Riccati equation gives the cost-to-go at the start of
@@ -26,7 +26,7 @@ __all__ = ["Held", "Pattern", "cycles", "lift", "necklaces", "step_back"]
 
 
 def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, every: int) -> Sampled:
-    """Return the problem in which ``every`` steps with a constant input are one step.
+    """Return the lifted LQ problem, in which ``every`` steps with a constant input become one step.
 
     A^k, B_k = Σ_{j<k} A^jB, W_k = Σ_{j<k} A^jWA'^j, the weights Σ_{j<k} F'^jMF^j with F = [[A, B], [0, I]]
     and M = [[Q, N], [N', R]], and noise_cost = Σ_{j<k} tr(QW_j), the cost of the noise since the input was set.
@@ -68,7 +68,7 @@ def lift(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Pattern(Displayed):
-    """A periodic pattern of sends with given intervals.
+    """A periodic pattern of sends with given intervals, with its optimal gains, costs-to-go and average cost.
 
     Args:
         intervals: steps from one send to the next, over one period.
@@ -83,14 +83,14 @@ class Pattern(Displayed):
     cost: float
 
     def unrolled(self) -> tuple[Array, Array]:
-        """Return for each step of a period whether it sends, and the gain in use, that of the last send."""
+        """Return for each step of a period whether a send occurs, and the gain of the last send."""
         places = np.zeros(sum(self.intervals), dtype=bool)
         places[np.cumsum((0, *self.intervals[:-1]))] = True
         return places, np.repeat(self.gains, self.intervals, axis=0)
 
 
 class Held:
-    """A plant whose input is held from send to send, for any number of steps.
+    """Optimal control of a plant whose input is held from one send to the next, for given intervals between sends.
 
     The estimate is filtered at every step and obeys x̂⁺ = Ax̂ + Bu + (corrections). The corrections are white and
     independent of the estimation error. So the average cost per step is tr(QΣ) plus that of ``solve``.
@@ -118,13 +118,13 @@ class Held:
         self._tick, self._known = (A, B, Q, R, N, corrections), dict[int, Sampled]()
 
     def lifted(self, ticks: int) -> Sampled:
-        """Return the problem of holding the input for a number of steps."""
+        """Return the LQ problem in which the input is held for a number of steps."""
         if ticks not in self._known:
             self._known[ticks] = lift(*self._tick, ticks)
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return approximate costs of many cycles with equal numbers of intervals, together; inf if none was found.
+        """Return approximate costs of many cycles with equal numbers of intervals; inf where no cost was found.
 
         The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
         """
@@ -147,7 +147,7 @@ class Held:
         return np.where(np.isfinite(cost) & (cost > 0), cost, np.inf)
 
     def solve(self, intervals: Sequence[int]) -> Pattern:
-        """Return the optimal gains of a cycle of intervals, and its cost.
+        """Return the optimal gains and the average cost of a cycle of intervals with held inputs.
 
         Raises:
             ProblemError: the state overflows within an interval.
@@ -220,19 +220,25 @@ def _inverse(H: Array) -> Array:
 
 
 def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
-    """Return the cost-to-go and the gain at the start of an interval, from the cost-to-go at its end."""
+    """Return cost-to-go and gain at the start of an interval with a held input, from the cost-to-go at its end."""
     H, inverse = price(stretch.B, K, stretch.R)
     L = -inverse @ (stretch.B.T @ K @ stretch.A + stretch.N.T)
     return symmetrised(stretch.Q + stretch.A.T @ K @ stretch.A - L.T @ H @ L), L
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield the ways to write ``length`` as a sum of intervals; of all rotations, the lexicographically largest one."""
+    """Yield the cycles of ``sends`` intervals that add up to ``length``, one for each set of rotations.
+
+    The lexicographically largest rotation of each cycle is given.
+    """
     return _extended((), length, sends, range(1, length + 1))
 
 
 def cycles(intervals: Sequence[int], most: int) -> Iterator[tuple[int, ...]]:
-    """Yield the cycles of at most ``most`` of these intervals, one of all rotations, without repeated cycles."""
+    """Yield the cycles of at most ``most`` of the given intervals, one for each set of rotations.
+
+    Cycles that repeat a shorter cycle are left out.
+    """
     low, high = min(intervals), max(intervals)
     for sends in range(1, most + 1):
         for length in range(low * sends, high * sends + 1):

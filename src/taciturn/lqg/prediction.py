@@ -1,4 +1,4 @@
-"""The cost of control with a predicted state, from the prediction error between successive corrections."""
+"""Cost of control with a predicted state, from the prediction error between successive corrections."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ GRID = 400  # intervals at which the cost is evaluated
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PredictionCost(Displayed):
-    """The cost per second of u = L x̂ if a model predicts x̂ and a policy decides when x̂ is corrected.
+    """Cost per second of control u = L x̂, where a model predicts x̂ and a policy decides when x̂ is corrected.
 
     The error e = x − x̂ obeys ė = A e + noise and is 0 after a correction. The cost is tr(PW) + E[e'S e], S = L'RL.
     With a correction every h seconds, J_per(h) = tr(PW) + g(h), where g(h) = (1/h) tr(S ∫_0^h V(s) ds) and
@@ -45,15 +45,15 @@ class PredictionCost(Displayed):
         return self._over(length).Phi
 
     def spread(self, length: float) -> Array:
-        """Return V(h), the covariance of the error h seconds after a correction, (n, n)."""
+        """Return V(h), the covariance of the prediction error h seconds after a correction, (n, n)."""
         return self._over(length).G
 
     def weight(self, length: float) -> Array:
-        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of the cost of an error until the next check, (n, n)."""
+        """Return Γ(h) = ∫_0^h e^{A't} S e^{At} dt, the weight of an error's cost over the next h seconds, (n, n)."""
         return self._over(length).M
 
     def growth(self, length: float) -> float:
-        """Return g(h), the cost of corrections every h seconds in excess of that of an always known state."""
+        """Return g(h), the additional cost per second of corrections every h seconds instead of a known state."""
         return self._over(length).noise_cost / length
 
     def periodic(self, length: float) -> float:
@@ -61,17 +61,20 @@ class PredictionCost(Displayed):
         return self.base + self.growth(length)
 
     def slope_in_rate(self, length: float) -> float:
-        """Return −dJ_per/dr at the rate r = 1/h, which is h² g'(h) = tr(S(hV(h) − ∫_0^h V))."""
+        """Return −dJ_per/dr = h² g'(h), the decrease of the periodic cost with the rate r = 1/h of corrections.
+
+        It equals tr(S(hV(h) − ∫_0^h V)).
+        """
         found = self._over(length)
         return float(length * np.sum(self.S * found.G) - found.noise_cost)
 
     @property
     def initial_slope(self) -> float:
-        """The slope g'(0+) = ½ tr(SW)."""
+        """Slope g'(0+) = ½ tr(SW) of the prediction cost g(h) at intervals h near zero."""
         return float(np.sum(self.S * self.W)) / 2
 
     def least_ratio(self, shortest: float, longest: float) -> tuple[float, float]:
-        """Return the infimum of g(h)/h over (shortest, longest], and the h at which it is attained.
+        """Return the infimum of the ratio g(h)/h of prediction cost to interval, and the h at which it is attained.
 
         If g is convex, the infimum is at the left end; for shortest = 0 it is g'(0+).
 
@@ -91,7 +94,9 @@ class PredictionCost(Displayed):
         return float(ratios[least]), float(lengths[least])
 
     def convex_until(self, longest: float) -> float:
-        """Return the h up to which g is convex, as evaluated on a grid; ``longest`` if it is convex throughout.
+        """Return the interval h up to which the prediction cost g(h) is convex, as evaluated on a grid.
+
+        The result is ``longest`` if g is convex throughout.
 
         The test uses h g''(h) = v'(h) − 2g'(h), where v(s) = tr(SV(s)), v'(s) = tr(S e^{As}We^{A's}) and h g' = v − g.
         At lengths at which the error overflows, g grows exponentially and counts as convex.
@@ -129,7 +134,7 @@ class PredictionCost(Displayed):
 def prediction_cost(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
 ) -> PredictionCost:
-    """Return the cost of control with a predicted state, for the gain of the continuous-time regulator.
+    """Return the cost of control with a predicted state and the gain of the continuous-time regulator.
 
     Args:
         A: (n, n) dynamics, per second.

@@ -1,4 +1,4 @@
-"""When to query a sensor: the value of a measurement to the controller, and the resulting schedule of queries."""
+"""Schedules of sensor queries, from the value of a measurement to the controller."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ APART = 1e-6  # rounding error of a double eigenvalue on the unit circle
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Weights(Displayed):
-    """The cost of an estimation error: α^k e'P_k e at step k.
+    """Weights of the estimation error e in the cost: α^k e'P_k e at step k.
 
     Args:
         P: weight, (n, n), or one for each step of a finite horizon, (N, n, n).
@@ -46,12 +46,12 @@ class Weights(Displayed):
 
     @property
     def horizon(self) -> int | None:
-        """Number of steps, or None for an infinite horizon."""
+        """Number of steps of the horizon, or None for an infinite horizon."""
         return len(self.P) if self.P.ndim == 3 else None
 
 
 class Predictor:
-    """The filter of a plant whose measurement of step k reaches the control of step k + 1.
+    """Kalman predictor of a plant: the measurement of step k reaches the control of step k + 1.
 
     Args:
         plant: plant with A, C, W and V.
@@ -66,11 +66,11 @@ class Predictor:
                 self._observer = steady_filter(plant.A, plant.C, plant.W, plant.V).gain
 
     def gain(self, Sigma: Array) -> Array:
-        """Return the gain AΣC'(CΣC' + V)^{-1} of the prediction, (…, n, p)."""
+        """Return the gain AΣC'(CΣC' + V)^{-1} of the Kalman predictor for an error covariance Σ, (…, n, p)."""
         return self.plant.A @ self.correction(Sigma)
 
     def correction(self, Sigma: Array) -> Array:
-        """Return the gain ΣC'(CΣC' + V)^{-1} of the filtered estimate, (…, n, p).
+        """Return the gain ΣC'(CΣC' + V)^{-1} of the Kalman filter for an error covariance Σ, (…, n, p).
 
         If CΣC' + V is singular, some outputs are known in advance, and any gain is optimal in these directions. The
         gain of a stable observer is used there, so that errors from rounding and from the initial state decay.
@@ -85,17 +85,17 @@ class Predictor:
         return seen.swapaxes(-1, -2) @ inverse + self._observer @ (np.eye(len(p.V)) - S @ inverse)
 
     def silent(self, Sigma: Array) -> Array:
-        """Return AΣA' + W, the next covariance without a measurement."""
+        """Return the next error covariance without a measurement, AΣA' + W."""
         return symmetrised(self.plant.A @ Sigma @ self.plant.A.T + self.plant.W)
 
     def queried(self, Sigma: Array, gain: Array) -> Array:
-        """Return the next covariance with a measurement, in Joseph's form; (…, n, n)."""
+        """Return the next error covariance with a measurement, in Joseph's form, (…, n, n)."""
         p = self.plant
         F, turned = p.A - gain @ p.C, gain.swapaxes(-1, -2)
         return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W)
 
     def change(self, before: Array, after: Array) -> Array:
-        """Return the relative differences of covariances (…, n, n) from another one, in units of standard deviations.
+        """Return the largest difference of each covariance from a reference, relative to its standard deviations.
 
         A variance that is small compared with the products in its sum may be their rounding; its difference is relative
         to these products.
@@ -106,7 +106,7 @@ class Predictor:
         return np.abs((after - before) / unit / unit[:, None]).max(axis=(-2, -1))
 
     def follow(self, Sigma: Array, query: bool) -> Array:
-        """Return the next covariance.
+        """Return the next error covariance, with or without a query of the sensor.
 
         Raises:
             UnstableError: the covariance overflows.
@@ -121,7 +121,7 @@ class Predictor:
 
 
 class QueryValue:
-    """The value h(Σ) of a query: its saving in the optimal cost-to-go if the sensor is queried at every later step.
+    """Value h(Σ) of a sensor query at error covariance Σ: its saving in cost if all later steps query the sensor.
 
     h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
     step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
@@ -220,7 +220,9 @@ class QueryValue:
 
 
 def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Array) -> Schedule:
-    """Return the schedule that queries if h(Σ_k) > ζ, from Σ_0 until it repeats or the horizon ends.
+    """Return the schedule that queries the sensor at step k if the value h(Σ_k) of a query exceeds its price ζ.
+
+    It begins with the covariance Σ_0 and ends when it repeats or the horizon ends.
 
     Args:
         plant: plant with A, C, W and V.
@@ -253,7 +255,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
 
 
 def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
-    """Return the repeating part of the schedule that measures if the variance of a predicted output is too large.
+    """Return the periodic schedule that queries the sensor if the variance of a predicted output is too large.
 
     The sensor is queried if max_i (CΣ_kC')_ii > threshold, where Σ_k is the covariance of the prediction.
 
@@ -285,7 +287,7 @@ def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
 
 
 def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tuple[Array, int | None]:
-    """Return the covariances Ric^k(Σ_0) with a query at every step, and the step from which they repeat.
+    """Return the error covariances with a sensor query at every step, and the step from which they repeat.
 
     Args:
         plant: plant with A, C, W and V.

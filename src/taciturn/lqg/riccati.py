@@ -1,4 +1,4 @@
-"""Optimal gains for infinite and finite horizons, with a discount, and in continuous time. The input is u = L x."""
+"""Optimal state-feedback gains u = L x for infinite, discounted and finite horizons, and in continuous time."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ __all__ = [
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Regulator(Displayed):
-    """An optimal gain: the cost-to-go x'Kx, the input u = Lx, and the weight H of a deviation from this input.
+    """An optimal regulator: the input u = Lx, the cost-to-go x'Kx, and the weight H of a deviation from this input.
 
     The cost tr(KW) of noise has an error of at most tr(error·W), to first order. ``slowest`` is the modulus of the
     slowest mode of A + BL, with a discount that of √α(A + BL), and in continuous time its real part. Modes on the unit
@@ -57,7 +57,7 @@ class Regulator(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FiniteRegulator(Displayed):
-    """The gains of a finite horizon: K of shape (N+1, n, n), L of shape (N, m, n), H of shape (N, m, m)."""
+    """Optimal gains L (N, m, n), costs-to-go K (N+1, n, n) and input weights H (N, m, m) of a horizon of N steps."""
 
     K: Array
     L: Array
@@ -232,12 +232,12 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
-    """Return which states have a cost-to-go, (n,); the other states affect no cost and need no input."""
+    """Return for each state whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
     return _dare.worth(A, B, Q, R, N).states
 
 
 def refuse_uncertain(cost: float, doubt: float) -> None:
-    """Reject a cost of sending every sample that is uncertain because of rounding.
+    """Raise an error if the computed cost of sending every sample is uncertain because of rounding.
 
     Args:
         cost: J_all, the cost of sending every sample.
@@ -256,7 +256,7 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 
 @kept
 def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
-    """Return the regulator of :func:`regulate` for matrices that were already checked.
+    """Return the regulator of :func:`regulate` for matrices whose shapes were already checked.
 
     A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """

@@ -1,4 +1,4 @@
-"""Straight-line programs of one time step, and their back ends: NumPy (the reference), LLVM, Python and C.
+"""Straight-line programs of one time step of a loop, and back ends: NumPy (the reference), LLVM, Python and C.
 
 A closed loop is a map from one time step to the next:
 

@@ -1,4 +1,4 @@
-"""Software pipelining: random numbers, and values that depend only on them, are computed one step ahead.
+"""Software pipelining of time steps: random numbers, and values that depend only on them, are computed one step ahead.
 
 A time step is one long chain of dependent operations: a random word, a logarithm and a root, which give a normal
 number, the next state, and the decision that depends on it. A processor reorders instructions within a window of some
@@ -18,7 +18,7 @@ FREE = ("const", "word", "half")  # operations that need no instructions in the 
 
 @dataclass(frozen=True)
 class Ahead:
-    """The operations that run one step ahead.
+    """The operations of a time step that are computed one step ahead.
 
     Args:
         operations: the operations in the order of the program.
@@ -30,7 +30,9 @@ class Ahead:
 
 
 def find_ahead(program: Program, printed: Sequence[int], fused: Mapping[int, int], summed: Set[int]) -> Ahead:
-    """Return the operations that depend only on words in memory, or none if the step itself also reads these words.
+    """Return the operations of a program that can run one step ahead.
+
+    They depend only on words of the random generator. The result is empty if the step itself also reads these words.
 
     Args:
         program: the program.

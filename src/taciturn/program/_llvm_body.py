@@ -1,4 +1,4 @@
-"""Translation of the operations of one time step to LLVM IR, on vectors with one lane per path.
+"""Translation of the operations of one time step to LLVM IR, on vectors with one lane per simulated path.
 
 ``Body`` maps every operation of a program to one or a few instructions. ``Body`` also selects fused operations,
 records which values are words and halves, and writes large matrix products as loops. ``llvm`` adds the loops over paths
@@ -55,7 +55,7 @@ def _roots(program: Program) -> list[int]:
 
 
 class Body(Lines):
-    """Writes the lines of one time step, and records the names of the values of its operations.
+    """Writes the LLVM IR of one time step, and records the name of each operation's value.
 
     Args:
         program: the program to translate.
@@ -82,7 +82,7 @@ class Body(Lines):
         self.label = ""  # label of the current basic block
 
     def operations(self, indices: Iterable[int]) -> None:
-        """Write operations in the given order; the operations that an operation reads must come before it."""
+        """Write the LLVM IR of operations in the given order; each must come after the operations that it reads."""
         for index in indices:
             op = self.program.ops[index]
             if op.name == "product":
@@ -93,7 +93,7 @@ class Body(Lines):
                 self.names[index] = self._operation(op.name, op.arguments)
 
     def kind(self, index: int) -> str:
-        """Return the type of the value of an operation."""
+        """Return the LLVM type of the value of an operation."""
         name = self.program.ops[index].name
         if name in ("greater", "less_equal", "and", "not", "any_bit"):
             return self.truths
@@ -102,7 +102,7 @@ class Body(Lines):
         return self.halves if self.names[index] in self.halves_known else self.words
 
     def added_up(self, index: int, before: str) -> str:
-        """Return the instruction that adds the value of this step to a sum over steps."""
+        """Return the LLVM instruction that adds the value of this step to a sum over steps."""
         if index not in self.summed:
             return f"fadd {self.flags}{self.numbers} {before}, {self.names[index]}"
         one, other = (self.names[i] for i in self.program.ops[index].arguments)
@@ -121,7 +121,7 @@ class Body(Lines):
         return self._new(self.multiply_add(one, other, rest))
 
     def multiply_add(self, one: str, other: str, term: str) -> str:
-        """Return the instruction for one·other + term, which rounds once if the processor supports it."""
+        """Return the LLVM instruction for one·other + term, which rounds once if the processor supports that."""
         V = self.numbers
         return f"call {self.flags}{V} @llvm.fmuladd.v{self.lanes}f{self.bits}({V} {one}, {V} {other}, {V} {term})"
 

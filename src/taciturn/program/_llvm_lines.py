@@ -1,4 +1,4 @@
-"""LLVM IR of vectors: emission of single instructions, access to memory, and table lookups.
+"""Writing of LLVM IR for vectors: single instructions, access to memory, and table lookups.
 
 ``Lines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices are
 in one array in memory, so that programs that differ only in their numbers share machine code.
@@ -22,24 +22,27 @@ _NUMBER: Mapping[Precision, tuple[str, int]] = {"float64": ("double", 64), "floa
 
 
 def constants_of(program: Program) -> list[float]:
-    """Return the array in memory: the constants, the tables, and the tiles of the matrices column by column."""
+    """Return all constants of a program in the order in which the machine code reads them.
+
+    These are the constants, the tables, and the tiles of the matrices column by column.
+    """
     tables = (value for table in program.tables for value in table)
     matrices = (value for matrix in program.matrices for tile in tiles(matrix) for value in columns_of(matrix, tile))
     return [*program.constants, *tables, *matrices]
 
 
 def columns_of(matrix: Rows, tile: Tile) -> list[float]:
-    """Return the coefficients of a tile, column by column."""
+    """Return the coefficients of a tile (block) of a matrix, column by column."""
     return [row[j] for j in range(tile.begin, tile.end) for row in matrix[tile.first : tile.first + tile.rows]]
 
 
 def filled(kind: str, literal: object, lanes: int) -> str:
-    """Return a vector with the same literal in every lane."""
+    """Return an LLVM vector constant with the same number in every lane."""
     return "<" + ", ".join([f"{kind} {literal}"] * lanes) + ">"
 
 
 class Lines:
-    """Lines of LLVM IR, and the types and addresses that they use.
+    """Lines of LLVM IR for a program, and the types and addresses that they use.
 
     Args:
         program: the program to translate.

@@ -1,4 +1,4 @@
-"""NumPy functions of whole arrays for arrays of symbols: rearrangement, selection, products, and linear systems."""
+"""NumPy functions of whole arrays that work on traced symbols: rearrangement, selection, products, linear systems."""
 
 from __future__ import annotations
 
@@ -33,36 +33,36 @@ _PLAIN: tuple[Callable[..., Any], ...] = (  # functions that rearrange entries, 
 
 
 def choose(condition: Any, yes: Any, no: Any) -> Any:
-    """Return ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
+    """Return the result of ``np.where``: entries of ``yes`` where the condition is true, and of ``no`` elsewhere."""
     recorder = recorder_of([condition, yes, no])
     return seen(np.frompyfunc(recorder.either, 3, 1)(*(objects(one) for one in (condition, yes, no))))
 
 
 def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
-    """Return ``np.clip``: entries limited to the given bounds, each of which has two names in NumPy."""
+    """Return the result of ``np.clip``: entries limited to given bounds, each of which has two names in NumPy."""
     for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
         a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
     return a
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Return ``np.dot`` of vectors, matrices or numbers."""
+    """Return the result of ``np.dot`` for vectors, matrices or numbers."""
     one, other = objects(a), objects(b)
     return seen(multiply(one, other)) if one.ndim and other.ndim else a * b
 
 
 def inner(a: Any, b: Any) -> Any:
-    """Return ``np.inner``: the sums of products over the last axes of both."""
+    """Return the result of ``np.inner``: the sums of products over the last axes of two arrays."""
     return dot(a, objects(b).T) if objects(b).ndim > 1 else dot(a, b)
 
 
 def vdot(a: Any, b: Any) -> Any:
-    """Return ``np.vdot``: the sum of the products of all entries, in order."""
+    """Return the result of ``np.vdot``: the sum of the products of all entries, in order."""
     return dot(objects(a).ravel(), objects(b).ravel())
 
 
 def solve(a: Any, b: Any) -> Any:
-    """Return a⁻¹b by Gaussian elimination with partial pivoting."""
+    """Return the solution a⁻¹b of a linear system by Gaussian elimination with partial pivoting."""
     A, B = objects(a), objects(b)
     size = len(A)
     if A.shape != (size, size) or B.ndim not in (1, 2) or len(B) != size:
@@ -86,12 +86,12 @@ def solve(a: Any, b: Any) -> Any:
 
 
 def invert(a: Any) -> Any:
-    """Return the inverse of a matrix."""
+    """Return the inverse of a matrix, by Gaussian elimination."""
     return solve(a, np.eye(len(objects(a))))
 
 
 def norm(x: Any, ord: None = None, axis: Any = None, keepdims: bool = False) -> Any:
-    """Return the Euclidean norm of all entries or along an axis."""
+    """Return the Euclidean norm of an array, over all entries or along an axis."""
     if ord is not None:
         raise ProblemError(f"np.linalg.norm of order {ord!r} cannot be traced; expected the Euclidean norm (no order)")
     return np.sqrt(compute(np.add, "reduce", (np.square(seen(objects(x))),), None, axis, keepdims))

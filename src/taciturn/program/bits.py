@@ -10,7 +10,7 @@ from taciturn.program.ops import Precision
 
 
 class Layout(NamedTuple):
-    """The binary format of the numbers of a precision (IEEE 754).
+    """Binary format of single-precision or double-precision numbers (IEEE 754).
 
     Args:
         word: the operation for constant bits, ``word`` or ``half``.
@@ -24,7 +24,10 @@ class Layout(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """Number whose addition rounds to an integer; the sum has no bits below 1, and ends in those of the integer."""
+        """A number whose addition rounds a number to an integer, because the sum has no bits for fractions.
+
+        The last bits of the sum are those of the integer.
+        """
         return 1.5 * 2.0**self.mantissa
 
     @property
@@ -34,7 +37,7 @@ class Layout(NamedTuple):
 
     @property
     def magnitude(self) -> int:
-        """Mask of all bits but the sign."""
+        """Bit mask of all bits of a number but the sign."""
         return (1 << self.sign) - 1
 
     @property
@@ -44,12 +47,12 @@ class Layout(NamedTuple):
 
     @property
     def one(self) -> int:
-        """The bits of the number 1."""
+        """Bit pattern of the number 1.0."""
         return self.bias << self.mantissa
 
     @property
     def modulus(self) -> int:
-        """The modulus of integer arithmetic on words."""
+        """Modulus of integer arithmetic on words with the size of a number."""
         return 2 << self.sign
 
 
@@ -60,7 +63,7 @@ LAYOUTS: Mapping[Precision, Layout] = {
 
 
 def literal(b: Builder, bits: int) -> int:
-    """Return a constant word; a negative integer is given by its two's complement."""
+    """Return the operation of a constant word of bits; a negative integer is represented by its two's complement."""
     layout = LAYOUTS[b.precision]
     return b.emit(layout.word, bits % layout.modulus)
 
@@ -76,7 +79,7 @@ def sign_bit(b: Builder, x: int) -> int:
 
 
 def signed(b: Builder, x: int, sign: int) -> int:
-    """Return x with its sign changed if the sign bit ``sign`` is set."""
+    """Return the number x with its sign changed if the sign bit ``sign`` is set."""
     return b.emit("number", b.emit("word_xor", b.emit("bits", x), sign))
 
 
@@ -93,7 +96,7 @@ def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
 
 
 def power_of_two(b: Builder, whole: int) -> int:
-    """Return 2^k, given a word whose last bits are those of the integer k."""
+    """Return the number 2^k for an integer k that is given by the last bits of a word."""
     # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
     biased = b.emit("word_add", whole, literal(b, layout.bias))

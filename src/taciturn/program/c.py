@@ -1,4 +1,4 @@
-"""Translation of a program to a C99 function that computes one step of one path, for devices.
+"""Translation of a program to a C99 function for devices, which computes one time step of one path.
 
 Each operation rounds once, in the order of the program. If the compiler does not fuse operations
 (``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. Numbers have the type
@@ -26,7 +26,7 @@ _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
 def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
-    """Return the source of the function ``static void name(inputs, memory, outputs)`` and of the tables that it reads.
+    """Return the C source of ``static void name(inputs, memory, outputs)`` and of the tables that it reads.
 
     The function updates its memory in place. The function has no inputs if the memory consists of words (a generator of
     random numbers).
@@ -40,7 +40,7 @@ def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
 
 
 def print_root(precision: Precision) -> str:
-    """Return the source of ``static tac_real tac_root(x)``, a correctly rounded square root computed bit by bit."""
+    """Return the C source of ``static tac_real tac_root(x)``, a correctly rounded square root."""
     layout = LAYOUTS[precision]
     word = "uint64_t" if precision == "float64" else "uint32_t"
     return _ROOT.format(
@@ -49,7 +49,7 @@ def print_root(precision: Precision) -> str:
 
 
 def literal(value: float, precision: Precision) -> str:
-    """Return a number as an exact C99 literal."""
+    """Return a floating-point number as an exact C99 literal."""
     if precision == "float32":
         value = float(np.float32(value))
     if np.isinf(value):
@@ -81,7 +81,7 @@ class _Printer:
         self.declared: set[str] = set()
 
     def text(self) -> str:
-        """Return the tables and the function."""
+        """Return the C source of the function and of the tables that it reads."""
         program = self.program
         lines = [line for i, op in enumerate(program.ops) if i in self.live for line in self._lines(i, op)]
         kept = [(i, op) for i, op in enumerate(program.following) if self._moves(i, op)]

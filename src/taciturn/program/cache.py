@@ -1,4 +1,4 @@
-"""The cache of compiled programs on disk: a folder that only this user can write, one file per program.
+"""Cache of compiled programs on disk: a folder that only this user can write, with one file per program.
 
 A cached file is executed, so it is used only if no other user can have written it: file and folder belong to this user
 or to root, and neither the group nor others may write to them.
@@ -22,7 +22,7 @@ LAYOUT = "digest of key and code, code"  # of a file; part of its key
 
 
 def cache_folder() -> Path | None:
-    """Return the cache folder, which is created with mode 0700, or None if there is none that can be trusted."""
+    """Return the folder of the cache, created with mode 0700 if needed, or None if no folder can be trusted."""
     folder = _place()
     if folder is None:
         return None
@@ -48,7 +48,7 @@ def cache_folder() -> Path | None:
 
 
 def read_code(folder: Path, key: str) -> bytes | None:
-    """Return the object code of a program, or None if there is none that is complete and can be trusted."""
+    """Return the cached object code of a program, or None if no complete and trusted file exists."""
     path = folder / f"{key}.o"
     try:
         with path.open("rb") as file:
@@ -68,7 +68,7 @@ def read_code(folder: Path, key: str) -> bytes | None:
 
 
 def write_code(folder: Path, key: str, code: bytes, most: int) -> None:
-    """Write object code atomically, and delete the least recently used files if there are more than ``most``."""
+    """Store object code in the cache atomically; delete the least recently used files beyond ``most``."""
     with contextlib.suppress(OSError):  # without a writable folder, every process compiles its programs
         write_whole(folder / f"{key}.o", _digest(key, code) + code, private=True)
         if len(os.listdir(folder)) > most + most // SPARE:

@@ -1,4 +1,4 @@
-"""Sine, cosine, tangent and their inverses as operations of the program, bit-identical in every back end.
+"""Sine, cosine, tangent and their inverses as operations of a program, bit-identical in every back end.
 
 An angle is reduced to |x| − k·π/2 by the method of Cody and Waite: π/2 is a sum of parts. The first parts have so few
 bits that their products with k < 2^25 (2^16 in single precision) and the differences are exact. The last parts are

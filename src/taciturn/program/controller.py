@@ -1,4 +1,4 @@
-"""Translation of a whole policy, all nodes and the links between them, to a program with measurements as inputs."""
+"""Translation of a whole policy (all nodes and the links between them) to a program with measurements as inputs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from taciturn.program.ops import Precision
 
 
 def lower_policy(policy: Policy, network: Network) -> Program:
-    """Return one time step of all nodes of a policy, from the measurement to the input of the plant.
+    """Return the program of one time step of all nodes of a policy, from the measurement to the plant's input.
 
     Inputs: ``y i``, ``uniform i``. Outputs: ``applied i``, clipped by the model's ``input_limit``, ``sent LINK`` and
     ``arrived LINK``.
@@ -42,7 +42,10 @@ def begin_time_step(
     initial: Mapping[str, Array | str],
     precision: Precision = "float64",
 ) -> TimeStep:
-    """Return the time step of all nodes before its first policy step; ``sizes`` and ``initial`` add further signals."""
+    """Return a new time step of all nodes of a policy, before its first policy step is translated.
+
+    ``sizes`` and ``initial`` add further signals.
+    """
     bad = [is_bad(link) for link in ENDS]
     payloads = encode_payloads(policy, network)
     told = {link: {name: how[name] for name in told_by(policy, link)} for link, how in payloads.items()}
@@ -52,7 +55,7 @@ def begin_time_step(
 
 
 def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, Coefficient]:
-    """Return the loss probability of each link: a constant, or for bursts a value that depends on the link's state."""
+    """Return the loss probability of each link: a constant, or for burst losses a value that depends on its state."""
     losses: dict[str, Coefficient] = {}
     for link in ENDS:
         burst, b = network.burst(link), tick.builder
@@ -68,5 +71,5 @@ def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, C
 
 
 def is_bad(link: str) -> str:
-    """Return the name of the memory that is 1 while a link is in its bad state, and 0 otherwise."""
+    """Return the name of the memory that is 1 while a link with burst losses is in its bad state, and 0 otherwise."""
     return f"{link} link is bad"

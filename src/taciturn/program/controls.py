@@ -1,4 +1,4 @@
-"""Control variates: sums with mean 0 that explain most of the variance of a path's average cost.
+"""Control variates for simulations: sums with mean 0 that explain most of the variance of a path's average cost.
 
 A normal number n_i that is drawn in a step is independent of the states s_j at the start of the step. So n_i s_j and
 n_i n_j − [i = j] have the conditional mean 0 given the past: they are martingale differences. Those of a quadratic
@@ -18,7 +18,9 @@ MOST = 64  # most controls; more would take longer than the rest of a step
 
 
 def with_controls(program: Program) -> Program:
-    """Return the program with control variates as additional sums, or unchanged if there would be more than MOST.
+    """Return a simulation program with control variates as additional sums.
+
+    If there were more than MOST of them, the program is returned unchanged.
 
     Args:
         program: one time step, with inputs ``normal i``.
@@ -44,7 +46,7 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return a reduced program ``lean`` with the control variates of ``program`` that use only its own states."""
+    """Return the reduced program ``lean`` with those control variates of ``program`` that use only its states."""
     remembered = {f"{state.name} {state.index}" for state in lean.states}
     controls = [name for name in program.sums if name.startswith(CONTROL)]
     fit = {name for name in controls if name.partition(" of ")[2] in {"", *remembered}}

@@ -1,4 +1,4 @@
-"""Random numbers as operations of the program, bit-identical in every back end, without a mathematical library.
+"""Random numbers as operations of a program, bit-identical in every back end, without a mathematical library.
 
 One 64-bit word of xoshiro256++ [blackman2021] gives two normal numbers by the Box–Muller method [box1958]: 32 bits for
 the radius, 30 for the angle from the nearest axis (up to an eighth of the circle on either side), one for the sign, and
@@ -46,7 +46,7 @@ NORMAL, UNIFORM = "normal", "uniform"  # inputs that are random numbers have nam
 
 
 def with_draws(program: Program) -> Program:
-    """Return the program with its inputs ``normal i`` and ``uniform i`` computed by a generator in its own states."""
+    """Return a program that computes its random inputs ``normal i`` and ``uniform i`` by its own generator."""
     drawn = [name for name in program.inputs if name.split()[0] in (NORMAL, UNIFORM)]
     if not drawn:
         return program
@@ -66,14 +66,14 @@ def with_draws(program: Program) -> Program:
 
 
 def draw_uniforms(count: int, precision: Precision = "float64") -> Program:
-    """Return a program that draws ``count`` uniform numbers per step, as its outputs ``uniform i``."""
+    """Return a program that draws ``count`` uniform random numbers per step, as its outputs ``uniform i``."""
     builder, supplied = Builder(precision), dict[str, int]()
     following = draw(builder, [f"{UNIFORM} {i}" for i in range(count)], supplied)
     return builder.finish(following, {}, supplied)
 
 
 def seed_generators(seed: int, paths: int, first: int = 0) -> Array:
-    """Return the initial words of each path's generator, (4, paths), as the bits of doubles.
+    """Return the initial state of each path's random generator: four words, stored as the bits of doubles.
 
     They are computed by SplitMix64 [steele2014] from the seed and the number of the path. So path i of a seed does not
     depend on which other paths are run.
@@ -97,7 +97,7 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
-    """Add the random numbers of a step to ``supplied``, by name; return the next words of the generator."""
+    """Add the random numbers of a step to ``supplied``, by name, and return the generator's next state."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]
     for i in range(0, len(normals), 2):
@@ -160,7 +160,7 @@ def _upper_half_as_fraction(b: Builder, word: int) -> int:
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u for u in (0, 1).
+    """Return −2 log u for a number u in (0, 1), the squared radius of the Box–Muller method.
 
     With u = 2^e m, m in [1, 2), and c ≈ 1/m from a table of eight entries, m·c = 1 + r with |r| ≤ 1/17 and
 

@@ -1,4 +1,4 @@
-"""NumPy's elementary functions as operations; an argument is a constant (float) or the index of an operation.
+"""NumPy's elementary functions as operations of a program, on constants (floats) or on indices of operations.
 
 Constant expressions are evaluated in advance; additions of zero and multiplications by one are removed. ``floor``,
 ``ceil`` and ``round_off`` are exact. The error of ``remainder`` is the rounding error of y·floor(x/y). ``minimum`` and
@@ -58,7 +58,7 @@ def negate(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def power(b: Builder, x: Coefficient, exponent: Coefficient) -> Coefficient:
-    """Return x^p by repeated squaring, for an integer or half-integer p.
+    """Return the power x^p by repeated squaring, for an integer or half-integer p.
 
     Raises:
         ProblemError: the exponent is not a constant, or not an integer or half-integer.
@@ -88,22 +88,22 @@ def sign(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def minimum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the smaller of x and y."""
+    """Return the smaller of two numbers x and y."""
     return _extreme(b, x, y, less=True)
 
 
 def maximum(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return the larger of x and y."""
+    """Return the larger of two numbers x and y."""
     return _extreme(b, x, y, less=False)
 
 
 def clip(b: Builder, x: Coefficient, low: Coefficient, high: Coefficient) -> Coefficient:
-    """Return x limited to the range from low to high."""
+    """Return the number x limited to the range from low to high."""
     return minimum(b, maximum(b, x, low), high)
 
 
 def round_off(b: Builder, x: Coefficient) -> Coefficient:
-    """Return the nearest integer, ties to even."""
+    """Return the integer nearest to x; ties are rounded to even."""
     # all numbers from 2^mantissa on are integers, so that adding this number rounds a sum to an integer
     value, most = b.value(x), b.constant(2.0 ** LAYOUTS[b.precision].mantissa)
     size = _magnitude(b, value)
@@ -134,7 +134,7 @@ def floor_divide(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
 
 
 def hypotenuse(b: Builder, x: Coefficient, y: Coefficient) -> Coefficient:
-    """Return sqrt(x² + y²); the squares must not overflow."""
+    """Return the hypotenuse sqrt(x² + y²); the squares must not overflow."""
     return b.emit("sqrt", b.value(add(b, square(b, x), square(b, y))))
 
 
@@ -191,17 +191,17 @@ def both(b: Builder, one: Truth, other: Truth) -> Truth:
 
 
 def opposite(b: Builder, one: Truth) -> Truth:
-    """Return the negation of a truth value."""
+    """Return the logical negation of a truth value."""
     return not one if isinstance(one, bool) else b.emit("not", one)
 
 
 def either(b: Builder, one: Truth, other: Truth) -> Truth:
-    """Return whether at least one is true."""
+    """Return whether at least one of two truth values is true."""
     return opposite(b, both(b, opposite(b, one), opposite(b, other)))
 
 
 def choose(b: Builder, truth: Truth, yes: Coefficient, no: Coefficient) -> Coefficient:
-    """Return ``yes`` where the truth value holds, else ``no``."""
+    """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
     if isinstance(truth, bool):
         return yes if truth else no
     if isinstance(yes, float) and isinstance(no, float) and yes == no:

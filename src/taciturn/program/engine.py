@@ -23,7 +23,7 @@ Runner: TypeAlias = Callable[[Array, int, int | None], Run]
 
 
 def prepare(program: Program) -> Runner:
-    """Compile a program without inputs, and return the function that runs it."""
+    """Compile a program without inputs, and return the function that runs it for a number of steps."""
     if not machine.available():
         return lambda states, ticks, threads: interpreter.run(program, states, ticks)
     kernel = machine.Kernel(program)
@@ -31,7 +31,7 @@ def prepare(program: Program) -> Runner:
 
 
 class Stepper:
-    """Runs programs of equal structure together, with one path each.
+    """Runs many programs of equal structure together, one simulated path for each program.
 
     Args:
         programs: programs without inputs, of equal ``Program.structure``.
@@ -47,7 +47,7 @@ class Stepper:
         self._offsets = {name: np.array([total[name].offset for total in totals]) for name in totals[0]}
 
     def run(self, states: Array, ticks: int, threads: int | None = None) -> tuple[Array, dict[str, Array]]:
-        """Return states and sums after a number of steps, given the initial states, (states, programs)."""
+        """Return the states and sums of all programs after a number of steps, given the initial states."""
         if self._kernel is None:
             runs = [interpreter.run(program, states[:, [i]], ticks) for i, program in enumerate(self._programs)]
             sums = {name: np.concatenate([run.sums[name] for run in runs]) for name in self._factors}
@@ -59,7 +59,7 @@ class Stepper:
 
 
 class Resident:
-    """Paths of programs that run step by step, with inputs at each step.
+    """Runs simulated paths of programs step by step, with new inputs at each step.
 
     Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
     with constants shared by its paths. The results do not depend on this.
@@ -84,11 +84,11 @@ class Resident:
             first = end
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step from inputs, (inputs, paths), to outputs, (outputs, paths)."""
+        """Run one step on all paths: return the outputs, (outputs, paths), for the inputs, (inputs, paths)."""
         return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
     def take_sums(self) -> dict[str, Array]:
-        """Return the sums over the steps since the last call, (paths,) each."""
+        """Return each sum over the steps since the last call of this method, (paths,) each."""
         taken = [part.take_sums() for _, part in self._parts]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
 

@@ -1,4 +1,4 @@
-"""Exponentials and logarithms as operations of the program, bit-identical in every back end, without a library.
+"""Exponentials and logarithms as operations of a program, bit-identical in every back end, without a library.
 
 Largest errors in units in the last place: e^x 1.5, log x 1, e^x − 1 2.25, tanh x 2.75. The fast build, which fuses
 some products with sums, has the same bounds.
@@ -38,7 +38,7 @@ _FORMATS = {
 
 
 def falling(b: Builder, x: int) -> int:
-    """Return e^{−x} for x ≥ 0; 1 for x < 0, and at least e^{−700}, or e^{−80} in single precision.
+    """Return e^{−x}, limited to at most 1 (for x < 0) and at least e^{−700}, or e^{−80} in single precision.
 
     Source: muller2016
     """
@@ -63,7 +63,7 @@ def exponential(b: Builder, x: int) -> int:
 
 
 def exponential_less_one(b: Builder, x: int) -> int:
-    """Return e^x − 1, also accurate for small x; it saturates as e^x does.
+    """Return e^x − 1, also accurate for small x, with the same saturation as ``exponential``.
 
     Source: muller2016
     """

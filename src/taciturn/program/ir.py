@@ -1,4 +1,4 @@
-"""Straight-line programs in single-assignment form for one time step of a loop or a node, and their builder.
+"""Straight-line programs of one time step of a loop or a node, in single-assignment form, and their builder.
 
 ``Builder`` collects operations and stores equal ones once. ``Builder.finish`` merges states that agree at every step
 and removes operations without effect. The result is a ``Program``, the data that every back end reads.
@@ -20,7 +20,7 @@ Coefficient = float | int  # a float is a known constant; an int is the index of
 
 @dataclass(frozen=True)
 class Program:
-    """One time step, which maps states, inputs and constants to next states, sums and outputs.
+    """Program of one time step, which maps states, inputs and constants to next states, sums and outputs.
 
     Args:
         ops: operations in order; each reads earlier ones only.
@@ -48,14 +48,14 @@ class Program:
 
     @cached_property
     def operations(self) -> int:
-        """Number of arithmetic operations; a matrix product counts its multiplications and additions."""
+        """Number of arithmetic operations in one step; a matrix product counts its multiplications and additions."""
         single = sum(op.name not in ("const", "state", "input", "word", "half", "product", "entry") for op in self.ops)
         products = [self.matrices[op.arguments[0]] for op in self.ops if op.name == "product"]
         return single + sum(2 * tile.rows * (tile.end - tile.begin) for rows in products for tile in tiles(rows))
 
     @property
     def structure(self) -> Hashable:
-        """Key that is equal for programs that differ only in their constants, and therefore can run together."""
+        """Key that is equal for programs that differ only in their constants, so that they can run together."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
         names = (tuple(self.sums.items()), tuple(self.outputs.items()))
         sizes = (len(self.constants), *(len(table) for table in self.tables))
@@ -66,7 +66,7 @@ class Program:
 
     @property
     def totals(self) -> dict[str, Total]:
-        """How each sum is computed: constant factors and terms are applied once, after the last step."""
+        """Rule for each sum over steps: constant factors and terms are applied once, after the last step."""
         return {name: self._total(index) for name, index in self.sums.items()}
 
     def _total(self, index: int) -> Total:
@@ -90,7 +90,7 @@ class Program:
     def keep(
         self, sums: Set[str] = frozenset(), outputs: Set[str] = frozenset(), states: Set[str] = frozenset()
     ) -> Program:
-        """Return the program reduced to these sums, outputs and states, and to the operations that they depend on."""
+        """Return the program reduced to given sums, outputs and states, and to the operations that these need."""
         kept_sums = {name: index for name, index in self.sums.items() if name in sums}
         kept_outputs = {name: index for name, index in self.outputs.items() if name in outputs}
         smaller = replace(self, sums=kept_sums, outputs=kept_outputs)
@@ -99,7 +99,7 @@ class Program:
 
 
 class Builder:
-    """Collects the operations of one time step; equal operations are stored once.
+    """Builder of a program: collects the operations of one time step, and stores equal operations once.
 
     Args:
         precision: precision of the numbers.
@@ -118,7 +118,7 @@ class Builder:
         self._constant_index: dict[float | str, int] = {}
 
     def emit(self, name: str, *arguments: int) -> int:
-        """Return the index of an operation; a new one is added if no equal operation exists."""
+        """Return the index of an operation; the operation is added if no equal one exists."""
         new = len(self.ops)
         found = self._known.setdefault((name, arguments), new)
         if found == new:
@@ -126,7 +126,7 @@ class Builder:
         return found
 
     def constant(self, value: float) -> int:
-        """Return the operation of a constant."""
+        """Return the index of the operation that gives a constant."""
         key = float(value) or str(value)  # 0.0 == −0.0, but the two constants have different bits
         if key not in self._constant_index:
             self._constant_index[key] = len(self.constants)
@@ -134,25 +134,25 @@ class Builder:
         return self.emit("const", self._constant_index[key])
 
     def state(self, state: State) -> int:
-        """Return the value of a state at the start of the step, and declare the state if it is new."""
+        """Return the operation that reads a state at the start of the step; a new state is declared."""
         if state not in self.states:
             self.states.append(state)
         return self.emit("state", self.states.index(state))
 
     def input(self, name: str) -> int:
-        """Return the input with a name, whose value is supplied at each step."""
+        """Return the operation that reads the input with a given name, whose value is supplied at each step."""
         if name not in self.inputs:
             self.inputs.append(name)
         return self.emit("input", self.inputs.index(name))
 
     def lookup(self, values: Sequence[float], index: int) -> Coefficient:
-        """Return values[index], or a constant if all values are equal."""
+        """Return the table entry values[index], or a constant if all values are equal."""
         if len(set(values)) == 1:
             return float(values[0])
         return self.emit("lookup", self._table(values), index)
 
     def pick(self, values: Sequence[float], word: int) -> int:
-        """Return the entry of an eight-entry table at the last three bits of a word."""
+        """Return the entry of an eight-entry table that the last three bits of a word select."""
         assert len(values) == EIGHT
         return self.emit("pick", self._table(values), word)
 
@@ -164,7 +164,7 @@ class Builder:
         return self.tables.index(row)
 
     def value(self, coefficient: Coefficient) -> int:
-        """Return the operation that gives a coefficient."""
+        """Return the operation that gives the value of a coefficient."""
         return self.constant(coefficient) if isinstance(coefficient, float) else coefficient
 
     def scale(self, coefficient: Coefficient, x: int) -> int:
@@ -174,7 +174,7 @@ class Builder:
         return x if _is(coefficient, 1.0) else self.emit("mul", self.value(coefficient), x)
 
     def add(self, *terms: int | None) -> int | None:
-        """Return the sum of the terms that are not None, added from the left; None if there are none."""
+        """Return the sum of all terms that are not None, added from the left; None if all terms are None."""
         total: int | None = None
         for term in terms:
             if term is not None:
@@ -182,7 +182,7 @@ class Builder:
         return total
 
     def combine(self, coefficients: Sequence[Coefficient], values: Sequence[int]) -> int | None:
-        """Return Σ coefficient·value, added from the left without zero coefficients; None if all are zero."""
+        """Return Σ coefficient·value, added from the left; None if all coefficients are zero."""
         # a single chain of sums, which become fused multiply-adds in the fast build; two half chains were 6 % slower
         total: int | None = None
         for coefficient, value in zip(coefficients, values, strict=True):
@@ -195,7 +195,7 @@ class Builder:
         return total
 
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
-        """Return matrix·values: one ``combine`` per row, or one ``product`` if the matrix is large and constant."""
+        """Return the matrix times the values, row by row, or as one ``product`` if the matrix is large and constant."""
         # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
         full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
@@ -210,20 +210,20 @@ class Builder:
         ]
 
     def product(self, rows: Rows, values: Sequence[int]) -> int:
-        """Return the vector matrix·values as one operation."""
+        """Return the product of a constant matrix and a vector of values as one operation."""
         if rows not in self.matrices:
             self.matrices.append(rows)
         return self.emit("product", self.matrices.index(rows), *values)
 
     def polynomial(self, coefficients: Sequence[float], x: int) -> int:
-        """Return Σ coefficient·x^i by Horner's rule, one multiplication and one addition per power."""
+        """Return the polynomial Σ coefficient·x^i by Horner's rule: one multiplication and one addition per power."""
         total = self.constant(coefficients[-1])
         for coefficient in coefficients[-2::-1]:
             total = self.emit("add", self.emit("mul", total, x), self.constant(coefficient))
         return total
 
     def quadratic(self, Psi: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> int | None:
-        """Return v'Ψv for a symmetric Ψ; None if it is zero."""
+        """Return the quadratic form v'Ψv for a symmetric matrix Ψ; None if Ψ is zero."""
         # v'Ψv = Σ_i v_i (Ψ_ii v_i + Σ_{j>i} 2Ψ_ij v_j): the upper triangle holds every pair once.
         # Rows without off-diagonal terms are grouped by weight: ψ v_1² + ψ v_2² = ψ (v_1² + v_2²).
         alone: dict[int, list[int]] = {}  # squares by the operation of their common weight
@@ -247,7 +247,7 @@ class Builder:
         return total
 
     def choose(self, truth: int, yes: int, no: int) -> int:
-        """Return ``yes`` where ``truth`` holds, else ``no``."""
+        """Return the number ``yes`` if the truth value ``truth`` is true, and ``no`` otherwise."""
         if yes == no:
             return yes
         # (t ? c·x : 0) = c·(t ? x : 0): a constant factor outside can be applied to a sum once (``Program.totals``)
@@ -262,7 +262,7 @@ class Builder:
     def finish(
         self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
     ) -> Program:
-        """Return the program, with states that always agree merged and unused operations removed."""
+        """Return the collected program; equal states are merged, and unused operations removed."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
     def collect(self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int]) -> Program:
@@ -282,7 +282,7 @@ class Builder:
 
 
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
-    """Copy a program with only the given states; ``substitute`` may replace a ``state`` or an ``input``."""
+    """Return a copy of a program with only the given states; ``substitute`` may replace a ``state`` or ``input``."""
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program, roots))
     builder = Builder(program.precision)
@@ -302,7 +302,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
 
 
 def merge_states(program: Program) -> Program:
-    """Merge states that provably agree at every step, and drop states without influence on sums and outputs.
+    """Return a program without redundant states: equal states are merged, and states without effect removed.
 
     A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
     one class. A class is split if the next values of its states differ while each state is read from its class leader.
@@ -368,7 +368,7 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
-    """Return the operations that the roots depend on within one step."""
+    """Return the operations of a program on which the operations ``roots`` depend within one step."""
     needed = set(roots)
     # operations read earlier ones only, so one pass from the last to the first finds all
     for index in range(max(needed, default=-1), -1, -1):

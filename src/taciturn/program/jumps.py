@@ -1,4 +1,4 @@
-"""The contribution of Poisson jumps within a time step to the state at its end, as operations of the program.
+"""Effect of Poisson jumps within a time step on the state at its end, as operations of a program.
 
 Between jumps the state follows dx/dt = A x. A jump at time t adds Gξ. At the end τ of the step its contribution is
 
@@ -24,7 +24,9 @@ ROUNDING = 1e-16  # size below which a term of the power series has no effect
 
 
 def add_jumps(tick: TimeStep, noise: JumpNoise) -> Vector:
-    """Return Σ_i e^{A(τ−t_i)} G ξ_i over the jumps of one time step, where GG' is their covariance.
+    """Return the effect Σ_i e^{A(τ−t_i)} G ξ_i of all jumps at times t_i within a time step on the state at its end.
+
+    GG' is the covariance of a jump.
 
     A program has no loops, so a fixed number of jumps is drawn, and jumps after the end of the step are ignored. A step
     has more jumps than this number with a probability below 1e-14.
@@ -102,7 +104,7 @@ def _drawn(noise: JumpNoise) -> int:
 
 
 def jump_size(b: Builder, distribution: JumpDistribution, drawn: int) -> int:
-    """Return one entry of ξ, with mean 0 and variance 1, from a normal or (for other laws) a uniform number."""
+    """Return one entry of a jump ξ with mean 0 and variance 1, from a normal or a uniform random number."""
     if distribution == "normal":
         return drawn
     # u − ½ has variance 1/12; its sign is the two-point distribution ±1

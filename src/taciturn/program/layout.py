@@ -1,4 +1,4 @@
-"""The positions of all inputs and outputs in the time step of a node, for the back ends that run nodes."""
+"""Positions of all inputs and outputs in the time step of a node, for the back ends that run nodes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):
-    """Packets of one kind that arrive on one link, and their positions among the inputs.
+    """Packets of one kind that a node receives on one link, and their positions among its inputs.
 
     Args:
         kind: ``"data"`` or ``"acknowledgement"``.
@@ -37,7 +37,7 @@ class Arrival(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """Packets that a node sends over one link, and their positions among the outputs.
+    """Packets that a node sends over one link, and their positions among its outputs.
 
     Args:
         link: link on which they are sent.
@@ -52,7 +52,7 @@ class Departure(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """The positions of the inputs and outputs in the time step of a node.
+    """Positions of measurements, packets, random numbers and inputs of the plant in the time step of a node.
 
     Args:
         inputs: names of all inputs: measurement, step counters, packets, and random numbers.
@@ -78,7 +78,7 @@ class Layout:
 
 
 def lay_out(policy: Policy, program: NodeProgram) -> Layout:
-    """Return the positions of the inputs and outputs of a node."""
+    """Return the positions of all inputs and outputs in the time step of a node."""
     sizes, arrivals = policy.sizes, list[Arrival]()
     names = [f"y {i}" for i in range(sizes["y"])]
     clocks = len(names)

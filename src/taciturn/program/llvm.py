@@ -1,4 +1,4 @@
-"""Translation of a program to LLVM IR on vectors with one lane per path; states stay in registers between steps.
+"""Translation of a program to LLVM IR, on vectors with one lane per path; states stay in registers between steps.
 
 The generated function runs blocks of ``lanes`` paths for any number of steps:
 
@@ -24,7 +24,7 @@ from taciturn.program.target import Target
 
 
 def print_llvm(program: Program, target: Target, lanes: int, build: Build, own: bool = False) -> str:
-    """Return the text of a module with the function ``run``.
+    """Return the text of an LLVM module whose function ``run`` runs a program for many steps and paths.
 
     Args:
         program: the program.

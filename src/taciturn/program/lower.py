@@ -1,4 +1,4 @@
-"""Translation of policy steps to operations: the computations, decisions and packets of nodes in one time step.
+"""Translation of policy steps (computations, decisions and packets of nodes) to operations of a program.
 
 ``TimeStep`` stores the value of every signal while policy steps are translated in order. The closed loop (all nodes,
 with the plant) and a single site (with its packets as inputs, ``node``) use this class. Two rules apply:
@@ -45,7 +45,7 @@ Truth = int | bool  # an operation, or a truth value that is known during the tr
 
 
 class TimeStep:
-    """The values of all signals within one time step, while its policy steps are translated.
+    """Translation of one time step: the operations that give the value of each signal after each policy step.
 
     A signal that is read before it is assigned becomes a memory, which is a state of the program.
 
@@ -79,15 +79,15 @@ class TimeStep:
         self.drawn = 0  # number of uniform numbers drawn so far
 
     def read(self, name: str) -> Vector:
-        """Return the value of a signal, from the packet if the current policy step reads one, else from ``recall``."""
+        """Return the value of a signal: from the packet that the current policy step reads, or else from ``recall``."""
         return self.hear(name) if name in self.listening else self.recall(name)
 
     def hear(self, name: str) -> Vector:
-        """Return a signal as it is encoded in the packet."""
+        """Return the value of a signal in a received packet, as rounded by the packet's encoding."""
         return self.rounded(self.recall(name), self.listening[name])
 
     def rounded(self, values: Vector, encoding: Encoding) -> Vector:
-        """Return numbers rounded by the encoding of a packet."""
+        """Return the values of a signal rounded by the encoding of a packet."""
         if encoding.name == "float64":
             return values
         if encoding.name == "float32":
@@ -103,25 +103,25 @@ class TimeStep:
         return b.scale(scale / most, b.emit("sub", b.emit("add", steps, rounder), rounder))
 
     def clipped(self, values: Vector, limit: Array | None) -> Vector:
-        """Return numbers clipped to ± their limits, or unchanged if there are no limits."""
+        """Return the values of a signal clipped to ± their limits; without limits they are unchanged."""
         return (
             values if limit is None else [self.clip(v, bound) for v, bound in zip(values, limit.tolist(), strict=True)]
         )
 
     def clip(self, value: int, limit: float) -> int:
-        """Return a number clipped to ±limit."""
+        """Return a number clipped to the range ±limit."""
         high, low = self.builder.constant(limit), self.builder.constant(-limit)
         below = self.choose(self.builder.emit("greater", value, high), high, value)
         return self.choose(self.builder.emit("greater", low, below), low, below)
 
     def recall(self, name: str) -> Vector:
-        """Return the current value of a signal, or before its assignment the value of the previous step."""
+        """Return the current value of a signal, or the value from the previous time step if it is not assigned yet."""
         if name not in self.signals:
             self.signals[name] = self.memories[name] = self._remember(name, self.sizes[name])
         return self.signals[name]
 
     def take(self, step: Step, losses: Mapping[str, Coefficient]) -> None:
-        """Translate one policy step; ``losses`` has the loss probability of each link."""
+        """Translate one policy step to operations; ``losses`` contains the loss probability of each link."""
         on = step.on if isinstance(step, Assign | Evaluate) else None
         self.listening = self.payloads.get(on.link, {}) if isinstance(on, Received) else {}
         if isinstance(step, Assign):
@@ -142,14 +142,14 @@ class TimeStep:
         self.listening = {}
 
     def combine(self, terms: Terms, rows: int) -> Vector:
-        """Return Σ matrix·signal as one matrix [M_1 M_2 …] times one vector."""
+        """Return the sum Σ matrix·signal, computed as one matrix [M_1 M_2 …] times one vector."""
         values = [value for name in terms for value in self.read(name)]
         blocks = [self.coefficients(matrix) for matrix in terms.values()]
         joined = [[c for block in blocks for c in block[i]] for i in range(rows)]
         return [self.value(index) for index in self.builder.transform(joined, values)]
 
     def form(self, form: Form) -> int:
-        """Return the value v'Ψv + bell(v) + Σ weight·scalar + constant of a form."""
+        """Return the value of a trigger's form: v'Ψv, a Gaussian term, weighted scalars and a constant."""
         b = self.builder
         values = [value for name in form.signals for value in self.read(name)]
         square = None if form.Psi is None else b.quadratic(self.coefficients(form.Psi), values)
@@ -165,7 +165,7 @@ class TimeStep:
         return self.builder.scale(bell.height, falling(self.builder, halved))
 
     def pick(self, condition: Condition | None, options: Sequence[int]) -> int:
-        """Return the option of the outcome that occurred."""
+        """Return the option that belongs to the outcome of a condition in this time step."""
         # t_1 ? o_1 : (t_2 ? o_2 : … o_last): at most one truth value is true; if all are false, the outcome is the last
         chosen = options[-1]
         if condition is not None:
@@ -174,23 +174,23 @@ class TimeStep:
         return chosen
 
     def choose(self, truth: Truth, yes: int, no: int) -> int:
-        """Return ``yes`` where the truth value holds, else ``no``."""
+        """Return the number ``yes`` if the truth value is true, and ``no`` otherwise."""
         if isinstance(truth, bool):
             return yes if truth else no
         return self.builder.choose(truth, yes, no)
 
     def as_number(self, truth: Truth) -> int:
-        """Return 1 for true and 0 for false."""
+        """Return a truth value as a number: 1 for true and 0 for false."""
         return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return truth values of all outcomes of a condition but the last; for a packet, whether it has not arrived."""
+        """Return a truth value for each outcome of a condition but the last; for a packet, that it has not arrived."""
         if isinstance(condition, str):
             return self.outcomes[condition]
         return [self._not(self._arrived(condition.link))]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
-        """Return the entries of a matrix; a scheduled matrix is looked up at the current value of its location."""
+        """Return the entries of a matrix; a scheduled matrix depends on the current value of a location."""
         if isinstance(matrix, Scheduled):
             at = self.place(matrix.by)
             entries = np.moveaxis(matrix.values, 0, -1)
@@ -198,7 +198,7 @@ class TimeStep:
         return [[float(value) for value in row] for row in matrix]
 
     def number(self, value: float | Scheduled) -> Coefficient:
-        """Return a number; a scheduled number is looked up at the current value of its location."""
+        """Return a number; a scheduled number depends on the current value of a location (finite-state variable)."""
         if isinstance(value, Scheduled):
             return self.builder.lookup(list(value.values), self.place(value.by))
         return value
@@ -209,7 +209,7 @@ class TimeStep:
         return self.builder.input(f"{UNIFORM} {self.drawn - 1}")
 
     def finish(self, sums: Mapping[str, int], outputs: Mapping[str, int] | None = None) -> Program:
-        """Return the program, in which locations change and every memory gets the last value of its signal."""
+        """Return the program of this time step; at its end, locations and memories get their next values."""
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
@@ -227,11 +227,11 @@ class TimeStep:
         return [self.builder.state(State(name, i, key)) for i, key in enumerate(keys)]
 
     def value(self, index: int | None) -> int:
-        """Return the operation, or the constant 0 for an empty sum (None)."""
+        """Return an operation, or the constant 0 for an empty sum (None)."""
         return self.builder.constant(0.0) if index is None else index
 
     def place(self, name: str) -> int:
-        """Return the current value of a location."""
+        """Return the current value of a location (a finite-state variable of the policy)."""
         if name not in self.memories:
             location = self.locations[name]
             start = State(name, 0, float(location.initial))
@@ -239,7 +239,7 @@ class TimeStep:
         return self.memories[name][0]
 
     def move(self, location: Location) -> int:
-        """Return the next value of a location, from a table indexed by its current value and by an outcome."""
+        """Return the next value of a location, from a table over its current value and an outcome."""
         columns = location.table[:, None] if location.on is None else location.table
         here = self.place(location.name)
         options = [self.builder.value(self.builder.lookup([float(v) for v in column], here)) for column in columns.T]
@@ -307,7 +307,7 @@ class TimeStep:
 
 
 def encode_payloads(policy: Policy, network: Network) -> dict[str, dict[str, Encoding]]:
-    """Return the encoding of each signal in the packets of a policy, by link and signal.
+    """Return how each signal is encoded in the packets of a policy, by link and signal.
 
     Raises:
         ProblemError: a full-scale range is missing, or its number of entries differs from that of the packet.

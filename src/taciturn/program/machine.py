@@ -1,4 +1,4 @@
-"""Compilation of LLVM IR with llvmlite, a cache of the object code, and its execution on several threads.
+"""Compilation of programs in LLVM IR with llvmlite, a cache of their object code, and execution on several threads.
 
 The cache is in memory and on disk (``cache``, some hundred files). Its key consists of the text of the program, which
 includes the processor, and the version of llvmlite. Only this module calls llvmlite.
@@ -45,7 +45,7 @@ _SIGNATURE = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 3, *[ctypes.c_void_p] * 
 
 
 class Kernel:
-    """Machine code for all programs of one structure.
+    """Compiled machine code for all programs that differ only in their constants.
 
     Args:
         program: the program.
@@ -62,12 +62,12 @@ class Kernel:
         self._code = _load(_print(_Printable(program.structure, program), host(), self.lanes, build, own))
 
     def pack(self, programs: Sequence[Program], paths: Sequence[int] | int = 1) -> Array:
-        """Return the constants of all paths, (blocks, constants, lanes), for programs with given numbers of paths."""
+        """Return the constants of several programs for each path in memory layout, (blocks, constants, lanes)."""
         known = np.array([constants_of(program) for program in programs])
         return _into_blocks(np.repeat(known, paths, axis=0).T, self.lanes)
 
     def known(self, program: Program, constants: Array | None) -> Array:
-        """Return the constants in memory layout: those of each path (``pack``), or the shared ones of the program."""
+        """Return constants in memory layout: those of each path (``pack``), or those that all paths share."""
         assert self.own == (constants is not None), (
             "constants per path are supplied to a kernel with shared constants, or are missing"
         )
@@ -82,7 +82,7 @@ class Kernel:
         threads: int | None = None,
         constants: Array | None = None,
     ) -> Run:
-        """Run ``ticks`` steps on every path; arguments and result as in ``taciturn.program.numpy.run``.
+        """Run a program for ``ticks`` steps on every path, as :func:`taciturn.program.numpy.run` does.
 
         Paths do not interact, so results do not depend on the number of paths and threads. If each path has its own
         ``constants`` (``pack``), the sums exclude the factors and offsets of ``Program.totals``.
@@ -125,13 +125,13 @@ class Kernel:
         )
 
     def call(self, first: int, end: int, ticks: int, arrays: Sequence[Array]) -> None:
-        """Run blocks of paths; the arrays are states, sums, constants, inputs and outputs, as in ``program.llvm``."""
+        """Run the machine code on blocks of paths, with arrays of states, sums, constants, inputs and outputs."""
         if first < end and ticks > 0:
             self._code.function(first, end, ticks, *(a.ctypes.data for a in arrays))
 
 
 class Resident:
-    """Paths of a program that stay in memory layout between steps; each step receives inputs.
+    """Runs simulated paths of a compiled program step by step, with new inputs at each step.
 
     Args:
         kernel: kernel compiled for the structure of the program.
@@ -150,26 +150,26 @@ class Resident:
         self._arrays = state, self._sums, kernel.known(program, constants), self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step, from inputs, (inputs, paths), to outputs, (outputs, paths)."""
+        """Run one step on all paths: return the outputs, (outputs, paths), for the inputs, (inputs, paths)."""
         self._inputs[:] = _into_blocks(inputs, self._kernel.lanes)
         self._kernel.call(0, len(self._inputs), 1, self._arrays)
         return _from_blocks(self._outputs, self._paths).copy()
 
     def take_sums(self) -> Array:
-        """Return the sums since the last call, (sums, paths), without the factors and offsets of their totals."""
+        """Return the sums over the steps since the last call, (sums, paths), without factors and offsets."""
         taken = _from_blocks(self._sums, self._paths).copy()
         self._sums[:] = 0.0
         return taken
 
 
 def forget() -> None:
-    """Remove the machine code from memory, but not from the cache on disk."""
+    """Remove all compiled programs from memory, but not from the cache on disk."""
     _load.cache_clear()
 
 
 @cache
 def available() -> bool:
-    """Return whether llvmlite can be imported; warn once if it cannot."""
+    """Return whether the compiler llvmlite can be imported; warn once if it cannot."""
     try:
         _llvm()
     except ImportError as error:
@@ -198,7 +198,7 @@ def available_processors() -> int:
 
 @cache
 def host() -> Target:
-    """Return this processor, limited to the vectors that the environment variable selects."""
+    """Return a description of this processor, with the vector size that the environment variable selects."""
     llvm = _llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
@@ -210,7 +210,7 @@ def host() -> Target:
 
 
 def shared_constants(program: Program) -> Array:
-    """Return the constants that all paths share, in memory layout."""
+    """Return the constants of a program that all paths share, as an array in memory layout."""
     return np.array(constants_of(program), dtype=program.precision)
 
 
@@ -272,7 +272,7 @@ def _machine(target: Target) -> Any:
 
 
 def compile_object(text: str, target: Target) -> bytes:
-    """Return the object code of the text of a program, for the processor in this text."""
+    """Return the object code of an LLVM IR text, for the processor that the text names."""
     carried = text.startswith(target.heading) and target.attributes in text
     assert carried, f"the text is for a processor other than {target}: LLVM would terminate the process"
     llvm, machine = _llvm(), _machine(target)

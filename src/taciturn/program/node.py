@@ -1,4 +1,4 @@
-"""Translation of one site of a policy to programs: the policy steps of its nodes, with arriving packets as inputs.
+"""Translation of the policy steps of the nodes at one site to programs, with arriving packets as inputs.
 
 A time step has one or two parts. The first part ends with the last output of the node, a packet or the input of the
 plant. Later policy steps that read a packet or an acknowledgement form the second part. This part runs when the next
@@ -35,7 +35,7 @@ from taciturn.program.ops import Precision, State
 
 @dataclass(frozen=True, eq=False)
 class NodeProgram:
-    """The programs of the nodes at one site.
+    """Programs of one time step of the nodes at one site of a policy.
 
     Inputs of the parts: ``y i``, ``at COUNTER``, ``arrived LINK`` and ``LINK SIGNAL i`` of packets,
     ``acknowledged LINK``, ``uniform i``. Outputs of the first part: ``sent LINK``, ``LINK i`` (the payload),
@@ -67,7 +67,7 @@ class NodeProgram:
 def lower_node(
     policy: Policy, site: frozenset[NodeName], network: Network, precision: Precision = "float64"
 ) -> NodeProgram:
-    """Return the programs of one site of a policy.
+    """Return the programs of one time step of the nodes at one site of a policy.
 
     Args:
         policy: the policy.
@@ -85,7 +85,7 @@ def lower_node(
 
 
 def check_separable(policy: Policy) -> None:
-    """Reject a policy whose nodes cannot be separated.
+    """Raise an error if the nodes of a policy cannot run separately.
 
     Raises:
         ProblemError: the nodes cannot be separated; the message has the reason.
@@ -187,7 +187,7 @@ class _Lowering:
         self.places = [place for place in policy.locations if place.on is not None and place.at in site]
 
     def result(self) -> NodeProgram:
-        """Translate the parts, over the union of their states."""
+        """Return the programs of the site, one for each part of its time step, with equal states."""
         walked: list[_Part] = []
         for part in self.parts:
             walked.append(self._walk(part, walked[0].drawn if walked else 0))

@@ -122,7 +122,7 @@ class Run:
 
 @np.errstate(all="ignore")  # branches that a selection discards may divide by zero
 def run(program: Program, states: Array, ticks: int, inputs: Array | None = None) -> Run:
-    """Run ``ticks`` steps of a program on every path.
+    """Run ``ticks`` steps of a program on every simulated path, with NumPy.
 
     Args:
         program: the program.

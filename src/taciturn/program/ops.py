@@ -68,14 +68,14 @@ class Op(NamedTuple):
 
     @property
     def reads(self) -> tuple[int, ...]:
-        """The operations that this operation reads."""
+        """Indices of the operations whose values this operation reads."""
         literal = LITERAL.get(self.name)
         return self.arguments if literal is None else self.arguments[:literal] + self.arguments[literal + 1 :]
 
 
 @dataclass(frozen=True)
 class State:
-    """One scalar that keeps its value from step to step.
+    """State variable of a program: one scalar that keeps its value from step to step.
 
     Args:
         name: the signal.
@@ -113,7 +113,7 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 def tiles(matrix: Rows) -> list[Tile]:
-    """Return the tiles of a matrix, without blocks of zero rows."""
+    """Return the tiles (blocks of rows) of a matrix, without blocks of zero rows."""
     found: list[Tile] = []
     for first in range(0, len(matrix), TILE):
         rows = matrix[first : first + TILE]
@@ -123,7 +123,7 @@ def tiles(matrix: Rows) -> list[Tile]:
 
 
 class Total(NamedTuple):
-    """A sum over the steps as factor·Σ op + offset·steps.
+    """A sum over time steps of the form factor·Σ op + offset·steps, for an operation ``op`` of a program.
 
     Args:
         op: index of the operation whose values are added up at each step.
@@ -136,5 +136,5 @@ class Total(NamedTuple):
     offset: float
 
     def of(self, added: Array, ticks: int) -> Array:
-        """Return the sum, given Σ op and the number of steps."""
+        """Return the value of this sum, given Σ op and the number of steps."""
         return self.factor * added + self.offset * ticks

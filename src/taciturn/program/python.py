@@ -1,4 +1,4 @@
-"""Translation of a program to a Python function that computes one step of one path without NumPy, for nodes.
+"""Translation of a program to a Python function for nodes, which computes one step of one path without NumPy.
 
 Each operation rounds once, in the order of the program. Therefore results are bit-identical to those of
 ``program.numpy``. A step takes about 10 microseconds.
@@ -25,7 +25,7 @@ _INFIX: Mapping[str, str] = {
 
 
 def print_python(program: Program) -> str:
-    """Return the source of a function ``tick(s, u)`` of states s and inputs u.
+    """Return the Python source of a program as a function ``tick(s, u)`` of states s and inputs u.
 
     Args:
         program: a program in double precision.
@@ -40,7 +40,7 @@ def print_python(program: Program) -> str:
 
 
 def compile_python(program: Program) -> CompiledStep:
-    """Return a program as a function of states and inputs."""
+    """Return a program as a Python function of its states and inputs."""
     names: dict[str, Any] = {
         "_divide": _divide, "_sqrt": _sqrt, "_bits": _bits, "_number": _number, "_narrow": _narrow,
         "_rotate": _rotate, "inf": math.inf, "nan": math.nan,

@@ -1,4 +1,4 @@
-"""Copies of functions in which NumPy's array constructors are replaced, so that their arrays can contain symbols.
+"""Copies of user functions in which NumPy's array constructors are replaced, so that arrays can contain symbols.
 
 ``np.zeros(3)`` returns an array of floats, which cannot contain a symbol, and has no symbol as argument that could
 redirect the call. Therefore a copy of a function is traced, in which names such as ``np`` refer to replacements.
@@ -17,7 +17,9 @@ from taciturn.program.symbols import is_list
 
 
 def rebind(function: Callable[..., Any], stand_ins: Mapping[Any, Callable[..., Any]]) -> Callable[..., Any]:
-    """Return a copy of a function, and of the functions that it calls by name or from a list, with replacements.
+    """Return a copy of a function in which given NumPy functions are replaced.
+
+    Functions that it calls by name or from a list are copied in the same way.
 
     Args:
         function: a function written in Python; any other function is returned unchanged.
@@ -48,7 +50,7 @@ class _Copies:
         self.copies: dict[int, FunctionType] = {}
 
     def of(self, value: Any) -> Any:
-        """Return the replacement of a value in the copies; most values are unchanged."""
+        """Return the value to use in copied functions instead of a given one; most values are unchanged."""
         if value is np:
             return self.numpy
         if isinstance(value, FunctionType):

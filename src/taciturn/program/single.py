@@ -1,4 +1,4 @@
-"""Random numbers in single precision, from the same bits of a word as those in double precision (``draws``).
+"""Random numbers in single precision, from the same random bits as those in double precision (``draws``).
 
 A word gives the same number in both precisions, to seven digits. Therefore paths of one seed in single and in double
 precision stay close to each other, and a comparison of both shows the effect of rounding directly.
@@ -55,7 +55,7 @@ def two_normals(b: Builder, word: int) -> tuple[int, int]:
 
 
 def minus_two_log(b: Builder, u: int) -> int:
-    """Return −2 log u for u in (0, 1]."""
+    """Return −2 log u for a number u in (0, 1], the squared radius of the Box–Muller method."""
     # u = 2^e (1 + f) with 1 + f in [√½, √2): adding bits(1) − bits(√½) moves the boundary between exponents from 1
     # down to √½. So e = 0 for u near 1, and f = u − 1 is exact there.
     offset = b.emit("word_add", b.emit("bits", u), b.emit("half", (_EXPONENT_ONE - _ROOT_HALF) & _HALF))

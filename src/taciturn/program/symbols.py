@@ -1,4 +1,4 @@
-"""Symbols that represent the numbers of a program while a NumPy function is traced, and the recorder of operations.
+"""Symbols that represent unknown numbers while a NumPy function is traced, and the recorder of its operations.
 
 An array of symbols is an array of objects, so that NumPy itself does the indexing, slicing and reshaping. Computations
 on entries are recorded by the rules in ``elementary``, and functions of whole arrays by the rules in ``FUNCTIONS``.
@@ -25,7 +25,7 @@ _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or
 
 
 class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
-    """The placeholder that a traced function receives instead of a number or a truth value.
+    """Placeholder that a traced function receives instead of a number or a truth value.
 
     Args:
         recorder: records operations on the symbol.
@@ -96,22 +96,22 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
 
 
 class Number(Symbol):
-    """A number whose value is known only when the program runs."""
+    """Placeholder of a number whose value is known only when the program runs."""
 
 
 class Truth(Symbol):
-    """A truth value whose value is known only when the program runs."""
+    """Placeholder of a truth value that is known only when the program runs."""
 
 
 class Vector(np.ndarray[Any, Any]):
-    """An array whose entries may be symbols."""
+    """A NumPy array whose entries may be placeholders of unknown numbers (symbols)."""
 
     __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
     __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
 
 
 class Recorder:
-    """Records the computations of a function as operations.
+    """Recorder of a traced function: stores its computations as operations of a program.
 
     Args:
         builder: collects the operations.
@@ -123,13 +123,13 @@ class Recorder:
         self.builder, self.name = builder, name
 
     def symbols(self, values: Sequence[int]) -> Vector:
-        """Return a vector of symbols, one for each operation."""
+        """Return a vector of symbols, one for each of the given operations."""
         vector = np.empty(len(values), dtype=object)
         vector[:] = [self.symbol(self._known(value)) for value in values]
         return vector.view(Vector)
 
     def symbol(self, value: Coefficient) -> float | Number:
-        """Return a constant, or the symbol of an operation."""
+        """Return a constant unchanged, or the symbol that represents an operation."""
         return value if isinstance(value, float) else Number(self, value)
 
     def number(self, value: object) -> Coefficient:
@@ -153,7 +153,7 @@ class Recorder:
         return found
 
     def truth(self, value: object) -> int | bool:
-        """Return an entry of an array as a truth value: a known one, or an operation."""
+        """Return an array entry as a truth value that is known, or else as the operation that computes it."""
         if isinstance(value, Truth):
             return value.index
         if isinstance(value, Number):
@@ -161,7 +161,7 @@ class Recorder:
         return bool(value)
 
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
-        """Return the result of a NumPy function of single entries."""
+        """Return the result of an element-wise NumPy function for single entries, which may be symbols."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
         if not any(isinstance(value, Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
@@ -174,18 +174,18 @@ class Recorder:
         raise self.refused(name)
 
     def condition(self, truth: int | bool) -> bool | Truth:
-        """Return a known truth value, or the symbol of a truth value."""
+        """Return a known truth value unchanged, or the symbol that represents an operation."""
         return truth if isinstance(truth, bool) else Truth(self, truth)
 
     def either(self, condition: object, yes: object, no: object) -> object:
-        """Return ``yes`` where the condition holds, else ``no``."""
+        """Return the value ``yes`` if the condition is true, and ``no`` otherwise."""
         truth = self.truth(condition)
         if isinstance(truth, bool):
             return yes if truth else no
         return self.symbol(choose(self.builder, truth, self.number(yes), self.number(no)))
 
     def product(self, matrix: Objects, column: Objects) -> list[object]:
-        """Return a matrix times a column; a large constant matrix becomes one operation."""
+        """Return the product of a matrix and a column; a large constant matrix becomes one operation."""
         b, values = self.builder, [self.number(value) for value in column]
         rows = [[self.number(entry) for entry in row] for row in matrix]
         known = all(isinstance(entry, float) for row in rows for entry in row)
@@ -208,14 +208,14 @@ class Recorder:
         return fixed if total is None else NUMBERS["add"](self.builder, total, fixed)
 
     def lost(self) -> ProblemError:
-        """Return the error for symbols in a plain array of objects, which NumPy does not trace."""
+        """Return the exception to raise if a traced function computes with plain arrays of objects."""
         return ProblemError(
             f"{self.name} computes with traced numbers in a plain array of objects, such as np.array and np.asarray "
             f"create in methods of objects; expected {_ARRAYS}"
         )
 
     def refused(self, name: str) -> ProblemError:
-        """Return the error for a NumPy function that cannot be traced."""
+        """Return the exception to raise if a function uses a NumPy function that cannot be traced."""
         known = sorted({*NUMBERS, "where", "dot", "sum", "linalg.solve"} - {"conjugate", "fabs", "float_power"})
         return ProblemError(f"{self.name} uses np.{name}, which cannot be traced; expected one of {', '.join(known)}")
 
@@ -226,7 +226,7 @@ class Recorder:
 
 
 def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis: Any, keepdims: bool) -> Any:
-    """Return the result of a function of single entries on arrays, or of its ``reduce`` method."""
+    """Return the result of an element-wise NumPy function (or its ``reduce``) for arrays that contain symbols."""
     if not symbols_in(inputs):
         more = {"axis": axis, "keepdims": keepdims} if method == "reduce" else {}
         result = held(getattr(ufunc, method)(*map(_as_floats, inputs), **more))
@@ -247,7 +247,7 @@ def compute(ufunc: np.ufunc, method: str, inputs: Sequence[Any], out: Any, axis:
 
 
 def multiply(A: Objects, B: Objects) -> Any:
-    """Return the matrix product of vectors and matrices."""
+    """Return the matrix product of vectors and matrices that contain symbols."""
     if A.ndim not in (1, 2) or B.ndim not in (1, 2) or A.shape[-1] != len(B):
         raise ProblemError(
             f"the operands of @ have the shapes {A.shape} and {B.shape}; expected vectors or matrices of matching sizes"
@@ -262,24 +262,24 @@ def multiply(A: Objects, B: Objects) -> Any:
 
 
 def objects(value: object) -> Objects:
-    """Return a value as a plain array of objects."""
+    """Return a value as a plain NumPy array of objects."""
     return np.asarray(value, dtype=object).view(np.ndarray)
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``Vector``, on which functions are recorded; other values unchanged."""
+    """Return an array of objects as a ``Vector``, whose operations are recorded; other values are unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
     return value.view(Vector) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
-    """Return an array of floats as an array that can contain symbols; other values unchanged."""
+    """Return an array of floats as an array that can contain symbols; other values are unchanged."""
     return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
 
 
 def is_array(value: object) -> TypeGuard[Objects]:
-    """Return whether a value is an array."""
+    """Return whether a value is a NumPy array."""
     return isinstance(value, np.ndarray)
 
 
@@ -296,7 +296,7 @@ def _as_floats(value: Any) -> Any:
 
 
 def symbols_in(value: object) -> list[Symbol]:
-    """Return the symbols among arguments, including those in arrays and lists."""
+    """Return all symbols among given arguments, including those in arrays and lists."""
     if isinstance(value, Symbol):
         return [value]
     if is_array(value) and value.dtype == object:
@@ -305,7 +305,7 @@ def symbols_in(value: object) -> list[Symbol]:
 
 
 def recorder_of(values: Sequence[object]) -> Recorder:
-    """Return the recorder of the symbols in arguments, or a new recorder if there are none."""
+    """Return the recorder of the symbols in given arguments, or a new recorder if there are no symbols."""
     found = symbols_in(list(values))
     return found[0].recorder if found else Recorder(Builder(), "the function")
 

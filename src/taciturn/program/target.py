@@ -1,4 +1,4 @@
-"""The target of a program in LLVM IR: a processor and its vector features.
+"""Target processor of a program in LLVM IR, with its vector features.
 
 Any program can be translated with any number of lanes for any processor. Only the instruction for lookups in small
 tables depends on the processor. LLVM terminates the process if a function uses an instruction that the features do not
@@ -16,7 +16,7 @@ VECTORS = "TACITURN_VECTORS"
 
 @dataclass(frozen=True)
 class Target:
-    """A processor as LLVM describes it.
+    """Description of a processor for the compiler LLVM.
 
     Args:
         triple: architecture, vendor, and system.
@@ -43,7 +43,7 @@ class Target:
 
     @property
     def heading(self) -> str:
-        """The first lines of a module for this processor."""
+        """First lines of an LLVM module for this processor."""
         lines = [f'target triple = "{self.triple}"']
         if "windows" in self.triple:
             lines.append("@_fltused = global i32 0")  # a symbol that the linker requires for floating-point code
@@ -51,11 +51,11 @@ class Target:
 
     @property
     def attributes(self) -> str:
-        """The attributes of a function that specify the target."""
+        """Attributes that specify this processor in an LLVM function."""
         return f'"target-cpu"="{self.cpu}" "target-features"="{self.features}"'
 
     def limited(self, vectors: str) -> Target:
-        """Return the processor with its vectors limited to a kind.
+        """Return a description of this processor with its vectors limited to a given kind.
 
         Args:
             vectors: ``"avx512"``, ``"avx2"``, ``"baseline"`` (present in every processor of the

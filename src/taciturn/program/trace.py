@@ -1,4 +1,4 @@
-"""Tracing of a function of NumPy arrays: the function is called once with symbols, and its operations are recorded."""
+"""Tracing of user functions: a NumPy function is called once with symbols, and its operations are recorded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def trace(
     arguments: Mapping[str, Sequence[int]],
     results: Mapping[str, int],
 ) -> dict[str, list[int]]:
-    """Call a function once with symbols, and return the operations of its results.
+    """Trace a NumPy function: call it once with symbols, and return the operations that compute its results.
 
     The function consists of NumPy code that also runs on floats. The values of its arguments are unknown while it is
     traced, so it must use ``np.where`` instead of ``if``. Values that do not depend on the arguments are computed

@@ -1,4 +1,4 @@
-"""Exact methods for errors that a send resets.
+"""Rates, costs and optimal schedules of estimation errors that each send resets to zero.
 
 In many policies a single error decides whether to send, and a send replaces this error by fresh noise:
 

@@ -1,4 +1,4 @@
-"""A check as a linear map between nodes: a matrix or, for many nodes, sums on a grid over one axis after the other."""
+"""A trigger check as a linear map between quadrature nodes: a matrix or, for many nodes, sums on a grid."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """The map of a check as a matrix.
+    """Linear map of one trigger check between quadrature nodes, stored as a matrix.
 
     Args:
         entries: probability to go from the node of the row to that of the column without a send, (nodes, nodes).
@@ -38,19 +38,19 @@ class Matrix:
 
     @property
     def slack(self) -> float:
-        """Relative error of rate and excess due to the map itself."""
+        """Relative error of the send rate and the excess cost that this map causes."""
         return 0.0
 
     def after(self, share: Array) -> Array:
-        """Return the probabilities of the nodes after a check, given those before the check."""
+        """Return the probability of each node after a trigger check, given the probabilities before the check."""
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return X with X = known + entries X, for every column."""
+        """Return the solution X of the linear equation X = known + entries·X, column by column."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return X with X = known + after(X)."""
+        """Return the solution X of the linear equation X = known + after(X)."""
         return Matrix(self.entries.T).settled(known)
 
 
@@ -70,7 +70,7 @@ class Effort:
 
 
 class Grid:
-    """The map of a check by sums on a grid, without a matrix.
+    """Linear map of one trigger check between quadrature nodes, computed by sums on a grid instead of a matrix.
 
     The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
     of a grid, one axis after the other because the nodes are nested, and interpolated between these points.
@@ -102,7 +102,7 @@ class Grid:
         self.read = _stencils(means, halves, self.shape)
 
     def ahead(self, values: Array) -> Array:
-        """Return the expectation, from each node, of values after a check without a send."""
+        """Return, for each node, the expectation of given values at the next check; a send counts as the value 0."""
         sums = (self.scale * values)[:, None]
         for level, fall in zip(reversed(self.levels), reversed(self.falls), strict=True):
             sums = level.gathered(fall, sums)
@@ -110,7 +110,7 @@ class Grid:
         return np.asarray(self.read @ (even + np.flip(even)).ravel(), dtype=np.float64)
 
     def after(self, share: Array) -> Array:
-        """Return the probabilities of the nodes after a check, given those before the check."""
+        """Return the probability of each node after a trigger check, given the probabilities before the check."""
         even = np.asarray(self._read_back @ share, dtype=np.float64).reshape(self.shape)
         sums = (even + np.flip(even)).reshape(1, -1)
         for level, fall in zip(self.levels, self.falls, strict=True):
@@ -122,11 +122,11 @@ class Grid:
         return self.read.T
 
     def settled(self, known: Array) -> Array:
-        """Return X with X = known + ahead(X), for every column; NaN if the iteration does not converge."""
+        """Return the solution X of X = known + ahead(X), column by column; NaN if GMRES does not converge."""
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return X with X = known + after(X); NaN if the iteration does not converge."""
+        """Return the solution X of X = known + after(X); NaN if GMRES does not converge."""
         return self._solved(self.after, known)
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:

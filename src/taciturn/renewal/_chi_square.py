@@ -1,4 +1,4 @@
-"""The distribution of a weighted sum of squared normal variables: a lower and an upper bound."""
+"""Lower and upper bounds on the distribution of a weighted sum of squared normal variables."""
 
 from __future__ import annotations
 

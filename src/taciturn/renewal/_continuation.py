@@ -1,4 +1,4 @@
-"""The region of errors that the optimal scheduler does not send; at its boundary, silence costs as much as a send."""
+"""Region of errors that the optimal scheduler does not send; on its boundary, silence and a send cost the same."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class ContinuationRegion:
-    """The cost of silence minus that of a send, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)), and the region U < 0.
+    """Region of errors x that the optimal scheduler does not send: U(x) < 0, the cost of silence minus that of a send.
+
+    For the weights m_i of the trigger and the mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
 
     The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
 
@@ -59,7 +61,7 @@ class ContinuationRegion:
         return int(np.abs(self.x).max(axis=0).argmax())
 
     def values(self, x: Array) -> Array:
-        """Return U, (points, n) to (points,)."""
+        """Return the cost U of silence minus that of a send at each of the points x."""
         return self._moments(x, 1)[:, 0] + (x * x) @ self.white.m - self.cost
 
     def slopes(self, x: Array) -> tuple[Array, Array]:
@@ -71,7 +73,7 @@ class ContinuationRegion:
         return sums[:, 0] + (x * x) @ self.white.m - self.cost, ahead @ F + 2 * self.white.m * x
 
     def curves(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return U, its gradient and its second derivatives."""
+        """Return the function U of this region at each point, with its gradient and its second derivatives."""
         n, F = x.shape[1], self.white.F
         sums, z = self._moments(x, 1 + n + n * (n + 1) // 2), x @ F.T
         ahead = sums[:, 1 : 1 + n] - z * sums[:, :1]
@@ -85,7 +87,9 @@ class ContinuationRegion:
         return value, ahead @ F + 2 * self.white.m * x, F.T @ square @ F + 2 * np.diag(self.white.m)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the region on the next axis: there, the minimum of U over the later axes changes its sign.
+        """Return the two ends of the region on the next coordinate axis, given the coordinates on earlier axes.
+
+        At the ends, the minimum of U over the later axes changes its sign.
 
         Args:
             outer: coordinates on the axes so far, (places, outer axes).
@@ -198,7 +202,9 @@ class ContinuationRegion:
 
 
 def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
-    """Return the cost U of silence minus that of a send, if later decisions follow the region of a solution.
+    """Return the next region of unsent errors, by one step of policy iteration from a solution.
+
+    Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
 
     The errors with U < 0 form a region with a lower cost: this is one step of policy iteration.
 
@@ -220,12 +226,12 @@ def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
 
 
 def beyond_a_send(solved: Solved) -> Array:
-    """Return the cost of silence minus that of a send at the nodes, in units of the price of a send, (nodes,)."""
+    """Return the cost of silence minus the cost of a send at each node, in units of the price of a send, (nodes,)."""
     return solved.costs - (solved.excess + solved.rate) * solved.checks
 
 
 def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
-    """Return the differences of rate, excess and cost to a region without the nodes at which a send costs less.
+    """Return by how much rate, excess and cost change if errors are sent at all nodes where a send costs less.
 
     A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
     visits to the node times the change of the expected future by a send there. This is exact if the visits are counted

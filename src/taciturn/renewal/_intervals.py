@@ -1,4 +1,4 @@
-"""Distribution of the intervals between sends, from the map of the density of unsent errors at a check."""
+"""Distribution of the intervals between sends, by propagating the density of unsent errors from check to check."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ MOST_CHECKS = 1 << 22
 
 
 def intervals(start: Array, check: Matrix | Grid, checks: Array, mean: float) -> Intervals:
-    """Return the distribution of the intervals, computed check by check until the survival is negligible or geometric.
+    """Return the distribution of the number of checks between two sends.
+
+    It is computed check by check until the probability of no send is negligible, or decreases geometrically.
 
     After the last check, the survival is assumed to decrease by a constant factor per check, such that its sum is the
     mean interval. If the survival is geometric, this factor is the dominant eigenvalue of the map.

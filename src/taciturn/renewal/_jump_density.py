@@ -1,4 +1,4 @@
-"""Density of the increment that normal jumps of one period add to an error in the plane, tabulated along rays."""
+"""Probability density of the sum of the normal jumps in one period, for a two-dimensional error."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESOLVED = 1e-6  # largest characteristic function at the highest frequency, rel
 
 @dataclass(frozen=True)
 class Fineness:
-    """Numbers of nodes in the tables of a density.
+    """Numbers of nodes in the tables of the probability density of an error increment.
 
     Args:
         angles: nodes of a table in the angle.
@@ -40,7 +40,7 @@ class Fineness:
 
 @dataclass(frozen=True, eq=False)
 class CompoundPoissonNoise:
-    """A Poisson process of normal jumps in the plane, over the period between two checks.
+    """Noise of a two-dimensional error over the period between two checks: normal jumps at Poisson times.
 
     Args:
         A: (2, 2) dynamics per second.
@@ -56,15 +56,15 @@ class CompoundPoissonNoise:
 
     @property
     def quiet(self) -> float:
-        """Probability e^{−λτ} of no jump in a period."""
+        """Probability e^{−λτ} that no jump occurs in a period."""
         return exp(-self.rate * self.period)
 
     def moved(self, left: Array) -> Array:
-        """Return e^{As}G, the effect of a jump at the check, for times s from the jump to the check, (…, 2, jumps)."""
+        """Return e^{As}G, the effect on the error at a check of a jump that occurred s seconds earlier."""
         return flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:
-        """Return the covariance of the increment of a period, (2, 2)."""
+        """Return the covariance of the error increment due to the jumps of one period, (2, 2)."""
         left, weights = gauss(times, 0.0, self.period)
         moved = self.moved(left)
         return self.rate * np.einsum("k,kij,klj->il", weights, moved, moved)
@@ -82,7 +82,7 @@ def _composite(count: int, edges: Array) -> tuple[Array, Array]:
 
 
 def flow(A: Array, times: Array) -> Array:
-    """Return e^{At} of a (2, 2) matrix for many times, in closed form, (…, 2, 2)."""
+    """Return the matrix exponential e^{At} of a (2, 2) matrix A at many times t, in closed form, (…, 2, 2)."""
     # A = mean·I + rest, and rest² = −det(rest)·I (Cayley–Hamilton): the series of e^{rest·t} is a cosh and a sinh
     mean = float(np.trace(A)) / 2
     rest = A - mean * np.eye(2)
@@ -101,7 +101,10 @@ def cross(first: Array, second: Array) -> Array:
 
 
 def eased(share: Array) -> Array:
-    """Return 3x² − 2x³, which moves nodes on [0, 1] towards both ends, where integrands have roots and logarithms."""
+    """Return 3x² − 2x³ for quadrature nodes x on [0, 1], which moves the nodes towards both ends of the interval.
+
+    Integrands have square roots and logarithms there.
+    """
     return share * share * (3 - 2 * share)
 
 
@@ -125,7 +128,9 @@ def _coefficients(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """The density p of the increment along rays; the probability of an area element is ρ p(ρ) dρ dθ.
+    """Probability density p of a two-dimensional error increment, as a function of the distance ρ along rays.
+
+    The probability of an area element is ρ p(ρ) dρ dθ.
 
     Args:
         tables: Chebyshev coefficients in √(ρ/reach) of ρ p without single jumps, below and above SPLIT,
@@ -143,7 +148,10 @@ class Rays:
         return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
 
     def density(self, root: Array, radius: Array, outer: int) -> Array:
-        """Return ρ p, given √(ρ/reach) and ρ, (rays, nodes) each; all must lie in the same radial table."""
+        """Return the density p times the radius ρ at radii along each ray, given √(ρ/reach) and ρ, (rays, nodes) each.
+
+        All radii must lie in the same radial table.
+        """
         table, low = self.tables[outer], SPLIT * outer
         turn = 2 * (root - low) / SPLIT - 1
         last, before = np.zeros_like(root), np.zeros_like(root)
@@ -154,7 +162,7 @@ class Rays:
 
 
 class Density:
-    """The density of the increment of a period with at least one jump, in the plane.
+    """Probability density of the two-dimensional error increment over one period with at least one jump.
 
     A single jump of rank one has a density only in the cone that its direction sweeps until the check; this part has a
     closed form. The density of two such jumps has a logarithmic singularity and is integrated over both times. The
@@ -290,7 +298,7 @@ class Density:
         return shower.rate**2 * shower.quiet * (decay @ np.concatenate(masses))
 
     def rays(self, angles: Array, sector: int) -> Rays:
-        """Return the density along rays whose angles lie in one sector."""
+        """Return the density of the increment along rays whose angles lie in one sector of the plane."""
         low, high = self.sectors[sector]
         table = self._tables[sector]
         basis = chebyshev.chebvander(2 * _uneased((angles - low) / (high - low)) - 1, table.shape[1] - 1)
@@ -304,7 +312,7 @@ class Density:
 
 
 def reach(jump: float, mean: float) -> float:
-    """Return the distance that the sum of the jumps of a period exceeds with a negligible probability.
+    """Return the distance that the sum of the jumps in one period exceeds with negligible probability.
 
     Args:
         jump: largest standard deviation of one jump in any direction.

@@ -1,4 +1,7 @@
-"""Equations for an error in the plane under Poisson jumps: integrals along rays, split at the edges of the set."""
+"""Renewal equations for a two-dimensional error with Poisson jumps, from integrals along rays.
+
+The integrals are split at the edges of the set of unsent errors.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,7 @@ FAR = 16  # power of the distance (relative to the truncation), whose mean shows
 
 @dataclass(frozen=True)
 class Grid:
-    """Numbers of nodes in the plane.
+    """Numbers of quadrature nodes for a two-dimensional error.
 
     Args:
         along: nodes along the longer axis of the set, an even number.
@@ -43,7 +46,7 @@ class Grid:
 
 
 class Plane:
-    """A chain in the plane, in coordinates in which the increment of a period has the identity as covariance.
+    """A two-dimensional error with Poisson jumps, scaled so that its increment over one period has unit covariance.
 
     Args:
         shower: the jumps.
@@ -62,13 +65,13 @@ class Plane:
         self.long, self.short = (float(1 / np.sqrt(max(value, 1e-14 * values[1]))) for value in values)
 
     def density(self, fineness: Fineness) -> Density:
-        """Return the density of the increment with at least one jump; its tables are computed once."""
+        """Return the probability density of the error increment over a period with at least one jump; it is cached."""
         if fineness not in self._densities:
             self._densities[fineness] = Density(self.shower, fineness)
         return self._densities[fineness]
 
     def sums(self, grid: Grid) -> Sums:
-        """Return the equations on a grid.
+        """Return the renewal equations of this error on a grid of quadrature nodes.
 
         Raises:
             NoQuadratureError: too many nodes, or an increment without a density.

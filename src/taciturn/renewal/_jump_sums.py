@@ -1,4 +1,4 @@
-"""The linear equations of a chain with jumps: their solution gives mean interval, mean cost and distribution."""
+"""Linear renewal equations of an error with jumps, and the distribution of the intervals between its sends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ STEADY = 1e-12  # relative change of the decay factor per check below which the 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Integrals over the increment of a period with a jump, from each node and, in the last row, from the error 0.
+    """Renewal equations of an error with jumps: integrals over the error increment of a period with a jump.
+
+    Each row starts at one node, the last row at the error 0.
 
     Let v(x) be the expected sum over the checks from the next jump on, times the probability that a jump occurs in the
     next period. The error e after a jump is still unsent after j checks without a jump if e, Fe, …, F^j e ∈ E; no jump
@@ -62,11 +64,11 @@ class Sums:
         return (steps[-1] @ after + sides[-1] + np.array([1.0, 0.0, 0.0])) / (1 - self.quiet)
 
     def cycle(self) -> tuple[float, float]:
-        """Return the mean number of checks between two sends, and the mean cost of one such cycle."""
+        """Return the mean number of checks between two sends, and the mean cost between two sends."""
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of the checks at which the error lies beyond the truncation of the set."""
+        """Return a bound on the fraction of checks at which the unsent error is outside the truncated set of nodes."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:

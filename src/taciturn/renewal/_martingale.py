@@ -1,4 +1,7 @@
-"""The martingale of a lower bound by duality: φ = min(0, U) of a fitted schedule minus its conditional mean."""
+"""Martingale of a duality lower bound on the cost of all schedules, from the value function of a fitted schedule.
+
+Its increments are φ = min(0, U) of the fitted schedule minus the conditional mean of φ.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and thei
 
 
 class Martingale:
-    """The error and the function φ = min(0, U) of a fitted schedule, as a Gaussian function of the error plus a rest.
+    """The error process and the function φ = min(0, U) of a fitted schedule, from which a martingale is built.
 
     The Gaussian function (called bell) has the height and the curvature of φ at 0. Its conditional mean under Gaussian
     noise has a closed form, so that only the conditional mean of the rest, φ minus the bell, is sampled.
@@ -34,7 +37,7 @@ class Martingale:
         self.less = float(np.linalg.det(spread)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the means over given noises of φ minus the bell after a check, (batches, paths).
+        """Return the mean of φ minus its Gaussian part at the next check, averaged over given noises, (batches, paths).
 
         Args:
             error: errors before the check, (batches, paths, n).
@@ -55,11 +58,11 @@ class Martingale:
         return self._off(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
 
     def bell_after(self, error: Array) -> Array:
-        """Return the conditional mean of the bell after a check."""
+        """Return the conditional mean of the Gaussian part of φ at the next check, given the error before it."""
         return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
 
     def now(self, error: Array) -> tuple[Array, Array]:
-        """Return the bell at each error, and φ minus the bell."""
+        """Return the Gaussian part of φ at each error, and φ minus this part."""
         cost, power = squares(error, self.Gamma), squares(error, self.fitted.Pi)
         bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
         return bell, self._off(cost, power)

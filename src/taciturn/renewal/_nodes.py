@@ -1,4 +1,4 @@
-"""Quadrature nodes for integrals over the part of a region that errors under Gaussian noise reach."""
+"""Quadrature nodes for integrals over the part of a region that errors reach under Gaussian noise."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: a constant, and pe
 
 
 class Region(Protocol):
-    """The errors that are not sent, symmetric about 0: one chord on the next axis for each point on the outer axes."""
+    """The set of errors that are not sent, symmetric about 0.
+
+    For given coordinates on the outer axes, it contains one interval (chord) on the next axis.
+    """
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the ends of the chord on the next axis, given coordinates on the outer axes.
+        """Return the ends of the region's chord on the next axis, for given coordinates on the outer axes.
 
         Args:
             outer: coordinates on the outer axes, (places, outer axes).
@@ -38,7 +41,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """The region Σ_i m_i x_i² ≤ 1.
+    """Ellipsoid of unsent errors x, Σ_i m_i x_i² ≤ 1.
 
     Args:
         m: weights, (n,).
@@ -47,7 +50,7 @@ class Ellipsoid:
     m: Array
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the exact ends of the chord on the next axis; infinite if m is 0 on this axis."""
+        """Return the exact ends of the ellipsoid's chord on the next axis; they are infinite if m is 0 on this axis."""
         axis, left = outer.shape[1], np.ones(len(outer))
         for m, x in zip(self.m, outer.T, strict=False):
             left = np.maximum(left - m * x * x, 0.0)
@@ -57,7 +60,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """The window of unsent errors, axis by axis.
+    """Bounded region that contains nearly all unsent errors: for each axis, an interval given the outer coordinates.
 
     Args:
         covariance: approximate covariance of unsent errors, (n, n). This covariance determines the conditional mean
@@ -69,11 +72,11 @@ class Window:
     reach: Array
 
     def scaled(self, factor: float) -> Window:
-        """Return the window with the reach multiplied by a factor."""
+        """Return this window with its half-widths multiplied by a factor."""
         return Window(self.covariance, self.reach * factor)
 
     def given_outer(self, outer: Array) -> tuple[Array, float]:
-        """Return conditional mean and standard deviation of the next axis, for each row of outer coordinates."""
+        """Return mean and standard deviation of the next coordinate, given each row of outer coordinates."""
         d, covariance = outer.shape[1], self.covariance
         slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
         return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
@@ -81,7 +84,7 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """The coordinates of nested nodes on one axis.
+    """Coordinates of nested quadrature nodes on one axis.
 
     Args:
         x: coordinates, (places,).
@@ -93,13 +96,16 @@ class Level:
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
-        """Return Σ fall ⊗ sums for each outer point, from (places, points) and (places, k) to (outer, points·k)."""
+        """Return the sum of fall ⊗ sums over the nodes on this axis, for each point of the outer axes.
+
+        The shapes are (places, points) and (places, k) to (outer, points·k).
+        """
         ends = (*self.first[1:], len(self.x))
         parts = [fall[low:high].T @ sums[low:high] for low, high in zip(self.first, ends, strict=True)]
         return np.stack(parts).reshape(len(parts), -1)
 
     def scattered(self, fall: Array, sums: Array) -> Array:
-        """Return the transpose of ``gathered``, from (outer, points·k) to (places, k)."""
+        """Return the transpose of the linear map ``gathered``, from (outer, points·k) to (places, k)."""
         ends = (*self.first[1:], len(self.x))
         cubes = sums.reshape(len(self.first), fall.shape[1], -1)
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
@@ -107,7 +113,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Quadrature nodes, one of every pair ±x.
+    """Quadrature nodes of a symmetric region, with one node of every pair ±x.
 
     Args:
         x: nodes, (nodes, n).
@@ -121,7 +127,7 @@ class Nodes:
 
 
 class TooManyNodes(Exception):  # noqa: N818
-    """More nodes than can be afforded."""
+    """Raised if a quadrature needs more nodes than the limit on the computation allows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +142,9 @@ class _Span:
 
 
 def place(white: White, region: Region, window: Window, density: float, more: int, most: int) -> Nodes:
-    """Return nodes for a region, axis by axis, each on the chord that the coordinates on the outer axes leave.
+    """Return quadrature nodes for a region, placed axis by axis.
+
+    The nodes of an axis lie on the chord of the region at given coordinates on the outer axes.
 
     An axis has equidistant nodes if the window ends before the chord on both sides, and Gauss–Legendre nodes otherwise.
     An outer axis has them in the angle φ, x = centre + c sin φ, as the integral over the inner axes ends like a square
@@ -217,7 +225,7 @@ def _gauss(half_width: float, density: float, more: int, most: float) -> tuple[A
 
 @lru_cache(maxsize=64)
 def legendre(count: int) -> tuple[Array, Array]:
-    """Return Gauss–Legendre nodes and weights on [−1, 1], cached, as many integrals use the same ones."""
+    """Return the nodes and weights of Gauss–Legendre quadrature on [−1, 1], from a cache."""
     nodes, weights = leggauss(count)
     return frozen(nodes), frozen(weights)
 

@@ -1,4 +1,4 @@
-"""Randomly shifted quasi-Monte Carlo points with a normal distribution, for unbiased means over noises."""
+"""Randomly shifted quasi-Monte Carlo points with a normal distribution, for unbiased averages over noise."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from taciturn._arrays import Array, frozen
 
 
 class Lattice:
-    """A set of Sobol points that is reused with random shifts.
+    """A fixed set of Sobol points; each use shifts all points by a new random vector.
 
     Args:
         points: number of points, a power of 2.
@@ -27,7 +27,7 @@ class Lattice:
     def normals(
         self, draws: np.random.Generator, copies: int, wanted: slice | npt.NDArray[np.bool_] = slice(None)
     ) -> Array:
-        """Return standard normal draws, (copies, points, dimensions); the draws of a copy fill space evenly.
+        """Return standard normal samples, (copies, points, dimensions), from a randomly shifted Sobol set per copy.
 
         Each copy is shifted by an independent uniform draw [cranley1976]. All shifts are drawn, and the wanted copies
         are returned.

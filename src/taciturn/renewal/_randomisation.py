@@ -1,4 +1,4 @@
-"""One random replication of conditional sampling: errors without a send, weighted by the probability of no send."""
+"""One random replication of conditional sampling: sampled unsent errors, weighted by the probability of no send."""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ LOST = 1e-30  # survival probability at which a cost that has not converged neve
 
 
 class Walk:
-    """A step of the chain in the coordinates of its noise, w = G z with z ~ N(0, I) and G'ΨG diagonal, ascending.
+    """Sampler of the next error of many paths, on the condition that no path sends it.
+
+    The noise is w = G z with z ~ N(0, I), in coordinates in which G'ΨG is diagonal, ascending.
 
     With Ψ = N'N the columns of NG are orthogonal. So the next error is unsent if Σ_i m_i (z_i − c_i)² ≤ 1 − |r|², where
     m_i = |(NG)_i|², c_i = −(NG)_i'N F e/m_i, and r is the part of N F e that no noise reaches. Each coordinate z_i thus
@@ -52,7 +54,9 @@ class Walk:
         self.draws = len(self.pulls)
 
     def step(self, errors: Array, uniform: Array) -> tuple[Array, Array, Array]:
-        """Return the next unsent errors, the probability that an error is unsent, and the mean cost over the last draw.
+        """Return the next unsent error of each path, the probability that it is unsent, and its expected cost.
+
+        The expectation of the cost is over the last coordinate that is drawn.
 
         Args:
             errors: errors before the step, (paths, n).
@@ -100,7 +104,7 @@ def _certain_root(weight: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Course:
-    """The estimate of an interval from one randomisation.
+    """Estimated distribution and cost of the interval between two sends, from one randomisation.
 
     Args:
         survival: P(no send at the checks 1 … k) for k = 0, 1, …, (checks + 1,).
@@ -118,12 +122,14 @@ class Course:
 
     @property
     def sums(self) -> tuple[float, float]:
-        """Mean number of checks and mean cost of an interval."""
+        """Mean number of checks and mean cost of an interval between sends."""
         return float(self.survival.sum()) + self.checks_later[0], float(self.cost.sum()) + self.cost_later[0]
 
 
 def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> Course:
-    """Return the course of one randomisation, with scrambled Sobol points first and pseudo-random numbers later.
+    """Return the estimates from one randomisation of many paths that do not send.
+
+    The draws are scrambled Sobol points at the first checks and pseudo-random numbers at later checks.
 
     The mean weight after k checks is an unbiased estimate of P(no send at k checks). Resampling does not change this,
     because it depends only on the past, and because the expected number of copies of a path is proportional to its

@@ -1,4 +1,4 @@
-"""The renewal equations on nodes: the window of unsent errors, the map of a check, rate, cost, and their errors."""
+"""Renewal equations of a reset error on quadrature nodes: their discretisation, solution and error estimates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ USELESS = 0.01  # relative error above which an answer is rejected
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """The unsent error on nodes: its distribution after one check, and the map of a check.
+    """Discretised renewal equations: distribution of the unsent error after one check, and the map of a check.
 
     Args:
         x: nodes, (nodes, n).
@@ -53,7 +53,7 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Rate and excess, and the expected checks and cost from each node until the next send.
+    """Solution of the renewal equations: send rate, excess cost, and the expected time and cost until the next send.
 
     Args:
         system: the equations that were solved.
@@ -73,18 +73,18 @@ class Solved:
 
     @property
     def rounding(self) -> float:
-        """Relative error that finer nodes would not reduce."""
+        """Relative error of the solution that finer nodes would not reduce."""
         return ROUNDING * (1 + 1 / self.rate) + self.system.check.slack
 
     def moved(self, previous: Solved) -> float:
-        """Return the larger of the relative changes of rate and excess."""
+        """Return the larger of the relative changes of rate and excess from a previous solution."""
         excess = abs(self.excess - previous.excess) / self.excess if self.excess > 0 else 0.0
         return max(abs(self.rate - previous.rate) / self.rate, excess)
 
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """A fine solution, a coarser one, and the error estimated from both.
+    """Solutions of the renewal equations on fine and on coarser nodes, and the error estimated from their difference.
 
     Args:
         found: the finer solution.
@@ -100,7 +100,7 @@ class Answer:
 
     @property
     def off(self) -> float:
-        """The larger of the relative errors of rate and excess."""
+        """The larger of the relative errors of send rate and excess cost."""
         excess = self.found.excess
         return max(self.rate_error / self.found.rate, self.excess_error / excess if excess > 0 else 0.0)
 
@@ -111,25 +111,31 @@ def usual_accuracy(white: White) -> float:
 
 
 def afforded(step: int, dimensions: int) -> int:
-    """Return the most nodes of an attempt; the first leaves room for a finer one, which its error estimate needs."""
+    """Return the largest number of quadrature nodes in an attempt.
+
+    The first attempt uses fewer nodes, because its error estimate needs a finer one.
+    """
     # the exponent is n/2, not n, as part of the nodes of a chord does not depend on the density
     return MOST_NODES if step else int(MOST_NODES / FINER ** (dimensions / 2))
 
 
 def most_dense(dimensions: int, accuracy: float) -> int:
-    """Return the most nodes for which the map of a check is a matrix; a grid is too inaccurate for a fine accuracy."""
+    """Return the largest number of nodes for which the map of a trigger check is stored as a matrix.
+
+    It is larger for a fine accuracy, which the sums on a grid do not reach.
+    """
     return DENSEST if dimensions < 3 and accuracy < 10 * INTERPOLATED else DENSE
 
 
 def first_density(accuracy: float) -> float:
-    """Return the density of the nodes of the first attempt."""
+    """Return the density of the quadrature nodes in the first attempt."""
     return FIRST * float(np.sqrt(np.log(min(accuracy, LOOSEST)) / np.log(USUAL)))
 
 
 def climb(
     attempt: Callable[[float, float, int], Solved | None], accuracy: float, less: str, instead: str, told: Stages
 ) -> Answer:
-    """Solve on finer and finer nodes and wider and wider windows until rate and excess no longer change.
+    """Solve the renewal equations on finer nodes and wider windows until rate and excess no longer change.
 
     The claimed error is twice the last change, which is the error of the coarser answer.
 
@@ -186,7 +192,7 @@ def climb(
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
-    """Return the window of unsent errors, iterated on coarse nodes.
+    """Return a window that contains nearly all unsent errors, found by iteration on coarse nodes.
 
     Args:
         white: the chain.
@@ -220,7 +226,7 @@ def find_window(white: White, region: Region, covariance: Array, effort: Effort)
 
 
 def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
-    """Return the map of a check on even functions, in which −x counts as x, as a matrix or as sums on a grid.
+    """Return the discretised renewal equations; functions of the error are even, so −x and x share a node.
 
     Args:
         white: the chain.
@@ -291,7 +297,10 @@ def _reach(system: System, visits: Array, window: Window, share: float) -> tuple
 
 
 def gauss(means: Array, x: Array) -> Array:
-    """Return exp(−½|x_j − mean_i|²), from differences, because squares of large coordinates would cancel."""
+    """Return the Gaussian factors exp(−½|x_j − mean_i|²) for all means and points.
+
+    They are computed from differences, because squares of large coordinates would cancel.
+    """
     power = np.zeros((len(means), len(x)))
     for axis in range(x.shape[1]):
         difference = means[:, axis, None] - x[:, axis]

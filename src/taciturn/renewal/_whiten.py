@@ -1,4 +1,4 @@
-"""Coordinates for a chain with Gaussian noise: no irrelevant directions, white noise, and a diagonal trigger."""
+"""Reduced coordinates of an error with Gaussian noise, in which the noise is white and the trigger is diagonal."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AGES = 20_000  # most checks without a send
 
 @dataclass(frozen=True, eq=False)
 class White:
-    """The chain x⁺ = F x + w, w ~ N(0, I), which is not sent if Σ_i m_i x_i² ≤ 1, and then costs x'Γx.
+    """The error x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, it is not sent and costs x'Γx.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -37,7 +37,7 @@ class White:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """A chain scaled to the threshold 1.
+    """An error that a send resets, with its trigger scaled to the threshold 1.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -54,7 +54,7 @@ class Data:
     rows: Array
 
     def seen_in(self, rows: Array, columns: Array) -> Data:
-        """Return the data in coordinates z = rows e, e = columns z."""
+        """Return the same error in other coordinates z, where z = rows·e and e = columns·z."""
         return Data(
             rows @ self.F @ columns,
             symmetrised(rows @ self.noise @ rows.T),
@@ -65,7 +65,7 @@ class Data:
 
 
 def reduced(chain: Chain) -> Data:
-    """Return the chain without directions that no noise ever reaches or that affect neither trigger nor cost.
+    """Return the error without directions that noise never reaches or that affect neither trigger nor cost.
 
     Args:
         chain: chain with Gaussian noise.
@@ -90,7 +90,7 @@ def reduced(chain: Chain) -> Data:
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return the chain of ``reduced`` in coordinates with white noise and a diagonal Ψ.
+    """Return the error in the fewest coordinates, with white noise and a diagonal trigger weight Ψ.
 
     Args:
         chain: chain with Gaussian noise.
@@ -125,7 +125,9 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
 
 
 def spread(white: White) -> Array:
-    """Return the approximate covariance of unsent errors: no send occurs with probability exp(−½ SOFT Σ m_i x_i²).
+    """Return the approximate covariance of unsent errors, as if the trigger were random.
+
+    Then the error x is not sent with probability exp(−½ SOFT Σ m_i x_i²).
 
     Under this random rule, errors are Gaussian at any number of checks since the last send, so that their covariances
     and probabilities have a closed form.

@@ -1,4 +1,4 @@
-"""Errors that periodic control resets: exact cost of every interval, and optimal rates on a shared channel."""
+"""Periodic control of several loops on a shared channel: exact cost of every interval, and optimal rates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HALVINGS = 200
 
 
 class Clocked:
-    """An error e⁺ = F e (1−σ) + w that is sent at every k-th check, and costs e'Γe at the other checks.
+    """An error e⁺ = F e (1−σ) + w that is sent periodically, at every k-th check, and costs e'Γe at the others.
 
     At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
     checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
@@ -42,7 +42,7 @@ class Clocked:
             self.forever = 0.0
 
     def cost(self, rate: float) -> float:
-        """Return the mean cost per check at a rate of sends per check in [0, 1]."""
+        """Return the mean cost per check of periodic sends at a given rate per check, in [0, 1]."""
         if rate * LONGEST < 1:
             return self.forever
         interval = max(1 / rate, 1.0)
@@ -52,7 +52,9 @@ class Clocked:
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
 
     def interval(self, price: float) -> float:
-        """Return the optimal interval at a price per send, the k with the least (S(k) + price)/k, or infinity.
+        """Return the optimal number of checks between sends at a price per send; infinite if sending never pays.
+
+        It is the k with the least (S(k) + price)/k.
 
         The result is the first k with k w_k − S(k) ≥ price; the left-hand side increases with k.
         """
@@ -68,7 +70,7 @@ class Clocked:
             self._extend(2 * len(gains))
 
     def least_rate(self, cost: float) -> float:
-        """Return the rate, one of 1/k, below which the mean cost per check exceeds ``cost``."""
+        """Return the rate 1/k with integer k below which the mean cost per check exceeds ``cost``."""
         while self._sums[-1] < cost * len(self._sums) and len(self._sums) < LONGEST and not self._is_settled():
             self._extend(2 * len(self._weights))
         count = np.arange(1, len(self._sums) + 1)
@@ -109,7 +111,7 @@ class LoopClass(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Allocation(Displayed):
-    """The optimal rates of periodic control on a shared channel.
+    """Optimal rates of periodic control for several classes of loops on a shared channel.
 
     Args:
         rates: sends per check of each class, (classes,).
@@ -123,7 +125,7 @@ class Allocation(Displayed):
 
 
 def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
-    """Return the rates that minimise the total cost per step, with at most ``capacity`` sends per step.
+    """Return the rate of each class that minimises the total cost per step, with at most ``capacity`` sends per step.
 
     The mean cost per check is a convex function of the rate. So one price μ per send separates the problem: every class
     uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between

@@ -1,4 +1,4 @@
-"""Polynomials on pieces of time, as operations of a program: proof that there is no root, and the only root.
+"""Polynomials on pieces of time, as operations of a program: proofs that no root exists, and search for a root.
 
 A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in the Bernstein basis. Its values lie between the least and the
 largest b_j. The number of roots in (0, 1) is at most the number of sign changes of the b_j, and has the same parity.
@@ -25,7 +25,7 @@ _ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
 class Motion:
-    """An error with ė = A e on pieces of time short enough for a Taylor series; the series is exact if A is nilpotent.
+    """Motion ė = A e of an error over short pieces of time, by a Taylor series that is exact if A is nilpotent.
 
     Args:
         A: dynamics per second, (n, n).
@@ -47,7 +47,7 @@ class Motion:
         self.order, self.form_order = _order(norm * self.longest), _order(2 * norm * self.longest)
 
     def forms(self, S: Array) -> list[Array]:
-        """Return the forms T_k with e(s)'Se(s) = Σ_k s^k e'T_k e."""
+        """Return the matrices T_k with e(s)'Se(s) = Σ_k s^k e'T_k e, where e(s) is the error s seconds after e."""
         found = [S]
         for k in range(self.form_order):
             found.append(symmetrised(self.A.T @ found[-1] + found[-1] @ self.A) / (k + 1))
@@ -56,7 +56,7 @@ class Motion:
         return found
 
     def form(self, b: Builder, S: Array, e: Sequence[int], length: int) -> list[int | None]:
-        """Return e(x·length)'Se(x·length) as monomials in x."""
+        """Return the coefficients of the polynomial e(x·length)'Se(x·length) in the fraction x of a piece of time."""
         values = [b.quadratic([[float(c) for c in row] for row in T], e) for T in self.forms(S)]
         result, power = values[:1], length
         for value in values[1:]:
@@ -65,7 +65,7 @@ class Motion:
         return result
 
     def advance(self, b: Builder, e: Sequence[int], time: int) -> list[int]:
-        """Return e(time) by Horner's rule e + t/1 A(e + t/2 A(e + …))."""
+        """Return the error after a time t, by Horner's rule e + t/1 A(e + t/2 A(e + …)) for its Taylor series."""
         moved = list(e)
         for k in range(self.order, 0, -1):
             steps = [b.combine([float(a) / k for a in row], moved) for row in self.A]
@@ -77,7 +77,7 @@ class Motion:
 
 
 def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
-    """Return ∫_0^x of a polynomial, times the length of the piece, as monomials in x."""
+    """Return the coefficients of the integral of a polynomial from 0 to x, times the length of the piece of time."""
     result: list[int | None] = [None]
     for k, value in enumerate(form):
         result.append(None if value is None else b.emit("mul", b.scale(1 / (k + 1), value), length))
@@ -85,12 +85,12 @@ def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
 
 
 def evaluate(b: Builder, monomials: Monomials, x: int) -> int:
-    """Return the value of a polynomial at x."""
+    """Return the value of a polynomial at a point x of the piece of time."""
     return _horner(b, monomials, x)[0]
 
 
 def bernstein(b: Builder, monomials: Monomials) -> list[int]:
-    """Return b_0, …, b_N of a polynomial: b_j = Σ_{k≤j} C(j,k)/C(N,k) m_k."""
+    """Return the Bernstein coefficients b_j = Σ_{k≤j} C(j,k)/C(N,k) m_k of a polynomial Σ m_k x^k on [0, 1]."""
     N = len(monomials) - 1
     there = [(k, m) for k, m in enumerate(monomials) if m is not None]
     rows: list[int] = []
@@ -101,7 +101,7 @@ def bernstein(b: Builder, monomials: Monomials) -> list[int]:
 
 
 def only_root(b: Builder, monomials: Monomials, first: int, last: int, there: int) -> tuple[int, int, int, int]:
-    """Find the only root in [0, 1] of a polynomial that rises through it, by Newton steps kept inside its bracket.
+    """Find the only root in [0, 1] of a polynomial that changes from negative to positive, by bracketed Newton steps.
 
     Args:
         b: collects the operations.

@@ -1,4 +1,4 @@
-"""An error that a send resets: the input and the results of its analysis."""
+"""Data of an error that each send resets to 0, and the results of its renewal analysis."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from taciturn.model.plant import JumpNoise
 
 
 class NoQuadratureError(ProblemError):
-    """Raised for a chain that no quadrature supports; the message is a reason, a semicolon, and a remedy."""
+    """Raised for an error process (chain) that the quadratures do not support; the message gives reason and remedy."""
 
     @property
     def reason(self) -> str:
-        """The reason, without expectation and remedy."""
+        """The first part of the error message: the reason, without expectation and remedy."""
         return str(self).split("; ", 1)[0]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Chain(Displayed):
-    """An error that is evaluated once per check, and that a send resets to 0.
+    """An estimation error in discrete time that is compared with a threshold at each check, and reset to 0 by a send.
 
     Before a check the error is e⁺ = F e + w. If e⁺'Ψe⁺ > δ, it is sent, and the error is 0 after the check. Otherwise
     it is not sent, and costs e⁺'Γe⁺. The first check is one step after an error of 0.
@@ -57,11 +57,11 @@ class Intervals(Displayed):
 
     @property
     def mean(self) -> float:
-        """Mean interval in checks: the sum of the survival."""
+        """Mean number of checks between sends: the sum over k of P(interval > k)."""
         return float(self.survival.sum() + self.survival[-1] * self.decay / (1 - self.decay))
 
     def probability(self, checks: int) -> Array:
-        """Return P(interval = k) for k = 1, …, checks.
+        """Return the probabilities P(interval = k) that two sends are k checks apart, for k = 1, …, checks.
 
         Raises:
             ProblemError: checks is not an integer of at least 1.
@@ -71,7 +71,7 @@ class Intervals(Displayed):
         return -np.diff(self.beyond(ticks.astype(np.float64)))
 
     def beyond(self, checks: ArrayLike) -> Array:
-        """Return P(interval > k) for an array of integers k ≥ 0, in the same shape.
+        """Return P(interval > k), the probability of more than k checks between sends, for an array of integers k ≥ 0.
 
         Raises:
             ProblemError: an entry is not an integer of at least 0.
@@ -85,7 +85,7 @@ class Intervals(Displayed):
         return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))
 
     def quantile(self, share: float) -> int:
-        """Return the least k with P(interval ≤ k) ≥ share.
+        """Return a quantile of the number of checks between sends: the least k with P(interval ≤ k) ≥ share.
 
         Raises:
             ProblemError: share is outside (0, 1).
@@ -102,7 +102,7 @@ class Intervals(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Renewal(Displayed):
-    """Rate and cost of a chain, with the error estimates of the quadrature.
+    """Send rate and excess cost of a chain, with the error estimates of the quadrature.
 
     Args:
         rate: sends per check.

@@ -69,7 +69,7 @@ class CycleEstimate(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Displayed):
-    """A sample of cycles: the first ones of each path.
+    """Durations and costs of simulated cycles between sends: the first cycles of each path.
 
     Args:
         durations: θ, (cycles,).
@@ -91,7 +91,7 @@ def estimate_cycles(
     threads: int | None = None,
     alive: Callable[[], None] | None = None,
 ) -> CycleEstimate:
-    """Estimate the mean interval between sends and the cost per second.
+    """Estimate, by simulation, the mean interval between sends and the cost per second of a triggered error.
 
     Args:
         process: the error.
@@ -143,7 +143,9 @@ def sweep(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> tuple[CycleEstimate, ...]:
-    """Estimate M(c) = E[θ] of the integral trigger for many c, with the same jumps at the same times for every c.
+    """Estimate the mean interval M(c) = E[θ] of the integral trigger for many values of c.
+
+    The jumps and their times are the same for every c.
 
     For c = αC the interval depends on c alone: α = M(c) is the fixed point for C = c/M(c).
 
@@ -179,7 +181,7 @@ def sample_cycles(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> Sample:
-    """Draw a sample of cycles, for quantiles and histograms.
+    """Simulate cycles between sends and return their durations and costs, for quantiles and histograms.
 
     Args:
         process: the error.
@@ -229,7 +231,7 @@ class _Counting:
         self.paths, self.ticks = paths, 0
 
     def advance(self, ticks: int) -> None:
-        """Run a number of steps, but no more than a chunk, after which the results are evaluated."""
+        """Simulate further steps on every path; the number is limited, so that results are evaluated regularly."""
         ticks = max(1, min(ticks, CHUNK // self.paths))
         result = self.run(self.states, ticks, self.threads)
         self.states = result.states
@@ -238,14 +240,14 @@ class _Counting:
         self.ticks += ticks
 
     def until_counted(self, cycles: int) -> int:
-        """Return about how many further steps are needed for a number of cycles."""
+        """Return approximately how many further steps are needed until this many cycles are counted."""
         counted = float(self.sums[CYCLES].sum())
         if counted >= cycles:
             return 0
         return self._more(cycles / counted if counted else 2.0)
 
     def until_precise(self, wanted: float) -> int:
-        """Return about how many further steps are needed for a standard error of the mean interval."""
+        """Return approximately how many further steps are needed for a standard error of the mean interval."""
         if self.sums[CYCLES].min() < CYCLES_PER_PATH:  # the standard error of fewer cycles is unreliable
             return self._more(2.0)
         error = _ratio(self.sums[DURATION], self.sums[CYCLES]).standard_error
@@ -262,7 +264,7 @@ class _Counting:
         return max(FIRST_TICKS, int(self.ticks * min(factor - 1, 100.0) * 1.02) + 1)
 
     def close(self) -> CycleEstimate:
-        """Run every path to the end of its current cycle, and return the estimates."""
+        """Simulate every path to the end of its current cycle, and return the estimates."""
         opened, closing = [[s.name for s in self.program.states].index(name) for name in (OPEN, CLOSING)]
         self.states[closing] = 1.0
         last = self.ticks + ENDLESS

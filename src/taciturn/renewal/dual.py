@@ -1,4 +1,4 @@
-"""Lower bound on the cost of every schedule of an error that a send resets, by duality, at a given confidence."""
+"""Lower confidence bounds on the cost of all send schedules of an error that a send resets, by duality."""
 
 from __future__ import annotations
 
@@ -38,7 +38,9 @@ ROUNDS = 60
 
 @dataclass(frozen=True, repr=False)
 class Sampled(Displayed):
-    """Monte Carlo estimate of the root g° of h(g) = λ − g + D(g), a lower bound on the mean cost per check.
+    """Monte Carlo estimate of a lower bound on the mean cost per check: the root g° of h(g) = λ − g + D(g).
+
+    λ is the price of a send, and D(g) a dual bound (:func:`sample_dual`).
 
     h is concave, and its slope is minus a mean number of checks. Therefore, for either sign of h(g),
 
@@ -66,7 +68,7 @@ class Sampled(Displayed):
 
 
 def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> float:
-    """Return a lower confidence bound on a sum of roots Σ c_i g°_i, from independent estimates.
+    """Return a lower confidence bound on a weighted sum Σ c_i g°_i of lower bounds, from independent estimates.
 
     The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
     and has the standard error of a sum of independent terms. The bound uses the least value over all ρ_i within their
@@ -85,7 +87,7 @@ def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> floa
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """A lower bound on the mean cost per check of every schedule, with the price of its sends included.
+    """A lower bound on the mean cost per check of every send schedule; the cost includes the price of the sends.
 
     Args:
         gain: the bound, at the requested confidence.
@@ -108,7 +110,7 @@ def bound_schedules(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DualBound:
-    """Return a lower bound on min E[e'Γe(1−σ) + λσ] over all causal schedules σ of e⁺ = F e(1−σ) + w.
+    """Return a lower bound on E[e'Γe(1−σ) + λσ] for all causal send schedules σ of the error e⁺ = F e(1−σ) + w.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -147,7 +149,9 @@ def sample_dual(
     precise: float | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
-    """Return an estimate of a lower bound on the mean cost per check, with arguments as in ``bound_schedules``.
+    """Return a Monte Carlo estimate of the lower bound on the mean cost per check of all send schedules.
+
+    The arguments are those of :func:`bound_schedules`.
 
     Let t be the check of the first send in a cycle, c_j = e_j'Γe_j, and M_t any martingale. Then
 
@@ -225,7 +229,7 @@ class _Outcome:
         return float(self.when.mean())
 
     def end(self, values: Array, side: int) -> float:
-        """Return a certain lower (side −1) or upper (side 1) limit of the mean of values."""
+        """Return a lower (side −1) or upper (side 1) limit of a mean, six standard errors from its estimate."""
         return float(values.mean() + side * CERTAIN * values.std(ddof=1) / np.sqrt(len(values)))
 
 
@@ -248,7 +252,7 @@ class _Duel:
         self.lattice = Lattice(NOISES, self.rank)
 
     def run(self, batches: int) -> list[_Outcome]:
-        """Return the outcome at each g of a number of batches, a multiple of ABREAST."""
+        """Return the estimates at each g from a number of batches, a multiple of ABREAST."""
         found, rounds = list[tuple[Array, int, int]](), batches // ABREAST
         while len(found) < rounds:
             found.append(self._side_by_side())

@@ -1,4 +1,4 @@
-"""Cycles of an error under Poisson jumps, from one send to the next, with exact event times.
+"""Simulation of an error with Poisson jumps from one send to the next, with exact event times.
 
 Between jumps the trigger function is a polynomial of time. This function is evaluated on short pieces of time, in
 the Bernstein basis. One step of the program is one attempt at one piece, on each path:
@@ -46,7 +46,7 @@ LONGEST_WAIT = 64.0  # bound on a drawn time between jumps, in mean times: a uni
 
 @dataclass(frozen=True, eq=False, repr=False)
 class JumpProcess(Displayed):
-    """An error with ė = A e between Poisson jumps, 0 after each send, and its cost e'Se per second.
+    """An error that obeys ė = A e between Poisson jumps, costs e'Se per second, and is reset to 0 by a send.
 
     Args:
         A: dynamics per second, (n, n).
@@ -72,7 +72,9 @@ class JumpProcess(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class IntegralTrigger(Displayed):
-    """A trigger that sends when the cost since the last send reaches c·min(β, ε), β seconds after that send.
+    """Trigger that sends when the cost since the last send, β seconds ago, reaches the threshold c·min(β, ε).
+
+    The threshold stays constant after the saturation time ε.
 
     Args:
         c: cost per second, positive.
@@ -101,7 +103,7 @@ class IntegralTrigger(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class LevelTrigger(Displayed):
-    """A trigger that sends when e'Ψe ≥ Y².
+    """Trigger that sends when the weighted square e'Ψe of the error e reaches the level Y².
 
     Args:
         Psi: Ψ, (n, n), semidefinite.
@@ -128,7 +130,7 @@ Trigger = IntegralTrigger | LevelTrigger
 
 
 def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
-    """Return the program of one attempt at one piece of a path.
+    """Return the program that advances an error over one short piece of time, or to its next send.
 
     Args:
         process: the error.
@@ -148,7 +150,10 @@ def cycle_program(process: JumpProcess, trigger: Trigger) -> Program:
 
 
 def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Array:
-    """Return the states of paths just after a send; path i of a seed does not depend on the number of paths."""
+    """Return the initial program states of simulated paths, just after a send.
+
+    For a given seed, path i does not depend on the number of paths.
+    """
     words = seed_generators(seed + (1 << 64), paths)[0].view(np.uint64) >> np.uint64(11)
     values = {
         GENERATOR: seed_generators(seed, paths),
@@ -160,7 +165,7 @@ def start(process: JumpProcess, program: Program, paths: int, seed: int) -> Arra
 
 
 def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
-    """Return initial states of a program, (states, paths): the named values, and 0 for all other states."""
+    """Return the initial states of a program, (states, paths): given values by name, and 0 for all other states."""
     states = np.zeros((len(program.states), paths))
     for row, state in zip(states, program.states, strict=True):
         if state.name in values:
@@ -171,7 +176,7 @@ def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
 ) -> tuple[int, dict[str, int], dict[str, int]]:
-    """Return whether cycles still count after this step, sums over counted cycles, and outputs of every cycle.
+    """Return the operations that count a cycle at its end: whether later cycles count, the sums, and the outputs.
 
     Args:
         b: collects the operations.
@@ -374,7 +379,7 @@ class _Attempt:
 
 
 def check(process: object, trigger: object) -> None:
-    """Reject an argument that is not a process, or not a trigger.
+    """Raise an error if ``process`` is not a jump process, or ``trigger`` is not a trigger.
 
     Raises:
         ProblemError: an argument has the wrong type.

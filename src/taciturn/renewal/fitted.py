@@ -1,4 +1,7 @@
-"""Near-optimal schedule of an error that a send resets: its value function is the exponential of a quadratic form."""
+"""Near-optimal send schedules of an error that a send resets, from a fitted value function.
+
+The value function is the exponential of a quadratic form.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ FLOOR = 1e-9  # times the price: values below count as 0
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fitted(Displayed):
-    """A schedule that sends if and only if e'Γe − height·exp(−½e'Πe) > gain.
+    """Near-optimal schedule that sends an error e if and only if e'Γe − height·exp(−½e'Πe) > gain.
 
     Args:
         gain: approximation of the least mean cost per check, including the price of the sends.
@@ -50,13 +53,15 @@ class Fitted(Displayed):
     interval: float
 
     def sends(self, error: Array, Gamma: Array) -> Bits:
-        """Return for each error whether it is sent, (errors, n) to (errors,)."""
+        """Return for each error whether this schedule sends it, (errors, n) to (errors,)."""
         bell = self.height * np.exp(-0.5 * np.maximum(squares(error, self.Pi), 0.0))
         return squares(error, Gamma) - bell > self.gain
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return a near-optimal schedule of e⁺ = F e(1−σ) + w, where silence costs e'Γe and a send costs λ.
+    """Return a near-optimal send schedule of the error e⁺ = F e(1−σ) + w.
+
+    Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
 
     The optimal schedule sends if and only if U(e) = e'Γe − g + V(e) > 0. Here V(e) = E min(0, U(F e + w)), and g solves
     λ − g + V(0) = 0. This function approximates V by −exp(a − ½e'Πe). In each value iteration, a and Π minimise the
@@ -84,7 +89,9 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
 
 
 class Fitting:
-    """Fits schedules for many prices; all prices within half an octave use the same simulated errors.
+    """Fits near-optimal send schedules for many prices of a send, from simulated errors.
+
+    All prices within half an octave use the same errors.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -100,7 +107,7 @@ class Fitting:
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return a near-optimal schedule at a price λ > 0, as ``fit_schedule``.
+        """Return a near-optimal send schedule at a price λ > 0 of a send, as :func:`fit_schedule` does.
 
         Raises:
             ProblemError: hardly anything is ever sent at this price, or nothing at any price.
@@ -141,7 +148,7 @@ class _Ground:
     interval: float
 
     def fit(self, price: float) -> Fitted:
-        """Return the schedule at a price, by value iteration."""
+        """Return the near-optimal send schedule at a given price of a send, by fitted value iteration."""
         here, into = self.here, self.into
         size = len(into)
         gain, fit = price / 2, np.zeros(here.shape[1], dtype=np.float64)
@@ -169,7 +176,7 @@ class _Ground:
 
 
 def spread(mean: Array, noise: Array, weight: Array) -> Array:
-    """Return (m + w)'M(m + w) and (m − w)'M(m − w) for errors m and the noises w that they share.
+    """Return the quadratic forms (m + w)'M(m + w) and (m − w)'M(m − w) of errors m plus or minus noises w.
 
     Args:
         mean: m, (blocks, errors, n).
@@ -221,7 +228,7 @@ def _least_squares(rows: Array, values: Array) -> Array:
 
 
 def squares(x: Array, weight: Array) -> Array:
-    """Return x'Mx of each row, (…, n) to (…,)."""
+    """Return the quadratic form x'Mx of each vector x, (…, n) to (…,)."""
     return np.einsum("...i,...i->...", x @ weight, x)
 
 
@@ -242,7 +249,9 @@ def _weight(terms: Array, d: int) -> Array:
 
 
 def keep_errors(F: Array, noise: Array, sends: Callable[[Array], Bits], seed: int = 0) -> tuple[Array, float]:
-    """Return errors that a rule does not send, collected after every path had a few sends, and the mean interval.
+    """Return simulated errors that a given send rule does not send, and the mean interval between sends.
+
+    The errors are collected after every path had a few sends.
 
     Args:
         F: map of the error from one check to the next, (n, n).

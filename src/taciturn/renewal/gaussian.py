@@ -1,4 +1,4 @@
-"""Rate and cost of a chain with Gaussian noise: renewal equations by quadrature, with an error estimate."""
+"""Send rate and cost of an error with Gaussian noise: renewal equations by quadrature, with an error estimate."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ LEAST = {1: 5e6, 2: 1e7, 3: 6e7}  # operations for the easiest chains, by dimens
 
 
 def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-    """Return rate and cost of a chain with Gaussian noise.
+    """Return send rate and excess cost of an error with Gaussian noise, by quadrature of its renewal equations.
 
     Let k be the density of the next error and E = {e: e'Ψe ≤ δ}. The expected checks T and the expected cost C until
     the next send satisfy T = 1 + ∫_E k T and C = e'Γe + ∫_E k C. The rate is 1/T₀ and the excess is C₀/T₀, both from an
@@ -78,7 +78,7 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
 
 class Quadrature:
-    """The renewal equations of a chain with Gaussian noise: the effort to solve them, and their solution.
+    """Renewal equations of an error with Gaussian noise; predicts the effort to solve them, and solves them.
 
     Args:
         chain: chain with Gaussian noise.
@@ -102,7 +102,7 @@ class Quadrature:
 
     @property
     def dimensions(self) -> int:
-        """Number of directions of the error that matter."""
+        """Number of directions of the error that noise reaches and that affect trigger or cost."""
         return len(self.white.m)
 
     @property
@@ -117,11 +117,11 @@ class Quadrature:
 
     @property
     def rough_excess(self) -> float:
-        """Approximation of the excess, usually too large: the mean cost of errors with the approximate covariance."""
+        """Rough value of the excess cost, usually too large, from the approximate covariance of unsent errors."""
         return float(np.sum(self.white.Gamma * self.covariance))
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
-        """Return rate and cost, as ``solve_gaussian``."""
+        """Return send rate and excess cost, as :func:`solve_gaussian` does."""
         white, region = self.white, self.region
         accuracy = number("accuracy", self.usual if accuracy is None else accuracy, 0.0, 1.0)
         told = Stages(progress)
@@ -140,7 +140,7 @@ class Quadrature:
         )
 
     def predict(self, accuracy: float) -> float:
-        """Return about how many operations a relative accuracy requires, from the number of nodes, without solving.
+        """Return approximately how many operations a relative accuracy requires, without solving the equations.
 
         The result is infinite if too many nodes are needed.
         """

@@ -1,4 +1,4 @@
-"""Optimal scheduler at a price per send: policy iteration on the renewal equations, with a free boundary."""
+"""Optimal send schedule at a price per send, by policy iteration on the renewal equations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """The optimal scheduler at a price per send, with the error estimates of its quadrature.
+    """Optimal send schedule at a price per send, with its rate and cost and the error estimates of the quadrature.
 
     Args:
         cost: g = excess + price · rate, the least mean cost per check.
@@ -55,7 +55,7 @@ class Optimum(Renewal):
     region: ContinuationRegion
 
     def value(self, e: ArrayLike) -> Array:
-        """Return U(e), the cost of silence minus that of a send, for errors before the decision.
+        """Return U(e), the cost of silence minus the cost of a send, for errors e before the decision.
 
         Beyond the window of the quadrature, where errors hardly ever occur, U(e) = e'Γe − g is returned.
 
@@ -74,7 +74,7 @@ class Optimum(Renewal):
         return self.price * self.region.values(points @ self.region.white.rows.T).reshape(given.shape[:-1])
 
     def sends(self, e: ArrayLike) -> np.typing.NDArray[np.bool_]:
-        """Return whether errors before the decision are sent: U(e) > 0.
+        """Return for each error e whether the optimal schedule sends it: U(e) > 0.
 
         Args:
             e: errors, (…, n).
@@ -96,7 +96,7 @@ def solve_optimal(
     accuracy: float | None = None,
     progress: Progress | None = None,
 ) -> Optimum:
-    """Return the scheduler that minimises the mean cost per check: e'Γe during silence, plus a price for each send.
+    """Return the send schedule that minimises the mean cost per check: e'Γe if silent, and a price for each send.
 
     The error before a check is e⁺ = F e + w. A send resets it to 0; an unsent error costs e⁺'Γe⁺. The optimal rule is
 
@@ -161,7 +161,7 @@ def solve_optimal(
 def optimal_curve(
     F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, prices: ArrayLike, accuracy: float | None = None
 ) -> tuple[Optimum, ...]:
-    """Return the optimal scheduler at several prices: the lower boundary of all pairs of rate and excess.
+    """Return the optimal send schedule at each of several prices: points on the optimal curve of cost against rate.
 
     Args:
         F: map of the error from one check to the next, any (n, n) matrix.
@@ -212,7 +212,7 @@ class _Iteration:
         self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
-        """Return the optimum on nodes of a given density, in a window whose reach is multiplied by a factor."""
+        """Return the optimal schedule computed on nodes of a given density, in a window scaled by a factor."""
         found = self._iterate(density, factor, step, MOST_NODES, self.settled)
         if found is not None and step == 1:
             _gaps(found, ROUGHLY)  # rejects a region with holes before many nodes are used

@@ -1,4 +1,4 @@
-"""Rate and cost of a chain with Gaussian noise in any dimension, by conditional sampling and quasi-Monte Carlo."""
+"""Send rate and cost of an error with Gaussian noise in any dimension, by conditional quasi-Monte Carlo sampling."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LOOKED = 16  # checks from which the mean interval is estimated roughly
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PathAnswer(Displayed):
-    """Rate and cost of a chain, from conditional sampling.
+    """Estimates of send rate, excess cost and intervals of an error, from conditional sampling.
 
     Args:
         rate: sends per check.
@@ -62,7 +62,7 @@ def solve_paths(
     steps: int = USUAL,
     progress: Progress | None = None,
 ) -> PathAnswer:
-    """Return rate and cost of a chain with Gaussian noise of any rank, in any dimension, by conditional sampling.
+    """Return send rate and excess cost of an error with Gaussian noise in any dimension, by conditional sampling.
 
     The mean interval is T = Σ_j P(no send at the checks 1 … j), and its mean cost is C = Σ_j E[e_j'Γe_j, no send so
     far]. The rate is 1/T, and the excess is C/T. Sampling is conditional on silence: at each check, the coordinates of
@@ -139,7 +139,9 @@ def _off(*found: Estimate) -> float:
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return about how many operations ``solve_paths`` needs, given a coarser answer; 0 if that one is accurate enough.
+    """Return approximately how many operations ``solve_paths`` needs, given a coarser answer.
+
+    The result is 0 if the coarser answer is accurate enough.
 
     Args:
         chain: chain with Gaussian noise.
@@ -154,7 +156,7 @@ def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> flo
 
 
 def predict_fewest(chain: Chain) -> float:
-    """Return about how many operations the fewest paths need, from a lower bound on the mean interval.
+    """Return approximately how many operations ``solve_paths`` needs for its smallest number of paths.
 
     Args:
         chain: chain with Gaussian noise.
@@ -166,7 +168,7 @@ def predict_fewest(chain: Chain) -> float:
 
 
 def least_work(chain: Chain) -> float:
-    """Return a lower bound on the operations of the fewest paths: those for intervals of one check."""
+    """Return a lower bound on the operations of ``solve_paths``: its fewest paths, with a send at every check."""
     return _fewest(chain, 1.0)
 
 
@@ -175,7 +177,7 @@ def _fewest(chain: Chain, interval: float) -> float:
 
 
 def expect_quicker(chain: Chain) -> bool:
-    """Predict whether conditional sampling is faster than a plain simulation: whether intervals are short.
+    """Predict whether conditional sampling is faster than a plain simulation, which holds for short intervals.
 
     Quasi-random points help only if intervals have few checks; ``benchmarks/paths.py`` measures the limit. The mean
     interval is at least that of independent checks (:func:`least_interval`), and usually close to it.

@@ -1,4 +1,4 @@
-"""Policies that are analysed but cannot run on nodes: triggers in continuous time, and the optimal schedule."""
+"""Policies that can be analysed but not run on nodes: triggers in continuous time, and the optimal schedule."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from taciturn.renewal.events import IntegralTrigger, JumpProcess
 
 @dataclass(frozen=True, eq=False, repr=False)
 class EventPolicy(Displayed):
-    """A policy in continuous time: both ends predict the state, and an integral trigger sends the state.
+    """Policy in continuous time: sensor and actuator predict the state, and an integral trigger decides on sends.
 
     The sensor sends the state when the cost of the prediction error since the last send reaches the allowed value. The
     policy is analysed as a renewal process. To run it on nodes that exchange packets, give it a period.
@@ -70,11 +70,11 @@ class EventPolicy(Displayed):
         return self.kind
 
     def refuse(self, given: Mapping[str, bool]) -> None:
-        """Reject given arguments, by name, that this policy does not use."""
+        """Raise an error if an argument is given that this policy does not use."""
         _refuse(f"{self.kind} without a period", given, "policy.period")
 
     def bound(self, interval: float = 0.0) -> float | None:
-        """Return an upper bound on the cost at a mean interval between sends; at 0, the bound for any interval.
+        """Return an upper bound on the cost at a given mean interval between sends; at 0, a bound for any interval.
 
         The result is None if a shortest interval allows the cost of an interval to exceed the threshold.
         """
@@ -86,7 +86,7 @@ class EventPolicy(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalPolicy(Displayed):
-    """The optimal schedule of an error that a send resets, at a price per send.
+    """Policy with the optimal send schedule of an error that a send resets, at a price per send.
 
     Its boundary is computed by quadrature and is not a quadratic form, so that no node can run it.
 
@@ -108,7 +108,7 @@ class OptimalPolicy(Displayed):
         self.refuse(_only_simulated(self.looked_at.model))
 
     def summary(self) -> Mapping[str, object]:
-        """Return kind, price, and the cost of sending every sample."""
+        """Return the policy's kind, its price per send, and the cost of sending every sample."""
         plant = self.looked_at.model.short()
         return {"kind": self.kind, "price": self.price, "cost_all_time": self.cost_all_time, "plant": plant}
 
@@ -117,7 +117,7 @@ class OptimalPolicy(Displayed):
         return self.kind
 
     def refuse(self, given: Mapping[str, bool]) -> None:
-        """Reject given arguments, by name, that this policy does not use."""
+        """Raise an error if an argument is given that this policy does not use."""
         _refuse(self.kind, given, "near-optimal")
 
     @property

@@ -1,4 +1,4 @@
-"""Bounds on rate and saving of the optimal schedule for decaying errors that hardly ever need a send."""
+"""Bounds on send rate and cost of the optimal schedule for decaying errors that hardly ever need a send."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative t
 
 @dataclass(frozen=True, repr=False)
 class Rarity(Displayed):
-    """Bounds on the optimal schedule at a price per send.
+    """Bounds on the send rate and the cost of the optimal schedule at a price per send.
 
     Args:
         rate: upper bound on its sends per check.
@@ -27,7 +27,9 @@ class Rarity(Displayed):
 
 
 def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rarity:
-    """Return bounds on the optimal schedule of e⁺ = F e (1−σ) + w, where silence costs e'Γe and a send costs λ.
+    """Return bounds on send rate and cost of the optimal schedule of the error e⁺ = F e (1−σ) + w.
+
+    Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
 
     Let S = Γ + F'SF. A send at the error e saves at most e'Se, so that the optimal schedule never sends if e'Se < λ.
     Let f = tr(ΓP) be the cost without sends, and ē ~ N(0, P) the error without sends. Every even schedule satisfies
@@ -61,7 +63,9 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
 
 
 def bound_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
-    """Return an upper bound on the rate of "send iff e'Γe > threshold": P(e'Γe > threshold) without sends.
+    """Return an upper bound on the send rate of the rule "send the error e if e'Γe > threshold".
+
+    The bound is P(e'Γe > threshold) for the error without sends.
 
     An error that was not sent so far is closer to 0 than one without this condition (Gaussian correlation inequality).
 
@@ -85,7 +89,7 @@ def bound_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
 
 
 def bound_tail(weights: Array, limit: float) -> tuple[float, float]:
-    """Return upper bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i² with standard normal z_i (Chernoff).
+    """Return Chernoff bounds on P(q > x) and E max(q − x, 0) for q = Σ w_i z_i² with standard normal z_i.
 
     For every 0 < s < 1/(2 max w): 1{q > x} ≤ exp(s(q − x)) and max(q − x, 0) ≤ exp(s(q − x) − 1)/s, with
     E exp(sq) = Π (1 − 2 s w_i)^{-1/2}. The bounds are minimised over several values of s.

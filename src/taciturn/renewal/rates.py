@@ -1,4 +1,4 @@
-"""Certified bounds on the rate of sends of an error-reset chain, without quadrature or simulation, in any dimension."""
+"""Certified bounds on the send rate of an error that a send resets, in any dimension."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ROUNDED = 1e-12  # absolute error of a probability that is convolved by Fourier 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class WindowBound(Displayed):
-    """Upper bounds on the number of sends in a window of checks.
+    """Upper bounds on the number of sends in a window of consecutive checks.
 
     Args:
         mean: upper bound on the mean number of sends.
@@ -40,7 +40,7 @@ class WindowBound(Displayed):
 
 
 def rate_bounds(chain: Chain) -> tuple[float, float]:
-    """Return certified bounds on the rate of sends per check of a chain with Gaussian noise, in any dimension.
+    """Return certified bounds on the sends per check of an error with Gaussian noise, in any dimension.
 
     Let n_j ~ N(0, S_j), S_j = F S_{j−1} F' + noise, be the error without sends, and E = {e: e'Ψe ≤ δ}, a convex and
     symmetric set. Let p_j = P(n_j ∈ E), and a_j = P(n_1, …, n_j ∈ E), the survival of an interval. The rate is
@@ -98,7 +98,9 @@ def rate_bounds(chain: Chain) -> tuple[float, float]:
 
 
 def least_interval(chain: Chain, checks: int = FEW) -> float:
-    """Return a lower bound on the mean interval in checks, 1 + Σ_j p_1 ⋯ p_j over some of them.
+    """Return a lower bound on the mean number of checks between sends.
+
+    It is 1 + Σ_j p_1 ⋯ p_j over a number of checks j, with the p_j of :func:`rate_bounds`.
 
     Its inverse is the upper bound of :func:`rate_bounds` if this number of checks suffices.
 
@@ -121,7 +123,7 @@ def least_interval(chain: Chain, checks: int = FEW) -> float:
 
 
 def sends_in_window(chain: Chain, checks: int, confidence: float) -> WindowBound:
-    """Return upper bounds on the number of sends in any window of a given number of checks.
+    """Return upper bounds on the number of sends in any window of consecutive checks of a given length.
 
     Intervals are independent and identically distributed, with a survival P(X > j) ≥ q_j = p_1 ⋯ p_j
     (:func:`rate_bounds`). So on one probability space, each interval is at least as long as an X' with survival q. The

@@ -1,4 +1,4 @@
-"""Cycles of an error that is checked every τ seconds, under the integral trigger, with jumps or Wiener noise.
+"""Simulation of an error that an integral trigger checks every τ seconds, with jumps or Wiener noise.
 
 The cost of an interval is its conditional expectation given the errors at the checks: e'Γ(τ)e for a period that begins
 with the error e, plus the mean cost of the noise of a period. So E[cost]/E[θ] equals the value of the loop exactly. At
@@ -29,7 +29,7 @@ LATE = 1 + 1e-12  # tolerance for limits that are a whole number of periods
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SampledProcess(Displayed):
-    """An error that obeys e⁺ = F e + w from one check to the next.
+    """An error that obeys e⁺ = F e + w from one periodic check to the next, with its cost per period.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -47,7 +47,10 @@ class SampledProcess(Displayed):
 
 
 def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Program:
-    """Return the program of one period and of the check at its end, with the sums and outputs of ``cycle_program``."""
+    """Return the program that simulates an error over one period, including the trigger check at its end.
+
+    Its sums and outputs are those of ``cycle_program``.
+    """
     n = len(process.F)
     tick = TimeStep(Builder(), {}, {}, ())
     b = tick.builder
@@ -86,7 +89,7 @@ def sampled_program(process: SampledProcess, trigger: IntegralTrigger) -> Progra
 
 
 def sampled_start(program: Program, paths: int, seed: int) -> Array:
-    """Return the states of paths just after a send."""
+    """Return the initial program states of simulated paths, just after a send."""
     return filled(program, paths, {GENERATOR: seed_generators(seed, paths), OPEN: np.ones((1, paths))})
 
 

@@ -1,4 +1,4 @@
-"""Simulation of loops: averages with standard errors, finite horizons, and single trajectories.
+"""Simulation of closed loops: averages with standard errors, finite horizons, and single trajectories.
 
 All paths are independent, and the draws of a path depend only on the seed and the number of the path. So the standard
 error is that of a mean over independent paths, for any correlation in time, and the result does not depend on the

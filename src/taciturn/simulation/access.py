@@ -1,4 +1,4 @@
-"""Access rules of a shared channel: one class for each rule, called once per step."""
+"""Access rules that decide which loops may send on a shared channel, one class for each rule."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ COLLISION = 1 / (np.e - 2)  # mean number of additional packets in a collision
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Grant(Displayed):
-    """Outcome of the requests in a step.
+    """Result of an access rule in one step: which loops sent, and how many packets were on the channel.
 
     Args:
         sent: whether each loop sent successfully, (channels, loops).
@@ -30,7 +30,7 @@ class Grant(Displayed):
 
 
 class Access(Protocol):
-    """An access rule, which may have internal state; use one object for each simulation."""
+    """An access rule of a shared channel; as it may have internal state, use one object for each simulation."""
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
         """Return which loops send.
@@ -56,13 +56,13 @@ class MostUrgent:
         self.capacity = capacity
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Return the loops with the highest urgency."""
+        """Grant the slots of this step to the loops with the highest urgency."""
         sent = _lowest(-urgency, self.capacity)
         return Grant(sent, sent.sum(axis=1).astype(np.float64))
 
 
 class RoundRobin:
-    """Access rule in which the loops send in a fixed order.
+    """Access rule in which the loops take turns to send in a fixed order.
 
     Args:
         capacity: sends per step.
@@ -75,14 +75,16 @@ class RoundRobin:
         self.turns = np.arange(loops, dtype=np.float64)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Return the next loops in the order."""
+        """Grant the slots of this step to the next loops in the fixed order."""
         sent = _lowest(self.turns[None, at], self.capacity)
         self.turns[at[sent[0]]] += self.loops
         return _alike(sent, len(urgency))
 
 
 class TimeDivision:
-    """Access rule in which every loop sends at its own rate; loops with an earlier next send have priority.
+    """Access rule in which every loop sends periodically at its own rate.
+
+    If too many sends are due, loops whose next send is earlier have priority.
 
     Args:
         capacity: sends per step.
@@ -98,7 +100,7 @@ class TimeDivision:
         self.due = phases * np.where(rates > 0, self.interval, 0.0) + np.where(rates > 0, 0.0, np.inf)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Return the loops whose sends are due."""
+        """Grant the slots of this step to the loops whose periodic sends are due."""
         due = self.due[at]
         ready = np.flatnonzero(due <= tick)
         if len(ready) > self.capacity:
@@ -128,7 +130,7 @@ class RandomAccess:
         self.slots, self.draws, self.backlog = slots, np.random.default_rng(seed), np.zeros(1)
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
-        """Draw the slots of the sending loops, and return the loops without a collision."""
+        """Draw a random slot for each sending loop, and return the loops whose packets do not collide."""
         channels = len(urgency)
         backlog = np.broadcast_to(self.backlog, channels)
         tries = (urgency > 0) & (

@@ -1,4 +1,4 @@
-"""Cost and rates by simulation of independent paths, with standard errors."""
+"""Average cost and send rates of a closed loop by simulation of independent paths, with standard errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEAN = 60  # operations of a small program
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
-    """Return the estimator J = J_all + E[completed square], in the innovations form if it is valid.
+    """Return the cost estimator J = J_all + E[completed square], in the innovations form if that is valid.
 
     Args:
         loop: the closed loop.
@@ -52,7 +52,7 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
 
 
 def plain_average(loop: Loop) -> Estimator:
-    """Return the estimator that averages the stage cost of the loop."""
+    """Return the cost estimator that averages the stage cost of a loop."""
     final = {"x"} if loop.problem.cost.terminal is not None else frozenset[str]()
     problem, program = loop.problem, loop.program()
     lean = program.keep({COST, *sends(loop)}, states=final)
@@ -64,7 +64,7 @@ def plain_average(loop: Loop) -> Estimator:
 
 
 def choose_estimator(loop: Loop) -> Estimator:
-    """Return completion of squares if the theory allows it, else the plain average."""
+    """Return the cost estimator for a loop: completed squares if the theory allows them, or else the plain average."""
     return plain_average(loop) if loop.identity is None else completed_squares(loop)
 
 
@@ -78,7 +78,7 @@ def average(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Averages:
-    """Estimate the stationary cost and rates of a loop, or those of a finite horizon.
+    """Estimate average cost and send rates of a loop in stationary operation, or over a finite horizon.
 
     The paths are independent, so the standard error is that of the mean over paths, for any correlation in time. Steps
     are dropped until the initial transient has decayed: at least twelve time constants of the slowest mode and eight
@@ -118,7 +118,7 @@ def difference(
     progress: Progress | None = None,
     threads: int | None = None,
 ) -> Averages:
-    """Estimate how much more one loop costs and sends than another, on the same draws.
+    """Estimate the differences in cost and send rates between two loops, simulated with the same noise.
 
     Each path has the same noise in both loops, so common variations cancel before averaging, and the standard error is
     that of the difference. Both costs are computed from completed squares if both loops have a cost identity; otherwise
@@ -188,13 +188,13 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 
 
 def least_work(loop: Loop) -> float:
-    """Return the least number of operations that ``average`` needs to settle, for any program of the loop."""
+    """Return the least number of operations that ``average`` needs until a loop has settled."""
     least = max(BURN_IN, int(SETTLE * loop.policy.settling))
     return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
 
 
 class Averaging:
-    """A simulation that predicts its remaining work from its first windows, and continues from them.
+    """A simulation of a loop that can predict its remaining computation from the first windows of steps.
 
     Args:
         loop: the closed loop.
@@ -240,7 +240,9 @@ class Averaging:
         self.failed: UnstableError | OutOfTime | None = None
 
     def predict(self, standard_error: float) -> float:
-        """Run the first windows and return the approximate number of remaining operations; infinite if unstable.
+        """Simulate the first windows, and return the approximate number of remaining operations.
+
+        The number is infinite if the loop is unstable.
 
         Args:
             standard_error: absolute standard error of the cost.
@@ -262,7 +264,7 @@ class Averaging:
         return PER_STEP * self.estimator.program.operations * max(missing - seen, seen)
 
     def finish(self) -> Averages:
-        """Finish the simulation and return the same result as ``average``.
+        """Continue the simulation to its end, and return the same result as :func:`average`.
 
         Raises:
             UnstableError: the loop diverges.
@@ -274,7 +276,7 @@ class Averaging:
 
 
 def check_effort(seed: int, standard_error: float | None, steps: int | None) -> None:
-    """Reject an invalid seed, standard error or number of steps.
+    """Raise an error for an invalid seed, standard error or number of simulated steps.
 
     Raises:
         ProblemError: the seed is below 0, the standard error is not positive, there are too few steps, or both a

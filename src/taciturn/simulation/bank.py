@@ -1,4 +1,4 @@
-"""Simulation of many loops side by side, for example for a network or for many values of a parameter."""
+"""Simulation of many loops in parallel, for example for a network or for many values of a parameter."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from taciturn.simulation.parts import sends
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tally(Displayed):
-    """Cost and sends of each loop of a bank.
+    """Simulated cost and sends of each loop in a bank of loops.
 
     Args:
         cost: mean stage cost of each loop per unit of time, as for an average cost, (loops,).
@@ -32,7 +32,7 @@ class Tally(Displayed):
 
 
 class Bank:
-    """Loops that are simulated side by side, one path each; loops of equal structure share machine code.
+    """A bank of loops that are simulated in parallel, one path each; loops of equal structure share machine code.
 
     Loop i has the draws of path i of the seed. A bank may contain a loop several times, to average over paths.
 
@@ -85,11 +85,11 @@ class Bank:
 
     @property
     def structures(self) -> int:
-        """Number of different programs that are compiled."""
+        """Number of different programs that are compiled for the loops of this bank."""
         return len(self._steppers)
 
     def run(self, ticks: int = 1, threads: int | None = None) -> Tally:
-        """Continue all loops for some steps.
+        """Continue the simulation of all loops for a number of steps.
 
         Args:
             ticks: number of steps, at least 1.

@@ -1,4 +1,4 @@
-"""Simulation of many loops on one channel, where an access rule selects the errors that are sent at each step."""
+"""Simulation of many loops on a shared channel, where an access rule selects the loops that send at each step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "gra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(Displayed):
-    """Equal loops: e⁺ = F e + w before a check. A sent error is reset to 0; an unsent error adds e'Γe to the cost.
+    """A group of equal loops with the error e⁺ = F e + w; a send resets the error to 0, and an unsent error costs e'Γe.
 
     Args:
         F: error dynamics, (n, n).
@@ -44,7 +44,7 @@ class Group(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Stretch(Displayed):
-    """Means over a stretch of steps, on each of several independent channels.
+    """Mean cost, sends and collisions over a number of simulated steps, for each of several independent channels.
 
     Args:
         cost: cost per step, summed over the loops of each group, (channels, groups).
@@ -60,7 +60,9 @@ class Stretch(Displayed):
 
 
 class SharedChannel:
-    """Step-by-step simulation of loops that share channels; costs beyond every sample come from completed squares.
+    """Step-by-step simulation of loops that share channels.
+
+    The cost beyond that of sending every sample comes from completed squares.
 
     Memory and time grow linearly with the number of loops. Groups run together if they check at the same steps and
     their programs differ only in their constants. Loop i of channel k has the draws of path i·channels + k of the seed,
@@ -88,7 +90,7 @@ class SharedChannel:
         self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
     def run(self, ticks: int) -> Stretch:
-        """Continue for some steps, a multiple of the steps between two checks of every group."""
+        """Continue the simulation for a number of steps, a multiple of every group's steps between two checks."""
         channels = self._channels
         busy, waiting = np.zeros(channels), np.zeros(channels)
         active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
@@ -127,7 +129,10 @@ class _Turn:
 
 
 class Cohort:
-    """Loops of groups that check at the same steps and run together; paths are ordered by loop, then by channel."""
+    """Loops of several groups that check their errors at the same steps and are simulated together.
+
+    Paths are ordered by loop, then by channel.
+    """
 
     def __init__(self, turns: Sequence[_Turn], every: int, phase: int, channels: int, seed: int) -> None:
         """Start with errors of 0, of which none requests a send."""
@@ -140,13 +145,13 @@ class Cohort:
         self.urgency = np.full((channels, len(self.places)), -1.0)
 
     def look(self, sent: Bits) -> None:
-        """Advance to the next check, given which errors are sent, (channels, loops)."""
+        """Advance the errors of these loops to their next check, given which loops send, (channels, loops)."""
         self._sent += sent
         told = sent.T.astype(np.float64).reshape(1, -1)
         self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
 
     def take(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield the group, cost and sends of each turn since the last call, (channels,) each, and reset them."""
+        """Yield group, cost and sends of loops with the same check steps since the last call, (channels,) each."""
         added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
         end = 0
         for turn in self._turns:
@@ -156,7 +161,10 @@ class Cohort:
 
 
 def contend(group: Group) -> Program:
-    """Return the program of one check whose send decision is an input; it sums the cost and outputs the urgency."""
+    """Return the program of one check of a loop on a shared channel, with the access rule's decision as an input.
+
+    It sums the cost and outputs the urgency.
+    """
     tick = _look(group)
     told = tick.builder.emit("greater", tick.builder.input(GRANTED), tick.builder.constant(0.0))
     excess = _decide(tick, group, told)
@@ -164,7 +172,7 @@ def contend(group: Group) -> Program:
 
 
 def send_freely(group: Group) -> Program:
-    """Return the program of one check of a loop whose sends are never blocked; it sums the cost and the sends."""
+    """Return the program of one check of a loop on its own channel; it sums the cost and the sends."""
     tick = _look(group)
     wants = tick.builder.emit("greater", tick.form(group.urgency), tick.builder.constant(0.0))
     excess = _decide(tick, group, wants)
@@ -172,7 +180,10 @@ def send_freely(group: Group) -> Program:
 
 
 def measure_freely(group: Group, looks: int, seed: int) -> tuple[Array, Array]:
-    """Return sends and cost per check of loops that share no channel; an equally long burn-in is dropped."""
+    """Return simulated sends and cost per check of loops that share no channel.
+
+    An equally long burn-in is dropped.
+    """
     program = send_freely(group)
     run, states = prepare(program), start(program, group.count, seed)
     found = run(run(states, looks, None).states, looks, None)
@@ -195,7 +206,7 @@ def _decide(tick: TimeStep, group: Group, sends: int) -> int:
 
 
 def start(program: Program, paths: int, seed: int, first: int = 0) -> Array:
-    """Return the initial states, with errors of 0, (states, paths)."""
+    """Return the initial program states of simulated loops with errors of 0, (states, paths)."""
     drawn = seed_generators(seed, paths, first)
     starts = [state.start for state in program.states]
     rows = [drawn[start[1]] if isinstance(start, tuple) else np.full(paths, start) for start in starts]

@@ -1,4 +1,4 @@
-"""Cost and sends of a loop at each step, averaged over independent paths."""
+"""Stage cost and sends of a loop at each step, averaged over independent simulated paths."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PATHS = 4096
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Course(Displayed):
-    """Mean stage cost and sends over time.
+    """Mean stage cost and sends of a loop over time, with standard errors.
 
     For an average cost, the stage cost is per unit of time, so that it converges to the average. For a finite horizon
     or a discount, it is the weighted cost of each step, so that the stage costs and the final cost add up to the total.
@@ -46,7 +46,7 @@ class Course(Displayed):
 
 
 def course(loop: Loop, ticks: int, *, paths: int = PATHS, seed: int = 0) -> Course:
-    """Run independent paths of a loop from its initial distribution, and average them at each step.
+    """Simulate independent paths of a loop from its initial distribution, and average cost and sends at each step.
 
     Args:
         loop: the closed loop.

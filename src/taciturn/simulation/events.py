@@ -1,4 +1,4 @@
-"""Cost and rate of policies with continuous-time events, by simulation of the cycles between sends."""
+"""Cost and send rate of policies with continuous-time events, by simulation of the cycles between sends."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def average_events(
     steps: int | None = None,
     progress: Progress | None = None,
 ) -> Averages:
-    """Estimate cost and rate per second of a policy with exact event times between the jumps of its plant.
+    """Estimate cost and send rate per second of a continuous-time policy, for a plant with Poisson jumps.
 
     Args:
         policy: a policy from ``taciturn.design.integral``.

@@ -1,4 +1,4 @@
-"""Detection of the state at which the function of a nonlinear plant gives a non-finite number."""
+"""Search for the state at which the function of a nonlinear plant gives a non-finite number."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from taciturn.program.ir import Program
 
 
 def expect_numbers(loop: Loop, states: Array) -> None:
-    """Raise an error if a recorded path contains non-finite values of the plant's function.
+    """Raise an error if a simulated path contains non-finite states of a nonlinear plant.
 
     Args:
         loop: the closed loop.
@@ -29,7 +29,7 @@ def expect_numbers(loop: Loop, states: Array) -> None:
 
 
 def find_loss(loop: Loop, program: Program, run: Runner, before: Array, ticks: int) -> None:
-    """Raise an error if the plant's function gave non-finite values in a run.
+    """Raise an error if the function of a nonlinear plant gave non-finite values in a simulation.
 
     One path is run again to find the step.
 

@@ -1,4 +1,4 @@
-"""Loops of a simulation, each with the sum whose mean gives its cost."""
+"""Loops in a simulation, each with the estimator of its cost."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RUNAWAY = 1e12  # a path has diverged if it costs more than this multiple of the
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Estimator(Displayed):
-    """An estimator of the cost: a program, and the relation cost = offset + scale·(mean of a sum).
+    """Estimator of a loop's cost: a simulation program, and the relation cost = offset + scale·(mean of a sum).
 
     Args:
         program: program of one step of the loop.
@@ -37,13 +37,13 @@ class Estimator(Displayed):
 
     @cached_property
     def controlled(self) -> Program | None:
-        """Program with control variates among its sums, for long runs; None for finite-horizon runs."""
+        """The simulation program with control variates as additional sums; None for finite-horizon runs."""
         return None if self.whole is None else controlled(self.whole, self.program)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Part(Displayed):
-    """A loop with the estimator of its cost and the sign with which its cost and rates are summed.
+    """A loop in a simulation, with its cost estimator and the sign with which its cost and rates are added.
 
     Args:
         loop: the closed loop.
@@ -57,12 +57,12 @@ class Part(Displayed):
 
     @property
     def names(self) -> list[str]:
-        """Names of the sums that are read: the sum of the estimator, then the sends on each link."""
+        """Names of the simulated sums that are read: the sum of the cost estimator, then the sends on each link."""
         return [self.estimator.sum, *sends(self.loop)]
 
     @property
     def controls(self) -> list[str]:
-        """Names of the control variates, whose mean is 0."""
+        """Names of the control variates of this loop's cost, whose mean is 0."""
         program = self.estimator.controlled
         return [] if program is None else [name for name in program.sums if name.startswith(CONTROL)]
 
@@ -73,20 +73,20 @@ class Part(Displayed):
 
     @property
     def distance(self) -> float:
-        """Additional time constants until a large initial state has decayed to the noise: ln(1 + |mean|/deviation)."""
+        """Number of time constants in which a large initial state decays to the noise: ln(1 + |mean|/deviation)."""
         plant = self.loop.problem.plant
         deviation = float(np.sqrt(np.diag(plant.W).max()))
         return float(np.log1p(np.abs(plant.mean).max() / deviation)) if deviation > 0 else 0.0
 
     def diverges(self, how: str) -> UnstableError:
-        """Return the error for a diverging loop, with the observation that shows it."""
+        """Return the exception for a diverging loop, with the observation that shows the divergence."""
         return UnstableError(
             f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop: send more often, "
             "or check [plant.actual] and input_limit"
         )
 
     def refuse_runaways(self, costs: Array, ticks: int) -> None:
-        """Raise an error if a path has diverged from the others, as an unstable plant with a limited input can."""
+        """Raise an error if one path has diverged, as is possible for an unstable plant with limited inputs."""
         size = np.sort(np.abs(costs))  # np.median would load all of masked arrays
         largest, typical = float(size[-1]), float(size[len(size) // 2])
         all_time = self.loop.policy.cost_all_time * self.loop.policy.tick
@@ -95,5 +95,5 @@ class Part(Displayed):
 
 
 def sends(loop: Loop) -> list[str]:
-    """Return the names of the sums that count the sends on each link with a send decision."""
+    """Return the names of a program's sums that count the sends on each link with a send decision."""
     return [f"{SENT} {link}" for link in loop.policy.scheduled]

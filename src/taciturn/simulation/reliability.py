@@ -1,4 +1,7 @@
-"""Detection of averages that do not exist or have unreliable errors: outages, rare large costs, silence."""
+"""Warnings about simulated averages that do not exist or have unreliable standard errors.
+
+The causes are link outages, rare large costs, and loops that do not send.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its v
 
 
 def expect_arrivals(loop: Loop) -> None:
-    """Raise an error if link outages make the mean square of the loop infinite, for any send decisions.
+    """Raise an error if link outages make the mean square of a loop infinite for any send decisions.
 
     Raises:
         UnstableError: a link drops every packet, or too many in a row, and the plant does not come to rest by itself.
@@ -105,7 +108,7 @@ def doubt_moments(loop: Loop) -> tuple[str, ...]:
 
 
 def doubt_tail(tail: float) -> tuple[str, ...]:
-    """Return a warning if the costs of the paths have so heavy a tail that their variance is infinite."""
+    """Return a warning if the largest costs of paths follow a power law with infinite variance."""
     if tail >= HEAVY:
         return ()
     return (
@@ -129,7 +132,7 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
 
 
 def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
-    """Return a warning if a standard error is a large share of the cost."""
+    """Return a warning if the standard error of a simulated cost is a large share of the cost."""
     if cost.standard_error <= LARGE * abs(cost.value):
         return ()
     share = cost.standard_error / abs(cost.value) if cost.value else float("inf")
@@ -140,7 +143,9 @@ def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
 
 
 def comes_never_to_rest(loop: Loop) -> bool:
-    """Return whether noise excites a mode that does not decay, if all such modes of a linear plant affect the cost.
+    """Return whether noise excites a mode of a linear plant that does not decay and affects the cost.
+
+    The result is False if some mode that does not decay has no effect on the cost.
 
     States without a cost-to-go are ignored.
     """

@@ -1,4 +1,4 @@
-"""Simulation of many paths of one loop, or of two with the same draws, to estimate a mean and its standard error."""
+"""Simulation of many paths of one loop, or of two loops with the same noise, to estimate means with standard errors."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Averages(Displayed):
 
 
 class Sampling:
-    """A simulation of one or two parts on the same draws, whose means are added path by path.
+    """Simulation of one loop, or of two loops with the same noise, whose means are added path by path.
 
     Args:
         parts: one loop, or two loops that are compared.
@@ -117,7 +117,7 @@ class Sampling:
         return True
 
     def stationary(self, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield the means of the stationary loop after each window of steps.
+        """Yield estimates of stationary cost and rates after each window of simulated steps.
 
         The iteration ends at the given absolute standard error or number of steps.
         """
@@ -166,7 +166,7 @@ class Sampling:
             window = min(max(measured, int(pace)), max(missing, int(pace) - measured, BURN_IN // 4))
 
     def missions(self, horizon: int, standard_error: float | None, steps: int | None) -> Iterator[Averages]:
-        """Yield the means of finite-horizon runs after each batch of runs.
+        """Yield estimates of finite-horizon cost and rates after each batch of simulated runs.
 
         The iteration ends at the given absolute standard error or number of steps.
         """
@@ -335,7 +335,7 @@ class Sampling:
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
-    """Return the last of successively better answers, or the best answer when the time limit has passed.
+    """Return the last of successively better simulation results, or the best one before the time limit.
 
     Args:
         answers: answers still to be computed.

@@ -1,4 +1,4 @@
-"""Means and their standard errors: over independent paths, and along one correlated record."""
+"""Means with standard errors, over independent paths and along one correlated record."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ CYCLES = 30  # least number of cycles for a standard error
 
 
 class Moments:
-    """Mean and variance of values that arrive in batches, in constant memory."""
+    """Mean and variance of values that are added in batches, computed in constant memory."""
 
     def __init__(self) -> None:
         """Start without values."""
@@ -32,19 +32,19 @@ class Moments:
         self.count = total
 
     def mean(self) -> Estimate:
-        """Return the mean of all values with its standard error."""
+        """Return the mean of all values added so far, with its standard error."""
         return Estimate(self.center, float(np.sqrt(self.squares / (self.count - 1) / self.count)), "simulation")
 
 
 def mean(values: Array) -> Estimate:
-    """Return the mean over independent paths, with its standard error."""
+    """Return the mean of a quantity over independent paths, with its standard error."""
     moments = Moments()
     moments.add(values)
     return moments.mean()
 
 
 def controlled_mean(values: Array, controls: Array) -> Estimate:
-    """Return the mean over independent paths, with its variance reduced by control variates of mean 0.
+    """Return the mean of a quantity over independent paths, with its variance reduced by control variates of mean 0.
 
     The mean is the intercept of a least-squares fit on the control variates, with the standard error of the intercept.
 
@@ -82,7 +82,7 @@ def tail_index(values: Array) -> float:
 
 
 def rate_of(values: Array, seen: int) -> Estimate:
-    """Return a mean rate, with a standard error of at least one event in the observed steps."""
+    """Return the mean of observed send rates, with a standard error of at least one event in the observed steps."""
     found = mean(values)
     return Estimate(found.value, max(found.standard_error, 1 / seen), found.method)
 
@@ -121,7 +121,7 @@ def batch_means(record: ArrayLike, batches: int = BATCHES) -> Estimate:
 
 
 def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
-    """Return the mean of one record of a regenerative process from the cycles between its renewals.
+    """Return the mean of one record of a regenerative process, from the cycles between its renewals.
 
     The mean is (value per cycle)/(steps per cycle). The cycles are independent, so the standard error is that of a
     ratio. The steps before the first renewal and after the last one are dropped, so no burn-in is needed.

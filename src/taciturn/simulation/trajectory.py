@@ -1,4 +1,4 @@
-"""Simulation of one path of a loop, with all signals at every step."""
+"""Simulation of one path of a closed loop, with all signals at every step."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Trajectory(Tabular):
-    """Signals and sends of one path at every step.
+    """Signals and sends of one simulated path of a loop at every step.
 
     Args:
         time: time of each step, (steps,).
@@ -53,7 +53,7 @@ class Trajectory(Tabular):
     measurement: Array
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of the states, estimates (dotted), inputs, trigger value with threshold, and sends."""
+        """Return a figure of states, estimates (dotted), inputs, sends, and the trigger value with its threshold."""
         time = self.time.tolist()
         states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$", color=i) for i, x in enumerate(self.state.T)]
         states += [Series(time, x.tolist(), style="dotted", color=i) for i, x in enumerate(self.estimate.T)]
@@ -94,7 +94,7 @@ class Trajectory(Tabular):
         }
 
     def columns(self) -> Columns:
-        """Return one row per step: states, estimates, inputs, measurements, trigger and sends."""
+        """Return a table with one row per step: states, estimates, inputs, measurements, trigger and sends."""
         columns: dict[str, Column] = {"time": self.time}
         for name, values in (("x", self.state), ("xhat", self.estimate), ("u", self.input), ("y", self.measurement)):
             columns |= {f"{name}{i + 1}": column for i, column in enumerate(values.T)}
@@ -105,7 +105,7 @@ class Trajectory(Tabular):
 
 
 def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
-    """Run one path of a loop from its initial distribution and record all signals.
+    """Simulate one path of a loop from its initial distribution, and record all signals.
 
     Args:
         loop: the closed loop.
