@@ -216,7 +216,7 @@ def tune(
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
-                raise taciturn.ProblemError("--least-period is given; expected --rate as the only budget, as a number")
+                raise taciturn.ProblemError("--least-period is given; expected a number for --rate, and no --cost")
             found = tune_period(
                 problem,
                 rate=allowed,

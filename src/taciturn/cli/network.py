@@ -83,7 +83,9 @@ def network(
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
-        raise taciturn.ProblemError("--loss is given with --namespaces, which uses no relay; expected one of them")
+        raise taciturn.ProblemError(
+            "--loss is given with --namespaces, which uses no relay; expected only one of the two options"
+        )
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:
         found = run_network(
@@ -172,11 +174,12 @@ def node(
     length = tick_length(policy.model.dt, real_time, tick)
     if heartbeat is not None and length is None:
         raise taciturn.ProblemError(
-            "--heartbeat is given without --real-time, but in virtual time a node sends a mark after every step; "
+            "--heartbeat is given without --real-time, but in virtual time a node sends a mark (a packet without "
+            "data) after every step; "
             "expected --real-time"
         )
     if state is not None and loops > 1:
-        raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
+        raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected one loop: --loops 1")
     share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
     # in real time, the watchdog of a node that only sends sets its heartbeat
     limit = watchdog or (None if length is None else WATCHED)
@@ -305,7 +308,9 @@ def _wire(
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
         raise ProblemError(f"{option} is given for the {role}; expected this option for the {where} only")
     if eye is None and (seen is not None or watch is not None):
-        raise ProblemError("--seen or --watch is given without --eye; expected --eye with the calibration of a camera")
+        raise ProblemError(
+            "--seen or --watch is given without --eye; expected --eye with the calibration file of a camera"
+        )
     if questions:
         from taciturn.twin.wire import QuestionWire
 
@@ -335,7 +340,7 @@ def tick_length(of_problem: float | None, real_time: bool, asked: float | None) 
     from taciturn.errors import ProblemError
 
     if asked is not None and not real_time:
-        raise ProblemError("--tick is given without --real-time; expected both, or neither")
+        raise ProblemError("--tick is given without --real-time; expected both options, or neither of them")
     if not real_time:
         return None
     return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)

@@ -59,7 +59,7 @@ def new(
     check_format(out, (".toml",), "problem file")
     refuse_to_overwrite()
     if yes and source is None:
-        raise ProblemError("--yes is given without --from; expected both, or neither")
+        raise ProblemError("--yes is given without --from; expected both options, or neither of them")
     if dt is not None:
         number("--dt", dt, 0.0, closed=True)
     given = None if source is None else read_given(source)
