@@ -130,7 +130,9 @@ def test_a_node_hears_its_own_links_only() -> None:
 def test_a_signal_has_one_owner() -> None:
     """Two nodes cannot write the same memory."""
     again = Assign("actuator", "command", {"input": ONE})
-    assert refusal(make(*LEGAL, again)) == "command is assigned at actuator and at another site; expected only one site"
+    assert refusal(make(*LEGAL, again)) == (
+        "command is assigned at actuator and at another site; expected only one site that assigns this signal"
+    )
 
 
 @pytest.mark.parametrize(
@@ -156,4 +158,4 @@ def test_a_location_moves_with_what_its_own_node_sees() -> None:
     assert refusal(make(*LEGAL, locations=(stolen,))).startswith("actuator uses the decision 'send' of another node")
     told = Location("mode", np.array([[1, 0], [0, 1]]), "controller", Acknowledged("actuator"))
     check_information(make(*LEGAL, locations=(told,)), Network("tcp", 0.1))
-    assert "udp sends none" in refusal(make(*LEGAL, locations=(told,)), Network("udp", 0.1))
+    assert "protocol 'udp' sends none" in refusal(make(*LEGAL, locations=(told,)), Network("udp", 0.1))

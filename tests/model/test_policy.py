@@ -228,27 +228,33 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Form(constant=np.nan), "the constant of a form is nan; expected a finite number"),
         (
             lambda: Form(constant=Scheduled("clock", [ONE])),
-            "the constant by 'clock' is a table of matrices; expected a",
+            "the constant indexed by 'clock' is a table of matrices; expected a",
         ),
         (lambda: Form(plus={"s": np.inf}), "the weight of s is inf; expected a finite number"),
         (
             lambda: Scheduled("clock", []),
-            "the table by 'clock' has shape (0,); expected (locations,) or (locations, rows",
+            "the table indexed by 'clock' has shape (0,); expected (locations,) or (locations, rows",
         ),
-        (lambda: Scheduled("clock", [[1.0]]), "the table by 'clock' has shape (1, 1); expected (locations,) or"),
-        (lambda: Scheduled("clock", [1.0, np.nan]), "the table by 'clock' contains nan at index (1,); expected finite"),
-        (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table by 'clock' is not an array of numbers ("),
+        (
+            lambda: Scheduled("clock", [[1.0]]),
+            "the table indexed by 'clock' has shape (1, 1); expected (locations,) or",
+        ),
+        (
+            lambda: Scheduled("clock", [1.0, np.nan]),
+            "the table indexed by 'clock' contains nan at index (1,); expected finite",
+        ),
+        (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table indexed by 'clock' is not an array of numbers ("),
         (
             lambda: Location("clock", np.array([1, 2])),
             "location clock has entries from 1 to 2; expected integers from",
         ),
         (
             lambda: Location("clock", np.array([-1, 0])),
-            "location clock has entries from -1 to 0; expected integer indices",
+            "location clock has entries from -1 to 0; expected integers",
         ),
         (
             lambda: Location("clock", np.array([0.5, 0])),
-            "location clock has entries from 0 to 0.5; expected integer indices",
+            "location clock has entries from 0 to 0.5; expected integers",
         ),
         (
             lambda: Location("clock", np.array([])),

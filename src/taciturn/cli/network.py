@@ -68,7 +68,10 @@ def network(
         typer.Option("--loss", metavar="[LINK=]P", help="Drop packets with probability P, on one link or all links."),
     ] = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
+        bool,
+        typer.Option(
+            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -112,17 +115,22 @@ def node(
     tick: TickLength = None,
     wait: Annotated[
         float | None,
-        typer.Option(help="In real time: share of a step to wait for a packet. Default: 0.3; actuator: 0.55."),
+        typer.Option(
+            help="In real time: longest wait for a packet, as a share of a step. Default: 0.3; actuator: 0.55."
+        ),
     ] = None,
     heartbeat: Annotated[
         int | None,
-        typer.Option(help="In real time: steps without a packet until a mark is sent. Default: a third of --watchdog."),
+        typer.Option(
+            help="In real time: steps without a packet after which the node sends a mark (a packet without data). "
+            "Default: a third of --watchdog."
+        ),
     ] = None,
     watchdog: Annotated[
         int | None,
         typer.Option(
-            help="Steps without packets and marks until a node is degraded and an actuator applies the safe input. "
-            f"Default in real time: {WATCHED}, with the input of the policy."
+            help="Number of steps without packets or marks after which a node is degraded and an actuator applies the "
+            f"safe input. Default in real time: {WATCHED}, and the actuator keeps the input of the policy."
         ),
     ] = None,
     safe: Annotated[
@@ -136,7 +144,8 @@ def node(
     log_part: Annotated[
         int | None,
         typer.Option(
-            metavar="BYTES", help="With --log OUT: rename a log of this size to OUT.1, once OUT.1 does not exist."
+            metavar="BYTES",
+            help="With --log OUT: when the log reaches this size and no OUT.1 exists, rename it to OUT.1.",
         ),
     ] = None,
     loops: Loops = 1,
@@ -256,7 +265,10 @@ def relay(
     bind: Bind = "127.0.0.1:0",
     loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is dropped.")] = "0",
     burst: Annotated[
-        str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts instead.")
+        str | None,
+        typer.Option(
+            metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts (Gilbert-Elliott model)."
+        ),
     ] = None,
     delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,

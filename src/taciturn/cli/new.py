@@ -32,7 +32,8 @@ SQUARE = "a number (times the identity), a diagonal, or a matrix"
 def new(
     out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="File to write.")] = Path("problem.toml"),
     source: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Matrices: .mat or .npz file with A, B, C, W, …")
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Read matrices from a .mat or .npz file with A, B, C, W, …"),
     ] = None,
     kind: Kind = None,
     dt: Annotated[

@@ -46,7 +46,10 @@ def twin(
     real_time: RealTime = False,
     tick: TickLength = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
+        bool,
+        typer.Option(
+            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+        ),
     ] = False,
     no_functions: NoFunctions = False,
     fault: Faults = None,

@@ -34,16 +34,15 @@ class Scheduled(Displayed):
             table = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ProblemError(
-                f"the table of the location {by!r} is not an array of numbers ({error}); expected entries of equal "
-                "shape"
+                f"the table indexed by {by!r} is not an array of numbers ({error}); expected entries of equal shape"
             ) from None
         if table.ndim not in (1, 3) or not len(table):
             raise ProblemError(
-                f"the table of the location {by!r} has shape {table.shape}; expected (locations,) or (locations, "
+                f"the table indexed by {by!r} has shape {table.shape}; expected (locations,) or (locations, "
                 "rows, columns)"
             )
         object.__setattr__(self, "by", by)
-        object.__setattr__(self, "values", array(f"the table by {by!r}", table, (None,) * table.ndim))
+        object.__setattr__(self, "values", array(f"the table indexed by {by!r}", table, (None,) * table.ndim))
 
     @property
     def entry_shape(self) -> tuple[int, ...]:
@@ -198,7 +197,5 @@ def _constant(value: float | Scheduled) -> float | Scheduled:
     if not isinstance(value, Scheduled):
         return number("the constant of a form", value)
     if value.values.ndim != 1:
-        raise ProblemError(
-            f"the constant that {value.by!r} selects is a table of matrices; expected a table of numbers"
-        )
+        raise ProblemError(f"the constant indexed by {value.by!r} is a table of matrices; expected a table of numbers")
     return value
