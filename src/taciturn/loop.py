@@ -65,8 +65,9 @@ class Loop(Displayed):
         if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
             remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
-                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside its range; "
-                f"expected {remedy}a rescaled problem, for example with other units of Q and R, or of W"
+                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside the "
+                f"range of this format; expected {remedy}a rescaled problem, for example with other units of Q and R, "
+                "or of W"
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
@@ -150,7 +151,9 @@ class Loop(Displayed):
         """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError("the loop has no innovations form; expected plant, network and horizon of its design")
+            raise ProblemError(
+                "the loop has no innovations form; expected the plant, network and horizon of its design"
+            )
         spread = factor(innovations.covariance)
         tick = self._tick({DRAWN: spread.shape[1]})
         tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)

@@ -194,7 +194,9 @@ def test_what_can_diverge_has_no_certificate() -> None:
     with pytest.raises(NoCertificateError, match="sends more often"):
         find_decay(loop)
     for find in (find_gain, bound_cost, bound_state):
-        with pytest.raises(NoCertificateError, match=r"no .* is proved by quadratic functions of 2 coordinates"):
+        with pytest.raises(
+            NoCertificateError, match=r"no .* can be proved by quadratic Lyapunov functions of 2 coordinates"
+        ):
             find(loop)
 
 

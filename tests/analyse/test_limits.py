@@ -30,9 +30,12 @@ def excess(actuation: str = "model") -> Policy:
 @pytest.mark.parametrize(
     ("policy", "words"),
     [
-        (excess("hold"), "a send of excess does not reset the error that causes cost, which a lower bound requires; "),
-        (design.lqg(PLANT, COST, theta=0.3), "a send of lqg does not reset"),
-        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "a send of remote-lqg does not reset"),
+        (
+            excess("hold"),
+            "a lower bound requires that a send resets the error that causes cost, and a send of excess does not; ",
+        ),
+        (design.lqg(PLANT, COST, theta=0.3), "and a send of lqg does not; "),
+        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "and a send of remote-lqg does not; "),
     ],
 )
 def test_a_loop_whose_sends_reset_no_error_has_no_bound(policy: Policy, words: str) -> None:
@@ -65,7 +68,7 @@ def test_noise_in_jumps_has_no_bound() -> None:
         (0.3, 1.0, "confidence is 1; expected 0 < confidence < 1"),
         (0.3, 1.5, "confidence is 1.5"),
         (0.3, 0.0, "confidence is 0"),
-        (1.2, 0.9, "rate is 1.2; expected a number at most 1"),
+        (1.2, 0.9, "rate is 1.2; expected a number of at most 1"),
         (0.0, 0.9, "rate is 0"),
         (float("nan"), 0.9, "rate is nan"),
     ],

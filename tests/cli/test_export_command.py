@@ -73,7 +73,7 @@ def test_sizes_are_those_of_a_cortex_or_of_this_machine_or_none(
     compiler.chmod(0o755)
     refused = run("export", "rover", "--c", str(tmp_path))
     assert refused.code != 0
-    assert "arm-none-eabi-gcc fails (this is no C); expected it to succeed" in refused.err
+    assert "arm-none-eabi-gcc fails (this is no C); expected the program to succeed" in refused.err
 
 
 @pytest.mark.parametrize("version", few(["3.0", "2.0"], 1, 1))
@@ -92,8 +92,8 @@ def test_two_masses_become_a_unit(run: Run, once: Once, version: str, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ([], "neither --c nor --fmu is given; expected one of them, with the path to write to"),
-        (["--c", "nodes", "--fmu", "unit.fmu"], "--c and --fmu are both given; expected one of them"),
+        ([], "neither --c nor --fmu is given; expected one of the two options, with the path to write to"),
+        (["--c", "nodes", "--fmu", "unit.fmu"], "--c and --fmu are both given; expected one of the two options"),
         (["--fmu", "unit.fmu", "--node", "actuator"], "--node is given without --c"),
         (["--c", "nodes", "--fmi", "2.0"], "--fmi is given without --fmu"),
         (["--fmu", "unit.fmu", "--fmi", "1.0"], "the version of FMI is '1.0'; expected '3.0' or '2.0'"),

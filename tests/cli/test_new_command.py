@@ -322,7 +322,7 @@ def test_nothing_is_overwritten(ask: Ask) -> None:
     [
         (("--kind", "lgq"), "Did you mean 'lqg'?"),
         (("--dt", "-1"), "--dt is -1; expected 0 ≤ --dt"),
-        (("--yes",), "--yes is given without --from; expected both, or neither"),
+        (("--yes",), "--yes is given without --from; expected both options, or neither of them"),
     ],
 )
 def test_options_that_do_not_fit_are_refused_before_anything_is_asked(

@@ -240,7 +240,10 @@ def test_a_value_of_the_wrong_type_is_shown_at_its_place(
         ({"cost": "[cost]\nQ = [[-1]]\nR = [[1]]"}, "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ({"cost": "[cost]\nQ = [[1]]\nR = [[0]]"}, "R has the eigenvalue 0; expected a positive definite matrix"),
         ({"cost": COST + "N = [[10.0]]"}, "[[Q, N], [N', R]] has the eigenvalue -8.5"),
-        ({"cost": COST + "terminal = [[1.0]]"}, "terminal is given without horizon; expected both, or neither"),
+        (
+            {"cost": COST + "terminal = [[1.0]]"},
+            "terminal is given without horizon; expected horizon and terminal, or neither of them",
+        ),
         ({"more": UDP + BURST}, "network.actuator_burst: to_bad is 2; expected 0 ≤ to_bad ≤ 1"),
         ({"more": "[network]\nprotocol = 'utp'"}, "network.protocol is 'utp'; expected 'udp', 'tcp' or 'ideal'"),
         (
@@ -287,12 +290,12 @@ def test_data_that_do_not_fit_are_refused_with_the_files_name(
         ({"policy": PERIODIC + "every = []"}, "every is an empty list; expected the steps between sends, at least 1"),
         (
             {"cost": COST + "horizon = 5"},
-            "cost.horizon is 5, which lqg does not use; expected an average cost: remove it",
+            "cost.horizon is 5, which lqg does not use; expected an average cost: remove this key",
         ),
         ({"cost": COST + "discount = 0.9"}, "cost.discount is 0.9, which lqg does not use; expected an average cost"),
         (
             {"cost": continuous()["cost"]},
-            "Q has the shape (2, 2) and R the shape (1, 1); expected (1, 1) and (1, 1), by the states and inputs",
+            "Q has the shape (2, 2) and R the shape (1, 1); expected (1, 1) and (1, 1), for the states and inputs",
         ),
         (
             {"more": UDP},

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
         (["twin", "omni", "rover"], "the plant of rover is not that of the omni"),
         (["twin", "rover", "lossy-double-integrator"], "is not that of the rover"),
         (["twin", "rover", "no-such-file"], "no-such-file"),
-        (["twin", "rover", "rover", "--theta", "1"], "theta is given with rover, whose file sets it"),
+        (
+            ["twin", "rover", "rover", "--theta", "1"],
+            "theta is given with rover, which sets the parameters of the policy",
+        ),
         (["twin", "omni", "--theta", "1"], "the policy of the omni has no parameter theta; expected price"),
         (["twin", "rover", "--runs", "0"], "--runs is 0; expected a whole number, at least 1"),
         (["twin", "rover", "--runs", "70000"], "--runs is 70000"),

@@ -194,7 +194,7 @@ def test_a_folder_that_is_written_again_holds_the_new_nodes_alone(tmp_path: Path
 def test_files_of_others_are_not_replaced(name: str, tmp_path: Path) -> None:
     """Nothing is written where one of them would be lost."""
     (tmp_path / name).write_text("# mine, with taciturn\n")
-    with pytest.raises(ProblemError, match=rf"{name} exists and was not exported; expected a folder"):
+    with pytest.raises(ProblemError, match=rf"{name} exists and is not from an earlier export; expected a folder"):
         write(tmp_path, print_folder(two_mass(), "two_mass"))
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "# mine, with taciturn\n"

@@ -131,7 +131,7 @@ def test_an_acknowledgement_under_udp_is_refused(horizon: int | None) -> None:
     plant, cost = Plant([[1.1]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]], horizon=horizon)
     tcp, udp = Network("tcp", 0.1, 0.2), Network("udp", 0.1, 0.2)
     told = design.lossy_lqg(plant, cost, price=0.1, network=tcp)
-    with pytest.raises(InformationError, match="udp sends none"):
+    with pytest.raises(InformationError, match="protocol 'udp' sends none"):
         close(plant, told, udp)
     assert close(plant, told).nominal
     assert not close(plant, design.lossy_lqg(plant, cost, price=0.1, network=udp), tcp).nominal

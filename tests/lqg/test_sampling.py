@@ -246,7 +246,7 @@ def test_a_period_over_which_the_state_overflows_is_refused():
 def test_a_period_that_is_too_long_for_an_unstable_mode_is_told_as_such(period, told):
     """A pendulum that falls at 4.4/s, and not a mode that no input moves, which rounding made of it."""
     pendulum = ContinuousPlant([[0, 1], [4.4**2, 0]], [[0], [1]], np.eye(2))
-    words = re.escape(f"grows by {told}; expected at most 1e+08, which is a period below about 4.19")
+    words = re.escape(f"grows by {told}; expected growth by at most 1e+08, so a period below about 4.19")
     with pytest.raises(ProblemError, match=words):
         excess(pendulum, Cost(np.eye(2), [[1.0]]), theta=0.1, period=period)
 

@@ -65,8 +65,8 @@ def test_what_is_no_function_is_refused(make_step: Callable[[], object], message
 @pytest.mark.parametrize(("steps", "message"), [
     ((Apply("controller", {"command": 1}, bent, ("z",)), INPUT), "the signal 'z' is never assigned"),
     ((BEND, Apply("controller", {"command": 2}, bent, ("y",)), INPUT), "command has 1 entries in one step and 2 in"),
-    ((Apply("controller", {"one": 1}, bent, ("y",)), INPUT), "'one' is assigned, but denotes the number 1"),
-    ((Apply("actuator", {"input": 2}, bent, ("input",)),), "input has 2 entries; expected 1 entries"),
+    ((Apply("controller", {"one": 1}, bent, ("y",)), INPUT), "'one' is assigned, but this name denotes the number 1"),
+    ((Apply("actuator", {"input": 2}, bent, ("input",)),), "input has 2 entries; expected a signal with 1 entries"),
 ])  # fmt: skip
 def test_a_function_that_does_not_fit_is_refused(steps: tuple[Step, ...], message: str) -> None:
     """As a linear step is."""
@@ -80,7 +80,7 @@ def test_a_node_gives_a_function_what_it_holds() -> None:
         close(PLANT, make(BEND, Apply("actuator", {"input": 1}, bent, ("command",))), None, COST)
     twice = Apply("actuator", {"command": 1}, bent, ("input",))
     with pytest.raises(
-        InformationError, match="command is assigned at actuator and at another site; expected one owner"
+        InformationError, match="command is assigned at actuator and at another site; expected only one site"
     ):
         close(PLANT, make(BEND, DECIDE, SEND, INPUT, twice), None, COST)
 
@@ -92,7 +92,7 @@ def test_a_function_that_cannot_be_traced_is_refused_when_the_loop_runs() -> Non
         return y[:1] if y[0] > 0 else -y[:1]
 
     policy = make(Apply("controller", {"command": 1}, chooses, ("y",)), DECIDE, SEND, INPUT)
-    with pytest.raises(ProblemError, match=r"chooses asks whether a condition is true.*expected np\.where"):
+    with pytest.raises(ProblemError, match=r"chooses needs the truth value of a condition .*expected np\.where"):
         taciturn.average(close(PLANT, policy, None, COST), steps=1000)
 
 

@@ -56,7 +56,8 @@ def test_an_acknowledgement_is_heard_under_tcp_and_on_ideal_links_only() -> None
     for network in (Network("tcp", 0.1), Network()):
         check_information(policy, network)
     assert refusal(policy, Network("udp", 0.1)) == (
-        "controller uses an acknowledgement of the actuator link, but udp sends none; expected protocol 'tcp'"
+        "controller uses an acknowledgement of the actuator link, but protocol 'udp' sends none; expected protocol "
+        "'tcp'"
     )
 
 
@@ -120,16 +121,18 @@ def test_a_trigger_cannot_read_what_its_node_does_not_hold() -> None:
 def test_a_node_hears_its_own_links_only() -> None:
     """The sensor does not know what reached the actuator."""
     deaf = Assign("controller", "held", ({"held": ONE}, {"command": ONE}), Received("actuator"))
-    assert (
-        refusal(make(*LEGAL, deaf))
-        == "controller uses packets of the actuator link, which it does not receive; expected its own links"
+    assert refusal(make(*LEGAL, deaf)) == (
+        "controller uses packets of the actuator link, which it does not receive; expected a link on which it receives "
+        "packets"
     )
 
 
 def test_a_signal_has_one_owner() -> None:
     """Two nodes cannot write the same memory."""
     again = Assign("actuator", "command", {"input": ONE})
-    assert refusal(make(*LEGAL, again)) == "command is assigned at actuator and at another site; expected one owner"
+    assert refusal(make(*LEGAL, again)) == (
+        "command is assigned at actuator and at another site; expected only one site that assigns this signal"
+    )
 
 
 @pytest.mark.parametrize(
@@ -155,4 +158,4 @@ def test_a_location_moves_with_what_its_own_node_sees() -> None:
     assert refusal(make(*LEGAL, locations=(stolen,))).startswith("actuator uses the decision 'send' of another node")
     told = Location("mode", np.array([[1, 0], [0, 1]]), "controller", Acknowledged("actuator"))
     check_information(make(*LEGAL, locations=(told,)), Network("tcp", 0.1))
-    assert "udp sends none" in refusal(make(*LEGAL, locations=(told,)), Network("udp", 0.1))
+    assert "protocol 'udp' sends none" in refusal(make(*LEGAL, locations=(told,)), Network("udp", 0.1))

@@ -212,7 +212,10 @@ def test_jumps_that_do_not_fit_are_refused(change: dict[str, Any], sentence: str
         ({"horizon": 0}, "horizon is 0; expected a whole number, at least 1"),
         ({"horizon": 1.5}, "horizon is 1.5; expected a whole number, at least 1"),
         ({"horizon": True}, "horizon is True; expected a whole number, at least 1"),
-        ({"terminal": np.eye(2)}, "terminal is given without horizon; expected both, or neither"),
+        (
+            {"terminal": np.eye(2)},
+            "terminal is given without horizon; expected horizon and terminal, or neither of them",
+        ),
         ({"horizon": 9, "terminal": [[1]]}, "terminal has shape (1, 1); expected (2, 2) = (states, states)"),
         ({"horizon": 9, "terminal": -np.eye(2)}, "terminal has the eigenvalue -1; expected a positive semidefinite"),
         ({"discount": 0.0}, "discount is 0; expected 0 < discount ≤ 1"),

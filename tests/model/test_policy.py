@@ -86,8 +86,12 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         {},
         "memory has 3 branches; expected 2, one per outcome of Received(link='actuator')",
     ),
-    (STEPS[:3], {}, "input is never assigned; expected 1 entries, assigned at the actuator"),
-    ((Assign("actuator", "input", {"y": np.eye(2)}),), {}, "input has 2 entries; expected 1 entries, assigned at the"),
+    (STEPS[:3], {}, "input is never assigned; expected a signal with 1 entries that is assigned at the actuator"),
+    (
+        (Assign("actuator", "input", {"y": np.eye(2)}),),
+        {},
+        "input has 2 entries; expected a signal with 1 entries that is assigned at the",
+    ),
     (
         (COMMAND, Assign("controller", "command", {"y": np.eye(2)}), *STEPS[1:]),
         {},
@@ -111,18 +115,18 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, DECIDE, Send("controller", "actuator", ("command",), "send", ("sent",)), INPUT),
         {},
-        "the packet of the actuator link is sent on the label 'sent'; expected a label of its decision (send)",
+        "the packet of the actuator link is sent for the label 'sent'; expected a label of its decision (send)",
     ),
     (
         (COMMAND, Send("controller", "actuator", ("command",), None, ("send",)), INPUT),
         {},
-        "the packet of the actuator link is sent on the label 'send'; expected a label of its decision (None)",
+        "the packet of the actuator link is sent for the label 'send'; expected a label of its decision (None)",
     ),
     (
         (COMMAND, DECIDE, SEND, Send("controller", "actuator", ("command",)), INPUT),
         {},
-        "2 packets go over the actuator link in a step; expected a single Send with the signals and labels of all of "
-        "them",
+        "a step sends 2 packets over the actuator link; expected a single Send with the signals and labels of all "
+        "these packets",
     ),
     (
         (AT_TWO, *STEPS[1:]),
@@ -211,8 +215,8 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
-        (lambda: Form(("y",)), "a form has signals ('y',) without Psi; expected both, or neither"),
-        (lambda: Form(Psi=ONE), "a form has Psi without signals; expected both, or neither"),
+        (lambda: Form(("y",)), "a form has signals ('y',) without Psi; expected Psi and signals, or neither of them"),
+        (lambda: Form(Psi=ONE), "a form has Psi without signals; expected Psi and signals, or neither of them"),
         (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
         (lambda: Form(("y",), [[1, 2]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
         (lambda: Form(("y",), [[np.nan]]), "Psi contains nan at index (0, 0); expected finite numbers"),
@@ -224,31 +228,37 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Form(constant=np.nan), "the constant of a form is nan; expected a finite number"),
         (
             lambda: Form(constant=Scheduled("clock", [ONE])),
-            "the constant by 'clock' is a table of matrices; expected a",
+            "the constant indexed by 'clock' is a table of matrices; expected a",
         ),
         (lambda: Form(plus={"s": np.inf}), "the weight of s is inf; expected a finite number"),
         (
             lambda: Scheduled("clock", []),
-            "the table by 'clock' has shape (0,); expected (locations,) or (locations, rows",
+            "the table indexed by 'clock' has shape (0,); expected (locations,) or (locations, rows",
         ),
-        (lambda: Scheduled("clock", [[1.0]]), "the table by 'clock' has shape (1, 1); expected (locations,) or"),
-        (lambda: Scheduled("clock", [1.0, np.nan]), "the table by 'clock' contains nan at index (1,); expected finite"),
-        (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table by 'clock' is not an array of numbers ("),
+        (
+            lambda: Scheduled("clock", [[1.0]]),
+            "the table indexed by 'clock' has shape (1, 1); expected (locations,) or",
+        ),
+        (
+            lambda: Scheduled("clock", [1.0, np.nan]),
+            "the table indexed by 'clock' contains nan at index (1,); expected finite",
+        ),
+        (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table indexed by 'clock' is not an array of numbers ("),
         (
             lambda: Location("clock", np.array([1, 2])),
-            "location clock has entries from 1 to 2; expected integer indices from",
+            "location clock has entries from 1 to 2; expected integers from",
         ),
         (
             lambda: Location("clock", np.array([-1, 0])),
-            "location clock has entries from -1 to 0; expected integer indices",
+            "location clock has entries from -1 to 0; expected integers",
         ),
         (
             lambda: Location("clock", np.array([0.5, 0])),
-            "location clock has entries from 0 to 0.5; expected integer indices",
+            "location clock has entries from 0 to 0.5; expected integers",
         ),
         (
             lambda: Location("clock", np.array([])),
-            "location clock has no entries; expected integer indices from 0, below 0",
+            "location clock has no entries; expected integers from 0, all below 0",
         ),
         (
             lambda: Location("clock", np.array(0)),
@@ -261,11 +271,11 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (
             lambda: Location("clock", np.array([0]), initial=1),
-            "location clock starts at 1; expected an index from 0, below 1",
+            "location clock starts at 1; expected an integer from 0, below 1",
         ),
         (
             lambda: Location("mode", np.zeros((2, 2)), on="send"),
-            "location mode depends on send but has no node; expected the node that owns it",
+            "location mode depends on send but has no node; expected the node at which it changes",
         ),
     ],
     ids=lambda value: value[:50] if isinstance(value, str) else "",

@@ -91,7 +91,7 @@ def test_what_is_no_reference_is_refused(states: Any, inputs: Any, sentence: str
     [
         (
             Reference(SHORT, PUSH),
-            "reference.inputs has shape (3, 1); expected (30, 1), from horizon and sizes of the",
+            "reference.inputs has shape (3, 1); expected (30, 1), from the horizon and the dimensions of the",
         ),
         (Reference(np.zeros((32, 2)), np.zeros((31, 1))), "reference.inputs has shape (31, 1); expected (30, 1), from"),
         (Reference(np.zeros((31, 2)), np.zeros((30, 2))), "reference.inputs has shape (30, 2); expected (30, 1), from"),
@@ -257,4 +257,4 @@ def test_the_number_one_cannot_be_assigned(step: Any) -> None:
     )
     assert close(plant(), Policy("pushes", steps, plant(), 1.0, sites=SITES), cost=COST).policy.sizes[ONE] == 1
     told = refusal(lambda: Policy("wrong", (*steps, step), plant(), 1.0))
-    assert told == "'one' is assigned, but denotes the number 1; expected another name"
+    assert told == "'one' is assigned, but this name denotes the number 1; expected another name"

@@ -75,6 +75,7 @@ def test_what_is_no_bell_is_refused() -> None:
     with pytest.raises(ProblemError, match="Pi has shape"):
         GaussianTerm(1.0, [[1.0, 0.0]])
     with pytest.raises(
-        ProblemError, match=r"a form has a Gaussian term \(bell\) without signals; expected both, or neither"
+        ProblemError,
+        match=r"a form has a Gaussian term \(bell\) without signals; expected signals with it, or no Gaussian term",
     ):
         Form(bell=GaussianTerm(1.0, [[1.0]]))

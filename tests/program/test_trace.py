@@ -346,11 +346,14 @@ def branches(x: Any, u: Any) -> Any:
 
 
 BAD: dict[str, tuple[Callable[..., Any], str]] = {
-    "branch": (branches, "branches asks whether a condition is true, as if, .* expected np.where"),
-    "builtin max": (lambda x, u: x * max(x[0], 1.0), "asks whether a condition is true, as if, and, or, max do"),
-    "sine of floats": (lambda x, u: x * math.sin(x[0]), "asks for a number as a float, as math.sin.* np.stack"),
-    "float": (lambda x, u: x * float(x[0]), "asks for a number as a float"),
-    "range": (lambda x, u: x * len(range(x[0])), "asks for a number as an integer"),
+    "branch": (branches, "branches needs the truth value of a condition .*; expected np.where"),
+    "builtin max": (lambda x, u: x * max(x[0], 1.0), "needs the truth value of a condition \\(for if, and, or, max\\)"),
+    "sine of floats": (
+        lambda x, u: x * math.sin(x[0]),
+        "converts a traced number to a float \\(as math.sin.* np.stack",
+    ),
+    "float": (lambda x, u: x * float(x[0]), "converts a traced number to a float"),
+    "range": (lambda x, u: x * len(range(x[0])), "converts a traced number to an integer"),
     "transform": (lambda x, u: np.fft.fft(x), "uses np.fft, which cannot be traced; expected one of absolute"),
     "cube root": (lambda x, u: np.cbrt(x), "uses np.cbrt, which cannot be traced; expected one of absolute"),
     "accumulate": (lambda x, u: np.add.accumulate(x), "uses np.add.accumulate, which cannot be traced"),
@@ -376,7 +379,7 @@ BAD: dict[str, tuple[Callable[..., Any], str]] = {
         "computes with traced numbers in a plain array of objects.*; expected .* np.stack",
     ),
     "system of a method": (Methods().solved, "computes with traced numbers in a plain array of objects"),
-    "filled": (lambda x, u: np.zeros(4, dtype=int).__setitem__(0, x[0]), "asks for a number as an integer"),
+    "filled": (lambda x, u: np.zeros(4, dtype=int).__setitem__(0, x[0]), "converts a traced number to an integer"),
 }
 
 

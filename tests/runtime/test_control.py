@@ -298,7 +298,9 @@ def test_what_is_no_plant_policy_or_loop_is_refused() -> None:
     with pytest.raises(ProblemError, match=r"thing is Problem\(.*; expected a Plant or a Cont"):
         to_control(taciturn.load("two-mass-lqg"))
     for thing in (loop, policy.model):
-        with pytest.raises(ProblemError, match=f"network is given for a {type(thing).__name__}; expected it for a Po"):
+        with pytest.raises(
+            ProblemError, match=f"network is given for a {type(thing).__name__}; expected network for a Po"
+        ):
             to_control(thing, network=Network())
     with pytest.raises(InformationError):
         to_control(policy, network=Network("udp"))

@@ -211,7 +211,10 @@ def test_what_is_not_shown_stands_at_the_end_of_a_test_run(tmp_path: Path) -> No
     [
         (lambda: KernelLoss(permille=1001), "permille is 1001; expected at most 1000"),
         (lambda: predict_drops(2**32, 1, []), "seed is 4294967296; expected at most 4294967295"),
-        (lambda: predict_drops(1, 1, [-1, 5]), "sequences go from -1 to 5; expected 0 to 4294967295"),
+        (
+            lambda: predict_drops(1, 1, [-1, 5]),
+            "sequences has numbers from -1 to 5; expected numbers from 0 to 4294967295",
+        ),
         (
             lambda: kernel_losses(Network(protocol="udp", sensor_loss=0.1234), 0),
             "sensor_loss is 0.1234; expected a multiple of 0.001",

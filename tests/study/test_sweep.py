@@ -265,7 +265,7 @@ def test_an_executor_is_one() -> None:
 
 def test_a_bound_that_no_cell_has_is_refused() -> None:
     """A held input resets no error; a confidence is a probability."""
-    with pytest.raises(ProblemError, match="a send of lqg does not reset the error"):
+    with pytest.raises(ProblemError, match="a send of lqg does not"):
         sweep(MASSES, {"theta": [0.1]}, confidence=0.99)
     with pytest.raises(ProblemError, match="confidence is 2"):
         sweep(MASSES, {"theta": [0.1]}, confidence=2)

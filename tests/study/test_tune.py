@@ -181,7 +181,7 @@ def test_a_held_input_is_tuned_to_a_cycle_of_intervals() -> None:
     assert by_cost.parameter.value == (4, 3)
     assert by_cost.beyond is not None
     assert by_cost.evaluation.cost.value <= 0.9 < by_cost.beyond.evaluation.cost.value
-    with pytest.raises(ProblemError, match="is below that of sending at every step"):
+    with pytest.raises(ProblemError, match="is below the cost of sending at every step"):
         tune(problem, cost=0.7)
 
 
@@ -230,15 +230,15 @@ def test_what_cannot_be_met_is_one_sentence(problem: Problem, budget: dict[str, 
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above that of sending at every step; expected at most 1"),
+        (MASSES, {"rate": 1.5}, "the rate 1.5 per step is above the rate of sending at every step; expected at most 1"),
         (MASSES, {"rate": 1e308}, "expected at most 1"),
         (
             MASSES,
             {"cost": 0.5},
-            "the cost 0.5 per step is below that of sending at every step; expected at least 0.733",
+            "the cost 0.5 per step is below the cost of sending at every step; expected at least 0.733",
         ),
-        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above that of sending at every step"),
-        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below that of sending at every step"),
+        (INTEGRATOR, {"rate": 100.0}, "the rate 100 per second is above the rate of sending at every step"),
+        (INTEGRATOR, {"cost": 1.0}, "the cost 1 per second is below the cost of sending at every step"),
         (taciturn.load("rover"), {"cost": 50.0, "link": "sensor"}, "the cost 50 in total is below"),
     ],
 )

@@ -28,7 +28,10 @@ def test_a_dask_client_is_no_executor_and_its_workers_may_go() -> None:
     ):
         assert not logging.getLogger("distributed.client").isEnabledFor(logging.ERROR)
         assert deserted(executor) is None
-        with pytest.raises(ProblemError, match=r"executor is a Client; expected an Executor, as its get_executor"):
+        with pytest.raises(
+            ProblemError,
+            match=r"executor is a Client; expected an Executor, such as the one that its method get_executor",
+        ):
             sweep(load("two-mass-lqg"), {"theta": [0.1]}, executor=client, steps=2000)
         cluster.scale(0)
         last = time.monotonic() + 30

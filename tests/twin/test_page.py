@@ -305,5 +305,8 @@ def test_a_round_that_could_not_be_shown_is_refused(build: Callable[[], object],
     """Where it is told, before a page hears of it; and a row needs a round."""
     with pytest.raises(ProblemError, match=says):
         build()
-    with Page(("127.0.0.1", 0)) as page, pytest.raises(ProblemError, match="a row is put before a round; expected"):
+    with (
+        Page(("127.0.0.1", 0)) as page,
+        pytest.raises(ProblemError, match="a row is shown before a round begins; expected"),
+    ):
         page.put(ROWS[0])

@@ -134,8 +134,8 @@ def find_decay(loop: Switched) -> Decay:
     found = _falling(loop, widest, LAST)
     if found is None:
         raise NoCertificateError(
-            f"no decay by {1 - LAST:.0e} per step is proved with quadratic functions of {loop.states} coordinates, one "
-            f"for each of {len(loop.labels)} actions; expected a trigger that sends more often"
+            f"no decay by {1 - LAST:.0e} per step can be proved with quadratic Lyapunov functions of {loop.states} "
+            f"coordinates, one for each of {len(loop.labels)} actions; expected a trigger that sends more often"
         )
     low, rate = 0.0, LAST
     for _ in range(HALVINGS):
@@ -382,7 +382,7 @@ def _minimised(asked: Inequalities, weights: Mapping[int, float], what: str) -> 
             return Certificate(asked, settled)
     reason = "the solver finds none" if missed is None else f"the solution violates an inequality by {missed:.2g}"
     raise NoCertificateError(
-        f"no {what} is proved by quadratic functions of {asked.sizes[0]} coordinates ({reason}); "
+        f"no {what} can be proved by quadratic Lyapunov functions of {asked.sizes[0]} coordinates ({reason}); "
         "expected a trigger that sends more often"
     )
 

@@ -82,7 +82,7 @@ def bound_below(
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
     count("seed", seed, 0)
     if rate > 1 + 1e-9:
-        raise ProblemError(f"rate is {rate:g}; expected a number at most 1")
+        raise ProblemError(f"rate is {rate:g}; expected a number of at most 1")
     base = loop.policy.cost_all_time
     if rate >= EASY or not reset.weight.any():
         return LowerBound(base, confidence, rate, 0.0)
@@ -98,7 +98,7 @@ def bound_below(
     found = bound_schedules(F, reset.covariance, reset.weight, price, fitted, confidence, seed, rest)
     if found.gain <= price * rate:
         raise ProblemError(
-            f"at {rate:g} sends per step no bound above the cost of sending every sample is found; "
+            f"at {rate:g} sends per step, no lower bound above the cost of sending every sample was found; "
             "expected a higher rate"
         )
     return LowerBound(base + found.gain - price * rate, confidence, rate, price)
@@ -151,11 +151,14 @@ def resets(loop: Loop) -> Reset:
         raise ProblemError(f"{loop.violated_assumptions[0]}; expected the loop of the design for a lower bound")
     if loop.policy.reset is None or loop.horizon is not None:
         raise ProblemError(
-            f"a send of {loop.policy.kind} does not reset the error that causes cost, which a lower bound requires; "
+            f"a lower bound requires that a send resets the error that causes cost, and a send of {loop.policy.kind} "
+            "does not; "
             "expected a policy with actuation = 'model', or consistent or near-optimal"
         )
     if loop.problem.jumps is not None:
-        raise ProblemError("the noise consists of jumps; expected Gaussian noise for optima and lower bounds")
+        raise ProblemError(
+            "the noise consists of jumps; expected Gaussian noise for optimal schedules and lower bounds"
+        )
     return loop.policy.reset
 
 

@@ -215,7 +215,7 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
 
     count("ticks", ticks)
     if ticks > LONGEST_WINDOW:
-        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}; add the bounds of shorter windows")
+        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: add the bounds of shorter windows")
     return sends_in_window(chain_of(loop), ticks, confidence)
 
 
@@ -227,8 +227,8 @@ def expect_affordable(loop: Loop) -> None:
     """
     if loop.problem.jumps is not None and loop.problem.plant.states > 1:
         raise NoQuadratureError(
-            "the equations for jumps in more than one dimension take up to minutes to solve; method 'exact' solves "
-            "them in two dimensions"
+            "the equations for jumps in more than one dimension can take minutes to solve, so they are not solved by "
+            "default; method 'exact' solves them in two dimensions"
         )
 
 
@@ -242,13 +242,13 @@ def chain_of(loop: Loop) -> Chain:
     policy, problem = loop.policy, loop.problem
     if loop.violated_assumptions:
         raise NoQuadratureError(
-            f"{loop.violated_assumptions[0]}; expected the loop of the design, or 'auto' or 'simulation'"
+            f"{loop.violated_assumptions[0]}; expected the loop of the design, or method 'auto' or 'simulation'"
         )
     weights = _weights(policy)
     if weights is None or loop.horizon is not None:
         raise NoQuadratureError(
             f"{policy.kind} has no closed form for this problem, and its decision does not depend only on an error "
-            "that a send resets; expected 'auto' or 'simulation'"
+            "that a send resets; expected method 'auto' or 'simulation'"
         )
     Psi, delta, Gamma = weights
     if delta <= 0:

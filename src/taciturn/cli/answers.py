@@ -199,11 +199,13 @@ def tune(
     ] = None,
     cost: Annotated[
         str | None,
-        typer.Option(metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above sending every sample."),
+        typer.Option(
+            metavar="X|+P%", help="Largest cost: a number, or e.g. +5% above the cost of sending every sample."
+        ),
     ] = None,
     link: Link = None,
     least_period: Annotated[
-        float | None, typer.Option(help="Tune the sampling period too, down to this many seconds.")
+        float | None, typer.Option(help="Also tune the sampling period, down to this many seconds.")
     ] = None,
     as_json: Json = False,
     seed: GivenSeed = None,
@@ -230,7 +232,7 @@ def tune(
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
-                raise taciturn.ProblemError("--least-period is given; expected --rate as the only budget, as a number")
+                raise taciturn.ProblemError("--least-period is given; expected a number for --rate, and no --cost")
             found = tune_period(
                 problem,
                 rate=allowed,

@@ -53,10 +53,10 @@ def export(
         raise ProblemError("--c is empty; expected the name of a folder")
     if (c is None) == (fmu is None):
         given = "neither --c nor --fmu is" if c is None else "--c and --fmu are both"
-        raise ProblemError(f"{given} given; expected one of them, with the path to write to")
+        raise ProblemError(f"{given} given; expected one of the two options, with the path to write to")
     for option, value, needed, missing in (("--node", nodes, "--c", c is None), ("--fmi", fmi, "--fmu", fmu is None)):
         if value and missing:
-            raise ProblemError(f"{option} is given without {needed}; expected both, or neither")
+            raise ProblemError(f"{option} is given without {needed}; expected both options, or neither of them")
     problem, name, exact = load_changed(file, settings, no_functions), Path(file).stem, cast("Any", precision)
     with progress_bar("comparing precisions") as progress:
         if c is not None:

@@ -89,7 +89,9 @@ Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 Settings = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="NAME=VALUE", help="Set a key of [policy], or a dotted key such as cost.R; none removes a key."
+        "--set",
+        metavar="NAME=VALUE",
+        help="Set a key of [policy], or a dotted key such as cost.R; the value none removes the key.",
     ),
 ]
 NoFunctions = Annotated[
@@ -103,11 +105,14 @@ Link = Annotated[
         autocompletion=complete_from("sensor", "actuator"),
     ),
 ]
-Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Figure: .svg, .png or .pdf.")]
+Plot = Annotated[Path | None, typer.Option(metavar="OUT", help="Save a figure as .svg, .png or .pdf.")]
 Confidence = Annotated[
-    float | None, typer.Option(help="Confidence of the lower bound. Default: 0.999 if a bound exists; 0: no bound.")
+    float | None,
+    typer.Option(
+        help="Confidence level of the lower bound on the cost. Default: 0.999 if a bound exists; 0: no bound."
+    ),
 ]
-Steps = Annotated[int | None, typer.Option(help="Simulate this many steps in total instead.")]
+Steps = Annotated[int | None, typer.Option(help="Fixed total number of simulated steps (instead of a standard error).")]
 TimeLimit = Annotated[
     float | None,
     typer.Option("--time", metavar="SECONDS", help="Time limit, after which the best result so far is printed."),

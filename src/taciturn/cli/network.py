@@ -68,7 +68,10 @@ def network(
         typer.Option("--loss", metavar="[LINK=]P", help="Drop packets with probability P, on one link or all links."),
     ] = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
+        bool,
+        typer.Option(
+            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+        ),
     ] = False,
     as_json: Json = False,
 ) -> None:
@@ -83,7 +86,9 @@ def network(
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
-        raise taciturn.ProblemError("--loss is given with --namespaces, which uses no relay; expected one of them")
+        raise taciturn.ProblemError(
+            "--loss is given with --namespaces, which uses no relay; expected only one of the two options"
+        )
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:
         found = run_network(
@@ -110,17 +115,22 @@ def node(
     tick: TickLength = None,
     wait: Annotated[
         float | None,
-        typer.Option(help="In real time: share of a step to wait for a packet. Default: 0.3; actuator: 0.55."),
+        typer.Option(
+            help="In real time: longest wait for a packet, as a share of a step. Default: 0.3; actuator: 0.55."
+        ),
     ] = None,
     heartbeat: Annotated[
         int | None,
-        typer.Option(help="In real time: steps without a packet until a mark is sent. Default: a third of --watchdog."),
+        typer.Option(
+            help="In real time: steps without a packet after which the node sends a mark (a packet without data). "
+            "Default: a third of --watchdog."
+        ),
     ] = None,
     watchdog: Annotated[
         int | None,
         typer.Option(
-            help="Steps without packets and marks until a node is degraded and an actuator applies the safe input. "
-            f"Default in real time: {WATCHED}, with the input of the policy."
+            help="Number of steps without packets or marks after which a node is degraded and an actuator applies the "
+            f"safe input. Default in real time: {WATCHED}, and the actuator keeps the input of the policy."
         ),
     ] = None,
     safe: Annotated[
@@ -134,7 +144,8 @@ def node(
     log_part: Annotated[
         int | None,
         typer.Option(
-            metavar="BYTES", help="With --log OUT: rename a log of this size to OUT.1, once OUT.1 does not exist."
+            metavar="BYTES",
+            help="With --log OUT: when the log reaches this size and no OUT.1 exists, rename it to OUT.1.",
         ),
     ] = None,
     loops: Loops = 1,
@@ -172,11 +183,12 @@ def node(
     length = tick_length(policy.model.dt, real_time, tick)
     if heartbeat is not None and length is None:
         raise taciturn.ProblemError(
-            "--heartbeat is given without --real-time, but in virtual time a node sends a mark after every step; "
+            "--heartbeat is given without --real-time, but in virtual time a node sends a mark (a packet without "
+            "data) after every step; "
             "expected --real-time"
         )
     if state is not None and loops > 1:
-        raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected it with one loop")
+        raise taciturn.ProblemError(f"--state is given with --loops {loops}; expected one loop: --loops 1")
     share = WAIT.get(role, 0.0) if wait is None else number("--wait", wait, 0.0, 1.0, closed=True)
     # in real time, the watchdog of a node that only sends sets its heartbeat
     limit = watchdog or (None if length is None else WATCHED)
@@ -253,7 +265,10 @@ def relay(
     bind: Bind = "127.0.0.1:0",
     loss: Annotated[str, typer.Option(metavar="P", help="Probability that a packet is dropped.")] = "0",
     burst: Annotated[
-        str | None, typer.Option(metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts instead.")
+        str | None,
+        typer.Option(
+            metavar="TO_BAD,TO_GOOD,LOSS_GOOD,LOSS_BAD", help="Drop packets in bursts (Gilbert-Elliott model)."
+        ),
     ] = None,
     delay: Annotated[float, typer.Option(help="Delay of every packet in seconds.")] = 0.0,
     jitter: Annotated[float, typer.Option(help="Largest additional random delay in seconds.")] = 0.0,
@@ -305,7 +320,9 @@ def _wire(
         option, where = ("--questions", "sensor") if questions else ("--eye", "controller")
         raise ProblemError(f"{option} is given for the {role}; expected this option for the {where} only")
     if eye is None and (seen is not None or watch is not None):
-        raise ProblemError("--seen or --watch is given without --eye; expected --eye with the calibration of a camera")
+        raise ProblemError(
+            "--seen or --watch is given without --eye; expected --eye with the calibration file of a camera"
+        )
     if questions:
         from taciturn.twin.wire import QuestionWire
 
@@ -335,7 +352,7 @@ def tick_length(of_problem: float | None, real_time: bool, asked: float | None) 
     from taciturn.errors import ProblemError
 
     if asked is not None and not real_time:
-        raise ProblemError("--tick is given without --real-time; expected both, or neither")
+        raise ProblemError("--tick is given without --real-time; expected both options, or neither of them")
     if not real_time:
         return None
     return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)

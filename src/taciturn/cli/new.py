@@ -32,7 +32,8 @@ SQUARE = "a number (times the identity), a diagonal, or a matrix"
 def new(
     out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="File to write.")] = Path("problem.toml"),
     source: Annotated[
-        Path | None, typer.Option("--from", metavar="FILE", help="Matrices: .mat or .npz file with A, B, C, W, …")
+        Path | None,
+        typer.Option("--from", metavar="FILE", help="Read matrices from a .mat or .npz file with A, B, C, W, …"),
     ] = None,
     kind: Kind = None,
     dt: Annotated[
@@ -59,7 +60,7 @@ def new(
     check_format(out, (".toml",), "problem file")
     refuse_to_overwrite()
     if yes and source is None:
-        raise ProblemError("--yes is given without --from; expected both, or neither")
+        raise ProblemError("--yes is given without --from; expected both options, or neither of them")
     if dt is not None:
         number("--dt", dt, 0.0, closed=True)
     given = None if source is None else read_given(source)

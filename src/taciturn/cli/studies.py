@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 OVER = "Key to vary: a key of [policy], or a dotted path such as plant.dt. Repeat the option for a grid."
 Over = Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help=OVER)]
-Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1, this process.")]
+Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1 (this process).")]
 
 
 @app.command(epilog="Example: taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
@@ -118,9 +118,10 @@ def sweep(
     ],
     settings: Settings = None,
     no_functions: NoFunctions = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes. Default: one for each processor.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Number of processes. Default: one per processor.")] = None,
     dask: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Use the workers of this dask scheduler instead.")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Use the workers of the dask scheduler at this address."),
     ] = None,
     table: Annotated[
         Path | None, typer.Option(metavar="OUT", help="Also write the result as a table: .csv or .parquet.")
@@ -129,7 +130,7 @@ def sweep(
     standard_error: StandardError = None,
     steps: Steps = None,
     confidence: Annotated[
-        float | None, typer.Option(help="Confidence of lower bounds. Default: no lower bounds.")
+        float | None, typer.Option(help="Confidence level of lower bounds on the cost. Default: no lower bounds.")
     ] = None,
 ) -> None:
     """Evaluate a grid of problems on many processors, and store each finished cell."""
@@ -273,7 +274,7 @@ def channel(
     standard_error: Annotated[
         float | None, typer.Option(help="Standard error of the total cost. Default: 1e-3 of the total cost.")
     ] = None,
-    ticks: Annotated[int | None, typer.Option(help="Simulate this many steps of each channel instead.")] = None,
+    ticks: Annotated[int | None, typer.Option(help="Fixed number of simulated steps per channel.")] = None,
     confidence: Confidence = None,
     workers: Workers = 1,
 ) -> None:

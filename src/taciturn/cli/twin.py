@@ -46,7 +46,10 @@ def twin(
     real_time: RealTime = False,
     tick: TickLength = None,
     namespaces: Annotated[
-        bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
+        bool,
+        typer.Option(
+            "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
+        ),
     ] = False,
     no_functions: NoFunctions = False,
     fault: Faults = None,
@@ -130,7 +133,7 @@ def _check_options(options: Mapping[str, object], live: bool, real_time: bool) -
 
     given = [name for name, value in options.items() if value is not None]
     if given and not live:
-        raise ProblemError(f"{given[0]} is given without --live; expected both, or neither")
+        raise ProblemError(f"{given[0]} is given without --live; expected both options, or neither of them")
     if "--speed" in given and real_time:
         raise ProblemError("--speed is given with --real-time, which runs at speed 1; expected one of them")
 
@@ -185,7 +188,9 @@ def _live(
         if not done:
             raise
     if not done:
-        raise ProblemError("no run has ended; expected at least one complete run: wait longer before you stop it")
+        raise ProblemError(
+            "no run has ended; expected at least one complete run: wait longer before you stop the command"
+        )
     return done[0]
 
 

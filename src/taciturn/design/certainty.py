@@ -140,7 +140,7 @@ def expect_average(kind: str, cost: Cost) -> None:
         got = getattr(cost, name)
         if got != absent:
             raise ProblemError(
-                f"cost.{name} is {got:g}, which {kind} does not use; expected an average cost: remove it"
+                f"cost.{name} is {got:g}, which {kind} does not use; expected an average cost: remove this key"
             )
 
 

@@ -65,8 +65,8 @@ def dynamic(
     rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST)
     if gain * rho < 1 - 1e-12:
         raise ProblemError(
-            f"gain is {gain:g} and rho {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
-            "so that the credit is never negative"
+            f"gain is {gain:g} and rho is {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "
+            "so that the threshold η of the trigger is never negative"
         )
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty("dynamic", problem), np.eye(problem.plant.states)

@@ -62,7 +62,7 @@ def excess(
     """
     if (delta is None) == (theta is None):
         got = "neither delta nor theta is" if delta is None else f"delta ({delta:g}) and theta ({theta:g}) are both"
-        raise ProblemError(f"{got} given; expected one of them, the trigger threshold")
+        raise ProblemError(f"{got} given; expected one of the two, as the trigger threshold")
     problem = discretise(plant, cost, period)
     certainty = design_certainty("excess", problem)
     price = _price(certainty, delta, theta)

@@ -159,7 +159,9 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
             "expected a discrete plant: give plant.dt and the matrices of one step"
         )
     if not plant.full_state:
-        raise ProblemError("C or V is given, and lossy-lqg measures the full state; expected neither: remove them")
+        raise ProblemError(
+            "C or V is given, and lossy-lqg measures the full state; expected neither C nor V: remove them"
+        )
     if cost.N.any():
         raise ProblemError("cost.N is not zero, which lossy-lqg does not support; expected no cross weight: remove it")
     if cost.discount < 1:

@@ -109,7 +109,9 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
             "expected a continuous plant: without dt (plant.dt in a file), with A, B and W per second"
         )
     if not plant.full_state:
-        raise ProblemError(f"C or V is given, and {kind} measures the full state; expected neither: remove them")
+        raise ProblemError(
+            f"C or V is given, and {kind} measures the full state; expected neither C nor V: remove them"
+        )
     expect_average(kind, cost)
     return plant
 

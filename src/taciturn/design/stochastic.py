@@ -134,8 +134,9 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
             return ClosedForm(problem.per_unit(average), {"actuator": 1 / length})
         if ended and paid >= before:
             raise UnstableError(
-                "the mean cost is infinite: an error that the weight does not limit grows faster than silence becomes "
-                "rare; expected a weight that is positive for every mode that does not decay, or a larger scale"
+                "the mean cost is infinite: an error that the weight does not limit grows faster than the probability "
+                "of not sending falls; expected a weight that is positive for every mode that does not decay, or a "
+                "larger scale"
             )
         Sigma, before = following, paid
         if not np.isfinite(Sigma @ Sigma).all():

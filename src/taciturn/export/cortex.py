@@ -317,7 +317,9 @@ def find_tool(name: str) -> str:
     """
     found = shutil.which(name)
     if found is None:
-        raise ProblemError(f"{name} is missing; expected it on the path; install it by: apt install {PACKAGES[name]}")
+        raise ProblemError(
+            f"{name} is missing; expected this program on the path; install it with: apt install {PACKAGES[name]}"
+        )
     return found
 
 
@@ -342,6 +344,6 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
         if "will not fit in region" in said:
             raise ProblemError("the program is larger than the board's 4 MiB; expected a self-check with fewer steps")
         if "rdimon.specs" in said:
-            said = f"the C library is missing; install it by: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
-        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected it to succeed")
+            said = f"the C library is missing; install it with: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
+        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected the program to succeed")
     return done.stdout

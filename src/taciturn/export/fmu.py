@@ -214,7 +214,7 @@ def _place(name: str, version: Version, compiler: str | None) -> str:
     if shutil.which(compiler) is None:
         raise _NoBinaryError(f"there is no compiler {compiler!r} here")
     if not (system and machine and found):
-        raise _NoBinaryError(f"FMI {version} has no name for {platform.system()} on {platform.machine()}")
+        raise _NoBinaryError(f"FMI {version} defines no folder name for {platform.system()} on {platform.machine()}")
     return f"binaries/{found}/{name}{ending}"
 
 

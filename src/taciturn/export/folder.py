@@ -97,7 +97,8 @@ class CFolder(Displayed):
             for path in there:
                 if path.name in self.files and not OURS.match(first[path]):
                     raise ProblemError(
-                        f"{path} exists and was not exported; expected a folder without files of these names"
+                        f"{path} exists and is not from an earlier export; expected a folder without a file of this "
+                        "name"
                     )
             for name, text in self.files.items():
                 write_whole(folder / name, text.encode())

@@ -82,7 +82,7 @@ def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = Non
     if not finite.all():
         raise ProblemError(
             f"the loop leaves the range of {loop.precision} after {int(finite.argmin())} steps; "
-            "expected a policy that stabilises it over this network"
+            "expected a policy that stabilises the loop over this network"
         )
     return vector
 

@@ -93,7 +93,7 @@ def discretise(
     if cost.Q.shape[0] != plant.states or cost.R.shape[0] != plant.inputs:
         raise ProblemError(
             f"Q has the shape {cost.Q.shape} and R the shape {cost.R.shape}; expected "
-            f"{(plant.states, plant.states)} and {(plant.inputs, plant.inputs)}, by the states and inputs of the plant"
+            f"{(plant.states, plant.states)} and {(plant.inputs, plant.inputs)}, for the states and inputs of the plant"
         )
     if isinstance(plant, Plant):
         if period is not None:
@@ -112,7 +112,7 @@ def discretise(
     if rate * period > np.log(GROWTH):
         raise ProblemError(
             f"period is {period:g}, within which the fastest mode of the plant grows by e^{rate * period:.4g}; "
-            f"expected at most {GROWTH:.0e}, which is a period below about {np.log(GROWTH) / rate:.3g}"
+            f"expected growth by at most {GROWTH:.0e}, so a period below about {np.log(GROWTH) / rate:.3g}"
         )
     if prediction is None:
         sampled = sample(plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, period)

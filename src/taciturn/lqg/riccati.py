@@ -279,7 +279,7 @@ def _checked_solution(found: Solution | None, A: Array | None) -> Solution:
     """Return a sound solution, or raise an error; A, if given, shows whether growth per step is the reason."""
     if found is None:
         raise UnstableError(
-            "the Riccati equation of the regulator has no stabilising solution that rounding leaves reliable: Newton's "
+            "the Riccati equation of the regulator has no stabilising solution that can be computed reliably: Newton's "
             "method does not converge from any start; expected unstable modes that the inputs affect more strongly, or "
             "a weight in Q and R on every state and input"
         )
@@ -302,7 +302,7 @@ def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None
     named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move"
     if on_edge[0]:
         raise UnstableError(
-            f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or rests on exact "
+            f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or depends on exact "
             "cancellation; expected (A, B) stabilisable, or no weight in Q and N on that state and on the states that "
             "it affects; make the mode stable, or remove it from the problem"
         )

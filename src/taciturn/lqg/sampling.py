@@ -128,7 +128,7 @@ def _integrated(F: Array, M: Array, G: Array, period: float, units: Array) -> In
         off.append(float(np.abs((one - other) / spread / spread[:, None]).max(initial=0.0)))
     if not max(off) <= TOLERANCE:
         raise ProblemError(
-            f"period is {period:g}, or {pace(F) * period:.1e} time constants of the fastest mode, and the sampled "
+            f"period is {period:g}, which is {pace(F) * period:.1e} time constants of the fastest mode, so the sampled "
             f"plant has a relative error of {max(off):.1e} (at most {TOLERANCE:.0e}); expected a shorter period, or a "
             "plant without that mode"
         )

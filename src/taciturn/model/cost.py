@@ -60,7 +60,7 @@ class Cost(Displayed):
         if N.any():
             semidefinite("[[Q, N], [N', R]]", np.block([[Q, N], [N.T, R]]), n + m)
         if terminal is not None and horizon is None:
-            raise ProblemError("terminal is given without horizon; expected both, or neither")
+            raise ProblemError("terminal is given without horizon; expected horizon and terminal, or neither of them")
         discount = number("discount", discount, 0.0, 1.0, closed=True)
         if discount == 0:
             raise ProblemError("discount is 0; expected 0 < discount ≤ 1")

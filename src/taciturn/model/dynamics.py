@@ -309,7 +309,7 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
         before = row
     if best is None:
         raise ProblemError(
-            f"function gives no finite numbers for {name} within {step:.1g} of its value; expected a function that is "
+            f"function gives no finite values when {name} changes by {step:.1g}; expected a function that is "
             "differentiable there"
         )
     return best

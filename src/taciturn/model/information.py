@@ -118,7 +118,10 @@ class _Knowledge:
                 self.packets[step.link] = (site, step.payload)
             for name in assigned(step):
                 if self.home.setdefault(name, site) != site:
-                    raise InformationError(f"{name} is assigned at {step.at} and at another site; expected one owner")
+                    raise InformationError(
+                        f"{name} is assigned at {step.at} and at another site; expected only one site that assigns "
+                        "this signal"
+                    )
 
     def check(self, step: Step) -> None:
         """Check that everything a policy step reads is available at its node."""
@@ -143,7 +146,8 @@ class _Knowledge:
             )
         if isinstance(condition, Received) and ENDS[condition.link] not in site:
             raise InformationError(
-                f"{at} uses packets of the {condition.link} link, which it does not receive; expected its own links"
+                f"{at} uses packets of the {condition.link} link, which it does not receive; expected a link on which "
+                "it receives packets"
             )
         if isinstance(condition, Acknowledged):
             if condition.link not in self.packets or self.packets[condition.link][0] != site:
@@ -152,7 +156,7 @@ class _Knowledge:
                 )
             if self.network.protocol == "udp":
                 raise InformationError(
-                    f"{at} uses an acknowledgement of the {condition.link} link, but udp sends none; "
+                    f"{at} uses an acknowledgement of the {condition.link} link, but protocol 'udp' sends none; "
                     "expected protocol 'tcp'"
                 )
 

@@ -136,7 +136,8 @@ class Network(Displayed):
         scale = {"actuator": self.actuator_range, "sensor": self.sensor_range}[link]
         if scale is None:
             raise ProblemError(
-                f"network.{link}_range is missing, but network.payload is 'int16'; expected the largest magnitude of "
+                f"network.{link}_range is missing, but network.payload is 'int16'; expected the largest absolute "
+                "value of "
                 f"the numbers in a packet of the {link} link"
             )
         return Encoding("int16", cast("tuple[float, ...]", scale))

@@ -121,7 +121,9 @@ class Policy(Displayed):
         for step in self.steps:
             for name, size in assigned(step).items():
                 if name == ONE:
-                    raise ProblemError(f"{ONE!r} is assigned, but denotes the number 1; expected another name")
+                    raise ProblemError(
+                        f"{ONE!r} is assigned, but this name denotes the number 1; expected another name"
+                    )
                 if sizes.setdefault(name, size) != size:
                     raise ProblemError(
                         f"{name} has {sizes[name]} entries in one step and {size} in another; expected equal sizes"
@@ -140,8 +142,8 @@ class Policy(Displayed):
         for link in set(links):
             if links.count(link) > 1:
                 raise ProblemError(
-                    f"{links.count(link)} packets go over the {link} link in a step; "
-                    "expected a single Send with the signals and labels of all of them"
+                    f"a step sends {links.count(link)} packets over the {link} link; "
+                    "expected a single Send with the signals and labels of all these packets"
                 )
         for location in self.locations:
             if location.on is not None and location.table.shape[1] != self.outcomes(location.on):
@@ -151,7 +153,9 @@ class Policy(Displayed):
                 )
         if sizes.get("input") != self.model.inputs:
             got = f"has {sizes['input']} entries" if "input" in sizes else "is never assigned"
-            raise ProblemError(f"input {got}; expected {self.model.inputs} entries, assigned at the actuator")
+            raise ProblemError(
+                f"input {got}; expected a signal with {self.model.inputs} entries that is assigned at the actuator"
+            )
 
     def summary(self) -> Mapping[str, object]:
         """Return the kind, cost, guarantee, plant, decisions, links and network of the policy by name."""
@@ -250,7 +254,7 @@ class Policy(Displayed):
             unknown = [label for label in step.labels if step.on is None or label not in self.decisions[step.on].labels]
             if unknown:
                 raise ProblemError(
-                    f"the packet of the {step.link} link is sent on the label {unknown[0]!r}; "
+                    f"the packet of the {step.link} link is sent for the label {unknown[0]!r}; "
                     f"expected a label of its decision ({step.on})"
                 )
 

@@ -47,7 +47,8 @@ class Reference(Displayed):
         ):
             if found != wanted:
                 raise ProblemError(
-                    f"reference.{name} has shape {found}; expected {wanted}, from horizon and sizes of the plant"
+                    f"reference.{name} has shape {found}; expected {wanted}, from the horizon and the dimensions of "
+                    "the plant"
                 )
         caused, pushes = self.states[:-1] @ plant.A.T, self.inputs @ plant.B.T
         miss = np.abs(caused + pushes - self.states[1:]).max(axis=1)

@@ -98,7 +98,7 @@ class Evaluate(Displayed):
         if (self.on is None) != (len(self.forms) == 1):
             raise ProblemError(
                 f"{self.signal} has {len(self.forms)} forms on {self.on}; "
-                "expected one form without a condition, or several forms that depend on one"
+                "expected one form without a condition, or several forms that depend on a condition"
             )
 
 

@@ -34,14 +34,15 @@ class Scheduled(Displayed):
             table = np.asarray(values, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ProblemError(
-                f"the table by {by!r} is not an array of numbers ({error}); expected entries of equal shape"
+                f"the table indexed by {by!r} is not an array of numbers ({error}); expected entries of equal shape"
             ) from None
         if table.ndim not in (1, 3) or not len(table):
             raise ProblemError(
-                f"the table by {by!r} has shape {table.shape}; expected (locations,) or (locations, rows, columns)"
+                f"the table indexed by {by!r} has shape {table.shape}; expected (locations,) or (locations, "
+                "rows, columns)"
             )
         object.__setattr__(self, "by", by)
-        object.__setattr__(self, "values", array(f"the table by {by!r}", table, (None,) * table.ndim))
+        object.__setattr__(self, "values", array(f"the table indexed by {by!r}", table, (None,) * table.ndim))
 
     @property
     def entry_shape(self) -> tuple[int, ...]:
@@ -125,7 +126,7 @@ class Form(Displayed):
         """Validate and store the arguments."""
         if (Psi is None) != (not signals) and not (bell is not None and signals):
             got = f"signals {signals} without Psi" if Psi is None else "Psi without signals"
-            raise ProblemError(f"a form has {got}; expected both, or neither")
+            raise ProblemError(f"a form has {got}; expected Psi and signals, or neither of them")
         checked = None if Psi is None else matrix("Psi", Psi)
         if checked is not None:
             values = checked.values if isinstance(checked, Scheduled) else checked
@@ -144,7 +145,9 @@ class Form(Displayed):
         weights = {name: number(f"the weight of {name}", value) for name, value in (plus or {}).items()}
         object.__setattr__(self, "plus", weights)
         if bell is not None and not signals:
-            raise ProblemError("a form has a Gaussian term (bell) without signals; expected both, or neither")
+            raise ProblemError(
+                "a form has a Gaussian term (bell) without signals; expected signals with it, or no Gaussian term"
+            )
         object.__setattr__(self, "bell", bell)
 
     @property
@@ -176,7 +179,7 @@ class Trigger(Displayed):
     def __post_init__(self) -> None:
         """Validate and store the arguments."""
         if len(self.options) < 2:
-            raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two")
+            raise ProblemError(f"a trigger has the options {list(self.options)}; expected at least two options")
         object.__setattr__(self, "options", dict(self.options))
 
     @property
@@ -194,5 +197,5 @@ def _constant(value: float | Scheduled) -> float | Scheduled:
     if not isinstance(value, Scheduled):
         return number("the constant of a form", value)
     if value.values.ndim != 1:
-        raise ProblemError(f"the constant by {value.by!r} is a table of matrices; expected a table of numbers")
+        raise ProblemError(f"the constant indexed by {value.by!r} is a table of matrices; expected a table of numbers")
     return value

@@ -21,6 +21,7 @@ from taciturn.program.ir import Builder, Coefficient
 
 Objects = npt.NDArray[Any]  # floats, truth values and symbols
 FUNCTIONS: dict[object, Callable[[Any, Any], Any]] = {}  # rules for functions of whole arrays, filled by ``arrays``
+_UNKNOWN = "but numbers are unknown while the function is traced"
 _ARRAYS = "functions of NumPy, and arrays made by np.stack([…]), np.copy(x) or np.zeros_like(x)"
 
 
@@ -75,24 +76,26 @@ class Symbol(np.lib.mixins.NDArrayOperatorsMixin):
 
     def __bool__(self) -> bool:
         """Raise an error, since the value is unknown."""
-        raise self._asked(
-            "whether a condition is true, as if, and, or, max do", f"np.where, & and |, np.maximum: {_ARRAYS}"
+        raise ProblemError(
+            f"{self.recorder.name} needs the truth value of a condition (for if, and, or, max), {_UNKNOWN}; "
+            f"expected np.where, & and |, np.maximum: {_ARRAYS}"
         )
 
     def __float__(self) -> float:
         """Raise an error, since the value is unknown."""
-        raise self._asked("for a number as a float, as math.sin, float() or np.zeros(n)[i] = do", _ARRAYS)
+        raise ProblemError(
+            f"{self.recorder.name} converts a traced number to a float (as math.sin, float() and np.zeros(n)[i] = do), "
+            f"{_UNKNOWN}; expected {_ARRAYS}"
+        )
 
     def __int__(self) -> int:
         """Raise an error, since the value is unknown."""
-        raise self._asked("for a number as an integer, as int() or round() do", "np.floor or np.rint")
+        raise ProblemError(
+            f"{self.recorder.name} converts a traced number to an integer (as int() and round() do), {_UNKNOWN}; "
+            "expected np.floor or np.rint"
+        )
 
     __index__ = __int__
-
-    def _asked(self, what: str, remedy: str) -> ProblemError:
-        return ProblemError(
-            f"{self.recorder.name} asks {what}, but its numbers are unknown while it is traced; expected {remedy}"
-        )
 
 
 class Number(Symbol):

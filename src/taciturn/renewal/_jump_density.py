@@ -242,7 +242,7 @@ class Density:
             spectrum = np.expm1(jumps)
             if max(spectrum[0].max(), spectrum[:, -1].max()) > RESOLVED * spectrum.max():
                 raise NoQuadratureError(
-                    "the distribution of the jumps is nearly flat: in one direction it is much narrower than the "
+                    "the distribution of the jumps is nearly degenerate: in one direction it is much narrower than the "
                     "change of the state in one period; simulate instead"
                 )
         if self.flat:  # a sharp end of the sum would cause oscillations in the tables

@@ -180,7 +180,7 @@ def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float
             errors, weights = errors[heirs], np.full(len(heirs), mean)
     raise NoQuadratureError(
         f"after {MOST_CHECKS} checks one of {1 / survival[-1]:.3g} errors is not sent yet; expected shorter intervals, "
-        "by a smaller δ or more noise; simulate instead"
+        "with a smaller threshold δ or more noise; simulate instead"
     )
 
 

@@ -55,9 +55,7 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):
-        raise NoQuadratureError(
-            "the noise of the chain does not consist of jumps, and this quadrature supports jumps only"
-        )
+        raise NoQuadratureError("the noise does not consist of jumps, and this quadrature supports jumps only")
     if noise.jumps.distribution != "normal":
         raise NoQuadratureError(
             f"jumps with the distribution '{noise.jumps.distribution}' have no smooth density; expected 'normal'; "
@@ -143,7 +141,8 @@ def _refined(levels: Iterator[Sums], accuracy: float, told: Stages) -> Renewal:
     off = float((change / np.abs(found)).max())
     if off > USELESS:
         raise NoQuadratureError(
-            f"rate and excess have a relative error of {off:.1g}; expected at most {USELESS:g}; take a smaller δ, or "
+            f"rate and excess have a relative error of {off:.1g}; expected at most {USELESS:g}; use a smaller "
+            "threshold δ, or "
             "simulate instead"
         )
     rate, excess = (float(value) for value in found)

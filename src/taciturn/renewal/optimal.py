@@ -241,8 +241,9 @@ def _gaps(solved: Solved, negligible: float) -> tuple[float, float, float]:
     gaps = holes(solved, negligible)
     if gaps[2] > SPLIT * (solved.excess + solved.rate):
         raise NoQuadratureError(
-            f"errors that should be sent lie between errors that should not be sent, and ignoring this costs "
-            f"{gaps[2]:.1g} prices per check; expected a region in one piece along every axis; {OTHERWISE}"
+            f"the set of errors that should not be sent has gaps, and ignoring them costs {gaps[2]:.1g} times the "
+            "price of "
+            f"a send per check; expected a set without gaps along every axis; {OTHERWISE}"
         )
     return gaps
 

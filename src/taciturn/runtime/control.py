@@ -66,7 +66,7 @@ def to_control(
     instance("thing", thing, Plant, ContinuousPlant, Policy, Loop)
     if network is not None and not isinstance(thing, Policy):
         raise ProblemError(
-            f"network is given for a {type(thing).__name__}; expected it for a Policy only: "
+            f"network is given for a {type(thing).__name__}; expected network for a Policy only: "
             "pass the network of a loop to `close`"
         )
     if isinstance(thing, ContinuousPlant):

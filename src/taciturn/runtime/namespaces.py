@@ -104,7 +104,9 @@ def predict_drops(seed: int, permille: int, sequences: Sequence[int] | NDArray[n
     KernelLoss(seed, permille)
     numbers = np.asarray(sequences, dtype=np.int64).reshape(-1)
     if numbers.size and not 0 <= numbers.min() <= numbers.max() <= 0xFFFFFFFF:
-        raise ProblemError(f"sequences go from {numbers.min()} to {numbers.max()}; expected 0 to {0xFFFFFFFF}")
+        raise ProblemError(
+            f"sequences has numbers from {numbers.min()} to {numbers.max()}; expected numbers from 0 to {0xFFFFFFFF}"
+        )
     b = np.full(numbers.shape, (0xDEADBEEF + 4 + seed) & 0xFFFFFFFF, dtype=np.uint32)
     a = b + numbers.astype(np.uint32).byteswap()  # the hash reads the big-endian word in little-endian order
     c = -_rotated(b, 14)  # jhash starts with c = b, so that c ^= b is 0

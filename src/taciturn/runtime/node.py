@@ -266,7 +266,9 @@ class Node:
         except ProblemError:
             raise
         except (KeyError, TypeError, ValueError, IndexError) as error:
-            raise ProblemError(f"this is no saved state of a node ({error!r}); expected one of Node.save") from None
+            raise ProblemError(
+                f"this is no saved state of a node ({error!r}); expected the result of Node.save"
+            ) from None
 
     def _measured(self, measurement: Sequence[float] | None) -> Values:
         if not self.measures:

@@ -299,7 +299,9 @@ class NodeServer:
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ProblemError(f"the saved state {path} cannot be read ({error}); expected one of this node") from None
+            raise ProblemError(
+                f"the saved state {path} cannot be read ({error}); expected a saved state of this node"
+            ) from None
         if self._tick is None:
             self._send(self._outbox[0])  # the process may have ended after saving and before sending
 

@@ -43,7 +43,7 @@ def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
     if identity is None:
         raise ProblemError(
             "completion of squares does not apply to this loop; expected the plant and network of the design and a "
-            "policy with a cost identity, or the plain average"
+            "policy with a cost identity, or the plain average of the cost"
         )
     reduced = loop.reducible if reduced is None else reduced
     program = loop.reduced_program() if reduced else loop.program()

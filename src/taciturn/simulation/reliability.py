@@ -31,8 +31,8 @@ def expect_arrivals(loop: Loop) -> None:
     for link, outage, growth in _outages(loop):
         if outage == 1:
             raise UnstableError(
-                f"the loop of {loop.policy.kind} diverges: the {link} link drops every packet, and the plant does not "
-                "come to rest by itself; expected a loss below 1"
+                f"the loop of {loop.policy.kind} diverges: the {link} link drops every packet, and the plant is not "
+                "stable by itself; expected a loss below 1"
             )
         if outage * growth**2 >= 1:
             raise UnstableError(

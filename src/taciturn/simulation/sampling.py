@@ -281,7 +281,9 @@ class Sampling:
         spread = change.std(axis=1, ddof=1) / np.sqrt(change.shape[1])
         for part, rows in zip(self.parts, self.rows, strict=True):
             if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
-                raise part.diverges("its cost grew by a factor of a million between two windows")
+                raise part.diverges(
+                    "its mean cost grew by a factor of a million from one simulated interval to the next"
+                )
         early = self.counted / length  # a window may end just before a send
         drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))
         return bool((np.abs(change.mean(axis=1)) <= drift)[~self.controls].all())

@@ -151,7 +151,7 @@ def regenerative(record: ArrayLike, renewals: ArrayLike) -> Estimate:
     if values.shape != begins.shape:
         raise ProblemError(f"record has {len(values)} steps and renewals has {len(begins)}; expected equal lengths")
     if not np.isin(begins, (0, 1)).all():
-        raise ProblemError("renewals has numbers other than 0 and 1; expected 1 at the start of a cycle, else 0")
+        raise ProblemError("renewals has entries other than 0 and 1; expected 1 at the start of a cycle, else 0")
     at = np.flatnonzero(begins)
     if len(at) <= CYCLES:
         raise ProblemError(

@@ -118,7 +118,8 @@ def run_cells(
     if executor is not None:
         if hasattr(executor, "get_executor"):
             raise ProblemError(
-                f"executor is a {type(executor).__name__}; expected an Executor, as its get_executor() returns"
+                f"executor is a {type(executor).__name__}; expected an Executor, such as the one that its method "
+                "get_executor() returns"
             )
         instance("executor", executor, Executor)
     kept = _Kept(store, problem, cells, effort)

@@ -58,9 +58,13 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     continuous = isinstance(problem.plant, ContinuousPlant)
     period = nodes.tick if continuous else None
     if problem.cost.mission:
-        raise NoClockError("the horizon is finite or the cost is discounted, and it is computed for averages only")
+        raise NoClockError(
+            "the horizon is finite or the cost is discounted, and periodic control is computed for average costs only"
+        )
     if any(problem.network.loss(link) for link in ENDS):
-        raise NoClockError("the links drop packets, and it is computed for links that deliver every packet")
+        raise NoClockError(
+            "the links drop packets, and periodic control is computed for links that deliver every packet"
+        )
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
         differences = problem.close(all_time(problem.plant, problem.cost, period=period)).violated_assumptions

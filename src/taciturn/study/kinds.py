@@ -72,7 +72,8 @@ def gather(problems: Mapping[str, Problem], copies: Sequence[int]) -> tuple[Kind
         raise ProblemError("problems is empty; expected at least one problem, whose loops share the channel")
     if len(copies) not in (1, len(problems)):
         raise ProblemError(
-            f"copies has {len(copies)} numbers for {len(problems)} problems; expected one for each, or one for all"
+            f"copies has {len(copies)} numbers for {len(problems)} problems; expected one number for each problem, or "
+            "one number for all"
         )
     copies = [count("copies", number) for number in copies] * (1 if len(copies) > 1 else len(problems))
     for name, problem in problems.items():

@@ -171,11 +171,13 @@ def find_losses(
     for level in tried:
         if plant.jumps is None:
             if np.isfinite(h_max):
-                raise ProblemError("h_max is given with Wiener noise, where intervals are unlimited; expected none")
+                raise ProblemError("h_max is given with Wiener noise, where intervals are unlimited; expected no h_max")
             rate, excess = _looked_at(price, Psi, level, period)
         else:
             if period is not None:
-                raise ProblemError("period is given with jump noise, which is monitored continuously; expected none")
+                raise ProblemError(
+                    "period is given with jump noise, which is monitored continuously; expected no period"
+                )
             process = JumpProcess(plant.A, plant.jumps, price.S)
             found = estimate_cycles(process, LevelTrigger(Psi, level, h_max), cycles=cycles, seed=seed)
             rate, excess = found.interval.inverse(), found.cost

@@ -175,7 +175,7 @@ def measure_optimum(loop: Loop, price: float, request: Request, progress: Progre
     if request.method not in ("auto", "exact") or request.steps is not None:
         raise ProblemError(
             "method or steps is given, but the policy 'optimal' is solved and never simulated; expected neither of "
-            "them, or the policy 'near-optimal'"
+            "these options, or the policy 'near-optimal'"
         )
     policy = loop.policy
     asked = _wanted(Estimate(policy.cost_all_time, 0.0, "exact"), request.standard_error)

@@ -283,12 +283,12 @@ class Search:
             return
         if self.goal.name == "rate" and most is not None and budget > most * (1 + EXACT):
             raise ProblemError(
-                f"the rate {budget:g} per {found.rate_unit} is above that of sending at every step; "
+                f"the rate {budget:g} per {found.rate_unit} is above the rate of sending at every step; "
                 f"expected at most {most:g}"
             )
         if self.goal.name == "cost" and least is not None and budget < least * (1 - EXACT):
             raise ProblemError(
-                f"the cost {budget:g} {per_unit(found.unit)} is below that of sending at every step; "
+                f"the cost {budget:g} {per_unit(found.unit)} is below the cost of sending at every step; "
                 f"expected at least {least:.6g}"
             )
 

@@ -227,7 +227,8 @@ def tradeoff(
         changed.designed()  # reports a mistake in the last cell before the first one runs
     if len({changed.cost.mission for changed in problems}) > 1:
         raise ProblemError(
-            "the grid mixes averages and finite-horizon runs, whose costs have different units; expected one kind"
+            "the grid mixes averages and finite-horizon runs, whose costs have different units; expected costs of one "
+            "kind"
         )
     check_confidence(problems, confidence)
     effort, cells = Effort(standard_error, confidence), [Cell(values, seed) for values in grid]

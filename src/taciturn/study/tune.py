@@ -66,7 +66,7 @@ def tune(
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
         got = "both rate and cost are given" if rate is not None else "neither rate nor cost is given"
-        raise ProblemError(f"{got}; expected one of them as the budget: --rate or --cost")
+        raise ProblemError(f"{got}; expected one of them as the budget: rate or cost (--rate, --cost)")
     name, budget = ("rate", rate) if rate is not None else ("cost", cost)
     tuning = _tuning(problem, link)
     goal = Goal(name, budget_of(problem, tuning, name, budget), link or tuning.link)
@@ -134,5 +134,7 @@ def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
             f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
         )
     if not tunings:
-        raise ProblemError(f"{problem.kind} has no parameter for this rate; expected another kind, such as lqg")
+        raise ProblemError(
+            f"{problem.kind} has no parameter that changes this rate; expected another policy kind, such as lqg"
+        )
     return tunings[0]

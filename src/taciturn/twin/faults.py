@@ -86,7 +86,9 @@ def parse_fault(text: str) -> Fault:
     kind = KINDS[found["name"]]
     if (found["lasts"] and not kind.lasts) or (found["size"] and not kind.size):
         wrong = "+SECONDS" if found["lasts"] and not kind.lasts else "=SIZE"
-        raise ProblemError(f"the fault is {text!r}, but {found['name']} has no {wrong}; expected a text without it")
+        raise ProblemError(
+            f"the fault is {text!r}, but {found['name']} has no {wrong}; expected a fault without {wrong}"
+        )
     if (found["name"] == "gain") == bool(found["start"]):
         raise ProblemError(
             f"the fault is {text!r}; expected "

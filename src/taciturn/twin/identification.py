@@ -93,7 +93,9 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
     residuals = np.concatenate([step - u @ B.T for _, u, step in fitted])
     W = symmetrised(residuals.T @ residuals / (len(residuals) - B.shape[1]) - 2 * V)
     if np.linalg.eigvalsh(W)[0] <= 0.0:
-        raise ProblemError("the residuals are smaller than the measurement noise explains; expected a disturbance")
+        raise ProblemError(
+            "the residuals are smaller than the measurement noise alone would cause; expected a disturbed robot"
+        )
     left = np.concatenate([step - u @ B.T for _, u, step in kept])
     return Identification(
         robot=robot.name,

@@ -211,7 +211,7 @@ class Page:
     def _check(self, row: Mapping[str, Any], keys: tuple[str, ...]) -> About:
         """Return the description of the round, if a row contains the given keys and a state of the right size."""
         if self._about is None:
-            raise ProblemError("a row is put before a round; expected a call of begin first")
+            raise ProblemError("a row is shown before a round begins; expected a call of begin first")
         missing = [key for key in keys if key not in row]
         if missing:
             raise ProblemError(f"a row lacks {', '.join(map(repr, missing))}; expected the keys {', '.join(keys)}")

@@ -132,7 +132,10 @@ def run_twin(
     """
     began, setup = time.monotonic(), setup or Setup()
     if file is not None and parameters:
-        raise ProblemError(f"{', '.join(parameters)} is given with {file}, whose file sets it; expected only one")
+        raise ProblemError(
+            f"{', '.join(parameters)} is given with {file}, which sets the parameters of the policy; expected only "
+            "one of the two"
+        )
     chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
     given = None if file is None else load(file, functions=functions)
     policy = None if given is None else check_mission(chosen, given, str(file))
