@@ -190,7 +190,7 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
 
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return bounds on the number of sends in any window of ``ticks`` steps: on the mean, and with a confidence.
+    """Return bounds on the number of sends in any window of ``ticks`` steps: on its mean, and at a confidence level.
 
     Args:
         loop: loop whose decision depends only on the error that a send resets.

@@ -242,7 +242,7 @@ class Reading:
         return slice(first, first + self.sizes[name])
 
     def memory(self, name: str) -> Array:
-        """Return the matrix that maps the vector z to one memory."""
+        """Return the matrix that maps the vector z to one memory (stored signal) of the policy."""
         return np.eye(self.size)[self.rows(name)]
 
     def start(self) -> Array:

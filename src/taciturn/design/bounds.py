@@ -32,7 +32,7 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the text of the term that excludes the inter-sample noise cost c from the share in a cost bound."""
+    """Return the text that a cost bound of a sampled plant needs to exclude the inter-sample noise cost c."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 

@@ -70,7 +70,7 @@ class CertaintyEquivalentDesign(Displayed):
 
     @property
     def corrections(self) -> Array:
-        """Covariance Σ̃ − Σ of the corrections of the state estimate by measurements, semidefinite despite rounding."""
+        """Covariance of the corrections of the state estimate by measurements, prior minus posterior covariance."""
         return self.filter.gain @ self.filter.innovation @ self.filter.gain.T
 
     @property
@@ -303,7 +303,7 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
 
 
 def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
-    """Return the cost identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with other gains than L.
+    """Return the cost identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with gains other than L.
 
     The policy step that computes u − Lx̂ is returned too.
     """
@@ -314,7 +314,7 @@ def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity
 
 
 def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
-    """Return the trigger's quadratic form (1+θ) e'He − θ·(stage cost in silence) of a policy with the share θ.
+    """Return the form (1+θ) e'He − θ·(stage cost in silence), by which a trigger limits the cost of silence.
 
     It is at most θ tr(QΣ) whenever nothing is sent.
 

@@ -117,7 +117,7 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
 
 
 def predicted_steps(closed: Array, rule: Trigger) -> tuple[Step, ...]:
-    """Return the policy steps of sensor and actuator that both predict the state; the prediction error triggers sends.
+    """Return the policy steps of a sensor and an actuator that predict the state; the prediction error triggers sends.
 
     Args:
         closed: state transition matrix e^{(A+BL)τ} of the model, (n, n).

@@ -17,7 +17,7 @@ def relative(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends when the error |e| exceeds a share σ of the norm |x̂| of the state estimate.
+    """Design LQG control that sends when the error norm |e| exceeds σ times the norm |x̂| of the state estimate.
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses: the last estimate sent, or its prediction.
     Without noise the state tends to zero if σ is small. With noise, the rule sends often while the state is near zero.

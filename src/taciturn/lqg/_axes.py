@@ -105,19 +105,19 @@ class Axes:
         return inverse @ np.abs(given.A) @ T, T.T @ np.abs(given.Q) @ T
 
     def gain(self, L: Array) -> Array:
-        """Return a gain, given in the original coordinates, in these coordinates."""
+        """Convert a gain from the original coordinates to these coordinates."""
         return L @ self.T / self.units[:, None]
 
     def gain_from(self, L: Array) -> Array:
-        """Return a gain, given in these coordinates, in the original coordinates."""
+        """Convert a gain from these coordinates to the original coordinates."""
         return self.units[:, None] * (L @ self.inverse)
 
     def form_from(self, K: Array) -> Array:
-        """Return the matrix of a quadratic form of the state in the original coordinates."""
+        """Convert the matrix of a quadratic form of the state from these coordinates to the original ones."""
         return symmetrised(self.inverse.T @ K @ self.inverse)
 
     def price_from(self, H: Array) -> Array:
-        """Return the matrix of a quadratic form of the input in the original units of the input."""
+        """Convert the matrix of a quadratic form of the input from these units to the original units."""
         return H / self.units / self.units[:, None]
 
 

@@ -50,7 +50,7 @@ class Discrete(Displayed):
 
     @cached_property
     def moving(self) -> Bits:
-        """States on which an average cost depends: all but uncontrollable, marginally stable ones without cost, (n,).
+        """Mask of all states but uncontrollable, marginally stable ones that do not affect the cost, (n,).
 
         States that the excluded ones affect are excluded too. An average cost does not depend on the excluded states,
         and their variance may grow without bound.

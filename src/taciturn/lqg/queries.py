@@ -1,4 +1,4 @@
-"""Schedules of sensor queries, from the value of a measurement to the controller."""
+"""Schedules of sensor queries, computed from the value of a measurement to the controller."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ class Layout(NamedTuple):
 
     @property
     def magnitude(self) -> int:
-        """Bit mask of all bits of a number but the sign."""
+        """Bit mask that selects all bits of a number except the sign."""
         return (1 << self.sign) - 1
 
     @property

@@ -144,12 +144,12 @@ def square(b: Builder, x: Coefficient) -> Coefficient:
 
 
 def arcsine(b: Builder, x: Coefficient) -> Coefficient:
-    """Return arcsin x, the angle of (√(1 − x²), x); NaN beyond ±1."""
+    """Return arcsin x, computed as the angle of the point (√(1 − x²), x); NaN for |x| > 1."""
     return circular.direction(b, b.value(x), _other_side(b, x))
 
 
 def arccosine(b: Builder, x: Coefficient) -> Coefficient:
-    """Return arccos x, the angle of (x, √(1 − x²)); NaN beyond ±1."""
+    """Return arccos x, computed as the angle of the point (x, √(1 − x²)); NaN for |x| > 1."""
     return circular.direction(b, _other_side(b, x), b.value(x))
 
 

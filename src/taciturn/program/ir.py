@@ -195,7 +195,7 @@ class Builder:
         return total
 
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
-        """Return the matrix times the values, row by row, or as one ``product`` if the matrix is large and constant."""
+        """Return the product of a matrix and values, row by row, or as one operation if it is large and constant."""
         # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
         full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
@@ -368,7 +368,7 @@ def _alive(program: Program, leader: Sequence[int], alive: set[int]) -> list[int
 
 
 def needed(program: Program, roots: Sequence[int]) -> set[int]:
-    """Return the operations of a program on which the operations ``roots`` depend within one step."""
+    """Return all operations of a program on which the operations ``roots`` depend within one step."""
     needed = set(roots)
     # operations read earlier ones only, so one pass from the last to the first finds all
     for index in range(max(needed, default=-1), -1, -1):

@@ -184,7 +184,7 @@ class TimeStep:
         return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return a truth value for each outcome of a condition but the last; for a packet, that it has not arrived."""
+        """Return truth values of all outcomes of a condition but the last; for a packet, whether it did not arrive."""
         if isinstance(condition, str):
             return self.outcomes[condition]
         return [self._not(self._arrived(condition.link))]

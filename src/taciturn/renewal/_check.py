@@ -38,7 +38,7 @@ class Matrix:
 
     @property
     def slack(self) -> float:
-        """Relative error of the send rate and the excess cost that this map causes."""
+        """Relative error of send rate and excess cost due to this numerical map; it is 0 for a matrix."""
         return 0.0
 
     def after(self, share: Array) -> Array:
@@ -46,11 +46,11 @@ class Matrix:
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return the solution X of the linear equation X = known + entries·X, column by column."""
+        """Return expected sums of node values until the next send: the solution X of X = known + entries·X."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return the solution X of the linear equation X = known + after(X)."""
+        """Return given node probabilities summed over all later checks: the solution X of X = known + after(X)."""
         return Matrix(self.entries.T).settled(known)
 
 
@@ -122,11 +122,17 @@ class Grid:
         return self.read.T
 
     def settled(self, known: Array) -> Array:
-        """Return the solution X of X = known + ahead(X), column by column; NaN if GMRES does not converge."""
+        """Return expected sums of node values until the next send: the solution X of X = known + ahead(X).
+
+        The result is NaN if GMRES does not converge. Each column is solved separately.
+        """
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return the solution X of X = known + after(X); NaN if GMRES does not converge."""
+        """Return given node probabilities summed over all later checks: the solution X of X = known + after(X).
+
+        The result is NaN if GMRES does not converge.
+        """
         return self._solved(self.after, known)
 
     def _solved(self, check: Callable[[Array], Array], known: Array) -> Array:

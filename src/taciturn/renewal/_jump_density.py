@@ -148,7 +148,9 @@ class Rays:
         return Rays(self.tables[:, chosen], self.single[chosen], self.size[chosen])
 
     def density(self, root: Array, radius: Array, outer: int) -> Array:
-        """Return the density p times the radius ρ at radii along each ray, given √(ρ/reach) and ρ, (rays, nodes) each.
+        """Return the density p times the radius ρ at given radii along each ray, (rays, nodes).
+
+        The radii are given as √(ρ/reach) and as ρ.
 
         All radii must lie in the same radial table.
         """

@@ -96,7 +96,7 @@ class Level:
     first: npt.NDArray[np.int64]
 
     def gathered(self, fall: Array, sums: Array) -> Array:
-        """Return the sum of fall ⊗ sums over the nodes on this axis, for each point of the outer axes.
+        """Return, for each point on the outer axes, the sum over this axis of the products of ``fall`` and ``sums``.
 
         The shapes are (places, points) and (places, k) to (outer, points·k).
         """

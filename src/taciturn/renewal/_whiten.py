@@ -20,7 +20,7 @@ AGES = 20_000  # most checks without a send
 
 @dataclass(frozen=True, eq=False)
 class White:
-    """The error x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, it is not sent and costs x'Γx.
+    """Error process x⁺ = F x + w with w ~ N(0, I); if Σ_i m_i x_i² ≤ 1, the error is not sent and costs x'Γx.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -54,7 +54,7 @@ class Data:
     rows: Array
 
     def seen_in(self, rows: Array, columns: Array) -> Data:
-        """Return the same error in other coordinates z, where z = rows·e and e = columns·z."""
+        """Return the same error process in other coordinates z = rows·e, where e = columns·z."""
         return Data(
             rows @ self.F @ columns,
             symmetrised(rows @ self.noise @ rows.T),
@@ -65,7 +65,7 @@ class Data:
 
 
 def reduced(chain: Chain) -> Data:
-    """Return the error without directions that noise never reaches or that affect neither trigger nor cost.
+    """Return an error process without directions that noise never reaches or that affect neither trigger nor cost.
 
     Args:
         chain: chain with Gaussian noise.
@@ -90,7 +90,7 @@ def reduced(chain: Chain) -> Data:
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return the error in the fewest coordinates, with white noise and a diagonal trigger weight Ψ.
+    """Return an error process in its fewest coordinates, with white noise and a diagonal trigger weight Ψ.
 
     Args:
         chain: chain with Gaussian noise.

@@ -18,7 +18,7 @@ HALVINGS = 200
 
 
 class Clocked:
-    """An error e⁺ = F e (1−σ) + w that is sent periodically, at every k-th check, and costs e'Γe at the others.
+    """An error e⁺ = F e (1−σ) + w that is sent periodically, at every k-th check, and costs e'Γe at other checks.
 
     At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
     checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
@@ -52,7 +52,7 @@ class Clocked:
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
 
     def interval(self, price: float) -> float:
-        """Return the optimal number of checks between sends at a price per send; infinite if sending never pays.
+        """Return the optimal number of checks between sends at a price per send, or infinity if no send pays off.
 
         It is the k with the least (S(k) + price)/k.
 

@@ -85,7 +85,7 @@ def integral(b: Builder, form: Monomials, length: int) -> list[int | None]:
 
 
 def evaluate(b: Builder, monomials: Monomials, x: int) -> int:
-    """Return the value of a polynomial at a point x of the piece of time."""
+    """Return the value at x of a polynomial that is given by its coefficients."""
     return _horner(b, monomials, x)[0]
 
 

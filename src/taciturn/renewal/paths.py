@@ -168,7 +168,7 @@ def predict_fewest(chain: Chain) -> float:
 
 
 def least_work(chain: Chain) -> float:
-    """Return a lower bound on the operations of ``solve_paths``: its fewest paths, with a send at every check."""
+    """Return a lower bound on the operations of ``solve_paths``, for its fewest paths and a send at every check."""
     return _fewest(chain, 1.0)
 
 
