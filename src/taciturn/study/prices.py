@@ -56,7 +56,7 @@ _KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(Displayed):
-    """A nearly optimal schedule for the errors of a kind at a price.
+    """A nearly optimal schedule for one kind of loops at a price per send.
 
     Args:
         price: price per send, in the units of the cost times steps.
@@ -71,7 +71,7 @@ class Schedule(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Settled(Displayed):
-    """Estimates of a kind at a price.
+    """The schedule and the lower bound of one kind of loops at a price per send.
 
     Args:
         schedule: a nearly optimal schedule.
@@ -103,7 +103,7 @@ class Job(Displayed):
 
     @property
     def key(self) -> Hashable:
-        """Key of all data that the answer depends on."""
+        """Cache key with all data on which the answer of the job depends."""
         return _numbers(self.kind), self.price, self.seed, self.confidence, self.precise
 
 

@@ -51,7 +51,7 @@ class Goal(Displayed):
         return f"{self.name} at most {self.budget:.6g}"
 
     def rate(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link.
+        """Return the rate of the link to which the budget refers.
 
         Raises:
             ProblemError: the policy does not decide on it.

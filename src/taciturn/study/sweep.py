@@ -308,7 +308,7 @@ class _Table:
         self.methods: set[str] = set()
 
     def put(self, index: int, seed: int, answer: Evaluation | Refusal) -> None:
-        """Write the answer of a cell."""
+        """Write the answer of a cell to the columns of the result."""
         self.seeds[index] = seed
         if isinstance(answer, Refusal):
             self.refusals[index] = str(answer.error)
@@ -345,7 +345,7 @@ class _Table:
         warnings.warn(sentence, stacklevel=3)
 
     def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
-        """Return the columns over the grid, in the order of ``COLUMNS``."""
+        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``."""
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}
