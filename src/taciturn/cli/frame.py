@@ -95,7 +95,8 @@ Settings = Annotated[
     ),
 ]
 NoFunctions = Annotated[
-    bool, typer.Option("--no-functions", help="Refuse problems that name a function, which would be executed.")
+    bool,
+    typer.Option("--no-functions", help="Refuse problem files that name Python functions, which would be executed."),
 ]
 GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the random numbers. Default: 0.")]
 Link = Annotated[

@@ -130,7 +130,9 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
         path = _path(name)
         for other in itertools.islice(listed, len(listed) - 1):
             if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
-                raise ProblemError(f"{other} and {name} are the same, or one contains the other; expected one of them")
+                raise ProblemError(
+                    f"the keys {other} and {name} are the same, or one contains the other; expected one of them"
+                )
     if not listed or not all(listed.values()):
         raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
     return listed

@@ -211,10 +211,12 @@ class Page:
     def _check(self, row: Mapping[str, Any], keys: tuple[str, ...]) -> About:
         """Return the description of the round, if a row contains the given keys and a state of the right size."""
         if self._about is None:
-            raise ProblemError("a row is shown before a round begins; expected a call of begin first")
+            raise ProblemError("a step is shown before a round begins; expected a call of begin first")
         missing = [key for key in keys if key not in row]
         if missing:
-            raise ProblemError(f"a row lacks {', '.join(map(repr, missing))}; expected the keys {', '.join(keys)}")
+            raise ProblemError(
+                f"the row of a step lacks {', '.join(map(repr, missing))}; expected the keys {', '.join(keys)}"
+            )
         _check_size("state", row["state"], self._about.states)
         return self._about
 
