@@ -224,11 +224,15 @@ class Page:
 def _check_size(key: str, values: Any, names: tuple[str, ...]) -> None:
     """Reject a vector of the wrong size."""
     if len(values) != len(names):
-        raise ProblemError(f"{key} of a row has {len(values)} numbers; expected {len(names)}: {', '.join(names)}")
+        raise ProblemError(
+            f"{key} of the row of a step has {len(values)} numbers; expected {len(names)}: {', '.join(names)}"
+        )
 
 
 def _check_links(key: str, values: Mapping[str, Any], links: tuple[str, ...]) -> None:
     """Reject a mapping that lacks an entry for a link."""
     lacking = [link for link in links if link not in values]
     if lacking:
-        raise ProblemError(f"{key} of a row lacks the link {lacking[0]!r}; expected one entry for each link")
+        raise ProblemError(
+            f"{key} of the row of a step lacks the link {lacking[0]!r}; expected one entry for each link"
+        )
