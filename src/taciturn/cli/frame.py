@@ -84,7 +84,7 @@ Kind = Annotated[
     str | None,
     typer.Option(metavar="KIND", help="Policy kind, e.g. lqg. Prompted for if omitted.", autocompletion=complete_kind),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")]
 Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 Settings = Annotated[
     list[str] | None,
@@ -102,7 +102,7 @@ GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the rando
 Link = Annotated[
     str | None,
     typer.Option(
-        help="Link to which the rate refers if the policy decides on both: sensor or actuator.",
+        help="Link to which the rate refers if the policy decides on both links: sensor or actuator.",
         autocompletion=complete_from("sensor", "actuator"),
     ),
 ]

@@ -256,7 +256,7 @@ def channel(
         ),
     ],
     copies: Annotated[
-        str, typer.Option(metavar="M[,M…]", help="Loops per problem: one number, or one number for each problem.")
+        str, typer.Option(metavar="M[,M…]", help="Number of loops of each problem, or one number for all.")
     ],
     capacity: Annotated[int, typer.Option(help="Largest number of sends per step, from 1 to the number of loops.")],
     scheduler: Annotated[

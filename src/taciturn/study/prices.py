@@ -109,7 +109,7 @@ class Job(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """Lower bound on the cost of any scheduler of some loops.
+    """Lower bound on the cost of a set of loops under any scheduler.
 
     Args:
         cost: sum over all loops, in the units of the cost.

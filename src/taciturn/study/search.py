@@ -242,7 +242,7 @@ class Search:
         return measured, error, along
 
     def measure(self, look: Look, standard_error: float | None) -> Look:
-        """Return a trial at full precision."""
+        """Return a trial of the same value of the tuning parameter at full precision."""
         return self._look(look.value, standard_error=standard_error)
 
     def measure_within(self, look: Look, standard_error: float | None) -> Look:
