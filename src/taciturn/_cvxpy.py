@@ -23,7 +23,7 @@ def expect_solver() -> None:
 
 
 class Minimum:
-    """The problem to minimise objective'x subject to mat((A + share·S) x + b) ⪰ 0 for all blocks, at several shares.
+    """A semidefinite program: minimise objective'x such that mat((A + share·S) x + b) ⪰ 0 for all blocks, any share.
 
     cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
 

@@ -1,4 +1,4 @@
-"""The largest mean of the entries of a matrix along a cycle."""
+"""The largest geometric mean of the entries of a matrix along a cycle of its indices."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a process ends on a signal: the same way in every command.
+"""Handling of signals such as Ctrl-C, which end the process in the same way in every command.
 
 The first signal raises ``Interrupted`` in the main thread, or stops a server (``until_stopped``). A thread waits for
 signals too. It ends the process if the main thread has not done so after a grace period, for example because compiled
@@ -29,7 +29,7 @@ LAST = 0.6  # seconds that the last calls, and the output so far, may take when 
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal that ends this process has arrived."""
+    """Exception that is raised when a signal that ends this process has arrived."""
 
 
 class Ending:

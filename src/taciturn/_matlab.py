@@ -48,7 +48,7 @@ class _Sizes:
         self._path, self._sum = path, 0
 
     def add(self, name: str, size: int) -> None:
-        """Add the bytes of a variable, or of a part of the file.
+        """Add the bytes of a variable, or of a part of the file, to the total size.
 
         Raises:
             ProblemError: the sum is too large.
@@ -61,7 +61,7 @@ class _Sizes:
             )
 
     def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:
-        """Add an array with a given shape and bytes per entry.
+        """Add the bytes of an array, from its shape and the bytes per entry, to the total size.
 
         Raises:
             ProblemError: the sum is too large.

@@ -175,7 +175,7 @@ class Slow:
 
     @cached_property
     def found(self) -> tuple[Modes, Array]:
-        """The modes, (k,), and their first-order sensitivities to changes of the matrix, (k,)."""
+        """Modes that may not decay, (k,), and their first-order sensitivities to changes of the matrix, (k,)."""
         modes, vectors = (np.asarray(part, dtype=np.complex128) for part in np.linalg.eig(self.A))
         size = float(np.sqrt(np.sum(self.A * self.A)))
         may = (modes.real > -LOOSE * size) if self.continuous else (np.abs(modes) > 1 - LOOSE)
@@ -287,7 +287,7 @@ def reach(A: Array, B: Array) -> tuple[Array, Array]:
 
 
 def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Array:
-    """Return G with G G' = matrix and one column per direction; the result does not depend on the units.
+    """Return G with G G' = matrix and one column per nonzero eigenvalue, independently of the units.
 
     Args:
         matrix: (n, n), semidefinite up to rounding.

@@ -64,7 +64,7 @@ class Stages:
         self.tick()
 
     def tick(self) -> None:
-        """Report the same fraction again, so that the time limit is checked."""
+        """Report the same progress again, so that the time limit is checked."""
         if self.progress is not None:
             self.progress(self.low + (self.high - self.low) * self.at)
 

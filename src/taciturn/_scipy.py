@@ -1,4 +1,4 @@
-"""Typed interface to the functions of scipy that are used."""
+"""Typed interface to the functions of scipy that this package uses."""
 
 from __future__ import annotations
 

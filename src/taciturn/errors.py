@@ -8,12 +8,12 @@ class TaciturnError(ValueError):
 
 
 class ProblemError(TaciturnError):
-    """Data that are malformed, inconsistent, or outside the range that the theory requires."""
+    """Raised for data that are malformed, inconsistent, or outside the range that the theory requires."""
 
 
 class InformationError(TaciturnError):
-    """A policy in which a node uses a signal that is not available to it."""
+    """Raised for a policy in which a node uses a signal that is not available to it."""
 
 
 class UnstableError(TaciturnError):
-    """A loop that diverges, or a plant without a stabilising gain."""
+    """Raised for a loop that diverges, or a plant without a stabilising gain."""

@@ -65,9 +65,8 @@ class Loop(Displayed):
         if size and not LEAST[self.precision] < size < 1 / LEAST[self.precision]:
             remedy = "precision 'float64', or " if self.precision == "float32" else ""
             raise ProblemError(
-                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside the "
-                f"range of this format; expected {remedy}a rescaled problem, for example with other units of Q and R, "
-                "or of W"
+                f"precision is {self.precision!r}, but the cost of a step is about {size:.1g}, outside this format's "
+                f"range; expected {remedy}a rescaled problem, for example with other units of Q and R, or of W"
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
@@ -77,7 +76,7 @@ class Loop(Displayed):
 
     @property
     def nominal(self) -> bool:
-        """Whether plant, network and cost are those of the policy's design, so that its theory applies."""
+        """True if plant, network and cost are those of the policy's design, so that its theory applies."""
         return not self.violated_assumptions
 
     @property
@@ -100,7 +99,7 @@ class Loop(Displayed):
 
     @property
     def reducible(self) -> bool:
-        """Whether the loop has the same distribution as a loop that is driven by the filter's innovations."""
+        """True if the loop has the same distribution as a loop that is driven by the filter's innovations."""
         gaussian = self.problem.jumps is None
         return self.nominal and gaussian and self.policy.innovations is not None and self.horizon is None
 
@@ -151,9 +150,7 @@ class Loop(Displayed):
         """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError(
-                "the loop has no innovations form; expected the plant, network and horizon of its design"
-            )
+            raise ProblemError("the loop has no innovations form; expected its designed plant, network and horizon")
         spread = factor(innovations.covariance)
         tick = self._tick({DRAWN: spread.shape[1]})
         tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)

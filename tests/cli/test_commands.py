@@ -231,10 +231,7 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("plant.dt.x=1", "plant.dt.x is not a key: dt is 1.0; expected a key such as plant.dt"),
         ("plant.A.0=1", "plant.A.0 is not a key: A is [[1.2]]; expected a key such as plant.dt"),
         ("cost.R=1,2", "the changed problem: cost.R is 1; expected a list"),
-        (
-            "cost.discount=0.9",
-            "cost.discount is 0.9, which lqg does not use; expected an average cost: remove this key",
-        ),
+        ("cost.discount=0.9", "cost.discount is 0.9, which lqg does not use; expected an average cost: remove"),
         (
             "network.actuator_loss=0.1",
             "the changed problem: network.actuator_loss is given, which lqg does not use; expected ideal links",

@@ -238,7 +238,7 @@ def test_without_a_compiler_a_note_says_so_and_one_that_fails_is_told(tmp_path: 
     loop = LOOPS["two-mass-lqg"]()
     unit = print_fmu(loop, "unit", compiler="cc-that-is-not-there")
     assert unit.notes == (
-        "the unit has no binary because there is no compiler 'cc-that-is-not-there' here: the importing simulator "
+        "the unit has no binary because this machine has no compiler 'cc-that-is-not-there': the importing simulator "
         "compiles the sources, or `fmpy compile` does",
     )
     failing = tmp_path / "failing"

@@ -187,7 +187,7 @@ REFUSED = [
     ({"slope": 0.0}, "slope is 0; expected 0 < slope"),
     (
         {"slope": 10.0},
-        "slope is 10, but f is below the cost of periodic control only up to 9.15569; expected 0 < slope ≤",
+        "slope is 10, but the threshold f is below the cost of periodic control only up to a slope of 9.15569;",
     ),
     ({"slope": 9.0, "alpha": 3.0}, "alpha is 3, but the resulting mean interval L(alpha) is "),
     ({"slope": 5.0, "h_min": 3.0}, "h_max is 2; expected 3 < h_max"),
@@ -203,7 +203,7 @@ REFUSED = [
     ),
     (
         {"slope": 0.1, "plant": STABLE, "cost": Cost([[1.0]], [[1.0]]), "h_max": np.inf},
-        "no slope is admissible: f increases",
+        "no slope is admissible: the threshold f increases",
     ),
     ({"slope": 5.0, "cost": Cost(np.eye(2), [[10.0]], horizon=3)}, "cost.horizon is 3, which integral does not use"),
     ({"slope": 5.0, "plant": ContinuousPlant(DOUBLE.A, DOUBLE.B, np.zeros((2, 2)))}, "the noise causes no error "),

@@ -348,10 +348,7 @@ def branches(x: Any, u: Any) -> Any:
 BAD: dict[str, tuple[Callable[..., Any], str]] = {
     "branch": (branches, "branches needs the truth value of a condition .*; expected np.where"),
     "builtin max": (lambda x, u: x * max(x[0], 1.0), "needs the truth value of a condition \\(for if, and, or, max\\)"),
-    "sine of floats": (
-        lambda x, u: x * math.sin(x[0]),
-        "converts a traced number to a float \\(as math.sin.* np.stack",
-    ),
+    "sine of floats": (lambda x, u: x * math.sin(x[0]), "number to a float \\(as math.sin.* np.stack"),
     "float": (lambda x, u: x * float(x[0]), "converts a traced number to a float"),
     "range": (lambda x, u: x * len(range(x[0])), "converts a traced number to an integer"),
     "transform": (lambda x, u: np.fft.fft(x), "uses np.fft, which cannot be traced; expected one of absolute"),

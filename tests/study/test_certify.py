@@ -37,7 +37,7 @@ def test_without_noise_only_the_gain_is_missing() -> None:
     found = taciturn.certify(Problem(plant, cost, Network(), "relative", {"sigma": 0.1}))
     assert found.gain is None
     assert found.notes == (
-        "the loop has no noise (W and V are zero), so it has no gain from noise to cost; expected W or V not zero",
+        "the loop has no noise (W and V are zero), so it has no gain from noise to cost; expected a nonzero W or V",
     )
     assert found.decay is not None
     assert found.limit == 0

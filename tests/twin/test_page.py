@@ -266,9 +266,9 @@ def test_seats_are_limited_and_become_free(page: Page, monkeypatch: pytest.Monke
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        ({"state": [1.0, 2.0]}, r"state of a row has 2 numbers; expected 1: x \[m\]"),
-        ({"estimate": []}, "estimate of a row has 0 numbers; expected 1"),
-        ({"sent": {"sensor": 1}}, "sent of a row lacks the link 'actuator'"),
+        ({"state": [1.0, 2.0]}, r"state of the row of a step has 2 numbers; expected 1: x \[m\]"),
+        ({"estimate": []}, "estimate of the row of a step has 0 numbers; expected 1"),
+        ({"sent": {"sensor": 1}}, "sent of the row of a step lacks the link 'actuator'"),
         ({"cost": float("nan")}, "the row of step 0 holds a number that is not finite; expected None"),
         ({"input": np.array([np.inf])}, "holds a number that is not finite"),
         ({"cost": 1j}, r"cannot be sent \(a value has the type complex\)"),
@@ -278,9 +278,11 @@ def test_a_row_that_could_not_be_drawn_is_refused(page: Page, change: dict[str, 
     """With one sentence, and no page hears of it."""
     with pytest.raises(ProblemError, match=says):
         page.put({**ROWS[0], **change})
-    with pytest.raises(ProblemError, match="a row lacks 'drops', 'degraded'; expected the keys tick, time"):
+    with pytest.raises(ProblemError, match="the row of a step lacks 'drops', 'degraded'; expected the keys tick, time"):
         page.put({key: value for key, value in ROWS[0].items() if key not in ("drops", "degraded")})
-    with pytest.raises(ProblemError, match="a row lacks 'state'; expected the keys tick, state, cost, packets"):
+    with pytest.raises(
+        ProblemError, match="the row of a step lacks 'state'; expected the keys tick, state, cost, packets"
+    ):
         page.compare({"tick": 0, "cost": 0.0, "packets": {"sensor": 1, "actuator": 1}})
     page.put(ROWS[1])
     assert Reader(page).take(2)[1] == ("tick", ROWS[1])
@@ -307,6 +309,6 @@ def test_a_round_that_could_not_be_shown_is_refused(build: Callable[[], object],
         build()
     with (
         Page(("127.0.0.1", 0)) as page,
-        pytest.raises(ProblemError, match="a row is shown before a round begins; expected"),
+        pytest.raises(ProblemError, match="a step is shown before a round begins; expected"),
     ):
         page.put(ROWS[0])

@@ -175,7 +175,7 @@ def find_gain(loop: Switched) -> Gain:
     """
     if not loop.G.shape[1]:
         raise NoCertificateError(
-            "the loop has no noise (W and V are zero), so it has no gain from noise to cost; expected W or V not zero"
+            "the loop has no noise (W and V are zero), so it has no gain from noise to cost; expected a nonzero W or V"
         )
     unit = _unit_of(loop.M)
     proof = _minimised(_gain(loop, unit, None), {GAMMA: 1.0}, "gain")

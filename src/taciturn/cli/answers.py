@@ -211,7 +211,7 @@ def tune(
     seed: GivenSeed = None,
     standard_error: StandardError = None,
 ) -> None:
-    """Tune the parameter of a policy to a rate or a cost."""
+    """Tune the parameter of a policy to meet a budget on its rate or its cost."""
     import taciturn
     from taciturn.study.periods import TunedPeriod, tune_period
     from taciturn.study.record import origin

@@ -38,7 +38,9 @@ def export(
     settings: Settings = None,
     no_functions: NoFunctions = False,
     precision: Annotated[str, typer.Option(help="Number format: float64 or float32.")] = "float64",
-    fmi: Annotated[str | None, typer.Option(metavar="3.0|2.0", help="With --fmu: version. Default: 3.0.")] = None,
+    fmi: Annotated[
+        str | None, typer.Option(metavar="3.0|2.0", help="With --fmu: version of FMI. Default: 3.0.")
+    ] = None,
     seed: Seed = 0,
     as_json: Json = False,
 ) -> None:

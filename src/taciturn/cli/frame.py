@@ -55,10 +55,10 @@ WIDEST = 160  # largest width of help texts in columns; on narrower terminals th
 
 
 class Groups(typer.core.TyperGroup):
-    """Lists commands by purpose, each with its full description."""
+    """Group of commands whose help lists the commands by purpose, each with its full description."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write a section for each group."""
+        """Write a section of the help for each group of commands."""
         for title, names in GROUPS.items():
             with formatter.section(title):
                 formatter.write_dl([(name, (self.commands[name].help or "").partition("\n")[0]) for name in names])
@@ -84,7 +84,7 @@ Kind = Annotated[
     str | None,
     typer.Option(metavar="KIND", help="Policy kind, e.g. lqg. Prompted for if omitted.", autocompletion=complete_kind),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document only.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON document.")]
 Seed = Annotated[int, typer.Option(help="Seed of the random numbers.")]
 Settings = Annotated[
     list[str] | None,
@@ -95,13 +95,14 @@ Settings = Annotated[
     ),
 ]
 NoFunctions = Annotated[
-    bool, typer.Option("--no-functions", help="Refuse problems that name a function, which would be executed.")
+    bool,
+    typer.Option("--no-functions", help="Refuse problem files that name Python functions, which would be executed."),
 ]
 GivenSeed = Annotated[int | None, typer.Option("--seed", help="Seed of the random numbers. Default: 0.")]
 Link = Annotated[
     str | None,
     typer.Option(
-        help="Link to which the rate refers if the policy decides on both: sensor or actuator.",
+        help="Link to which the rate refers if the policy decides on both links: sensor or actuator.",
         autocompletion=complete_from("sensor", "actuator"),
     ),
 ]
@@ -218,7 +219,7 @@ def _message(sentence: str) -> str:
 
 
 def refuse(sentence: str) -> None:
-    """Print a sentence to standard error and exit with code 2; a signal has its own sentence and code."""
+    """Print an error message to standard error and exit with code 2, unless a signal has ended the command."""
     if has_ended():
         raise Interrupted
     print(end="", flush=True)  # the results so far come before the error
@@ -293,6 +294,6 @@ def load_changed(file: str, settings: list[str] | None, no_functions: bool) -> P
 
 
 def note_seed(seed: int | None, drawn: bool) -> None:
-    """Print a note if a seed is given and nothing was drawn."""
+    """Print a note if a seed is given but no random numbers were drawn."""
     if seed is not None and not drawn:
         typer.echo(f"note: --seed {seed} had no effect: nothing was drawn")

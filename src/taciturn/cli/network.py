@@ -337,7 +337,7 @@ def _wire(
 
 
 def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Raise an error if a count is below 1, or if there are more loops than a packet can number."""
+    """Raise an error if an option is below 1, or if the loop number of a packet cannot represent all loops."""
     from taciturn._arrays import count, number
 
     for name, value in counts.items():

@@ -59,7 +59,7 @@ def tradeoff(
     standard_error: StandardError = None,
     confidence: Confidence = None,
     store: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Store every point, so that a second run continues.")
+        Path | None, typer.Option(metavar="DIR", help="Folder for the results of all points; a second run continues.")
     ] = None,
     workers: Workers = 1,
 ) -> None:
@@ -113,7 +113,7 @@ def sweep(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Store every cell, so that a second run continues; the result is DIR/result.nc.",
+            help="Folder for the results of all cells; a second run continues. All results: DIR/result.nc.",
         ),
     ],
     settings: Settings = None,
@@ -256,7 +256,7 @@ def channel(
         ),
     ],
     copies: Annotated[
-        str, typer.Option(metavar="M[,M…]", help="Loops per problem: one number, or one number for each problem.")
+        str, typer.Option(metavar="M[,M…]", help="Number of loops of each problem, or one number for all.")
     ],
     capacity: Annotated[int, typer.Option(help="Largest number of sends per step, from 1 to the number of loops.")],
     scheduler: Annotated[

@@ -101,7 +101,8 @@ def integral(
     largest = _largest_slope(price, trigger)
     if largest <= 0:
         raise ProblemError(
-            "no slope is admissible: f increases without bound, but the cost of periodic control is bounded or "
+            "no slope is admissible: the threshold f increases without bound, but the cost of periodic control is "
+            "bounded or "
             "increases too slowly at first; expected a finite h_max or saturation, or h_min > 0"
         )
 
@@ -277,8 +278,9 @@ class _Search:
         allowed = self.largest * (interval.value + SURE * interval.standard_error)
         if alpha * self.slope > allowed * (1 + PRINTED):
             raise ProblemError(
-                f"slope is {self.slope:g}, but with alpha = {alpha:g} f is below the cost of periodic control only up "
-                f"to {allowed / alpha:.6g}; expected 0 < slope ≤ {allowed / alpha:.6g} with this alpha"
+                f"slope is {self.slope:g}, but with alpha = {alpha:g} the threshold f is below the cost of periodic "
+                f"control only up to a slope of {allowed / alpha:.6g}; expected 0 < slope ≤ {allowed / alpha:.6g} with "
+                "this alpha"
             )
         return Estimate(alpha, 0.0, "exact")
 
@@ -290,8 +292,8 @@ class _Search:
         """
         if self.slope > self.largest * (1 + PRINTED):
             raise ProblemError(
-                f"slope is {self.slope:g}, but f is below the cost of periodic control only up to {self.largest:.6g}; "
-                f"expected 0 < slope ≤ {self.largest:.6g}"
+                f"slope is {self.slope:g}, but the threshold f is below the cost of periodic control only up to a "
+                f"slope of {self.largest:.6g}; expected 0 < slope ≤ {self.largest:.6g}"
             )
         low, high = self._bracket()
         below, above = (self.after(alpha, FIRST_CYCLES).interval.value for alpha in (low, high))
@@ -334,7 +336,8 @@ class _Search:
                 shorter = "" if self.period is None else f", or a period below {self.period:g}"
                 raise ProblemError(
                     f"slope is {self.slope:g}, but no alpha is below its resulting mean interval L(alpha); "
-                    f"expected a slope closer to {self.largest:.6g}, the largest for which f is below the cost of "
+                    f"expected a slope closer to {self.largest:.6g}, the largest for which the threshold f is below "
+                    "the cost of "
                     f"periodic control{shorter}"
                 )
         return low, high

@@ -78,12 +78,12 @@ _WRAPPED = ("tac_receive", "tac_step", "tac_send")
 
 
 def self_check(folder: CFolder) -> Main:
-    """Return the folder's self-check as a program for a board."""
+    """Return the self-check of exported nodes as a program for a board."""
     return Main(tuple(name for name in folder.files if name.endswith(".c")))
 
 
 def measurement(folder: CFolder) -> Main:
-    """Return the self-check with instruction counting, for QEMU with its instruction counter."""
+    """Return the self-check of exported nodes as a program that counts instructions on QEMU."""
     wrapped = tuple(f"-Wl,--wrap={name}" for name in ("main", *(f"{one}_{folder.sizes}" for one in _WRAPPED)))
     return Main((*self_check(folder).files, "measure.c"), wrapped)
 
@@ -172,7 +172,7 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return the sizes of the nodes on a Cortex-M, or on this machine if only that compiler is installed; or None.
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if only its compiler is installed, else None.
 
     Args:
         folder: folder with the nodes, which are compiled with optimisation for size.
@@ -255,7 +255,7 @@ def emulate(board: Board, program: Path, options: Sequence[str]) -> list[str]:
 
 
 class Count(NamedTuple):
-    """The number of instructions per step.
+    """The mean and the largest number of instructions per step.
 
     Args:
         mean: mean over the steps.

@@ -93,7 +93,7 @@ def list_variables(loop: Loop) -> tuple[Variable, ...]:
 
 
 def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple[str, ...], ticks: int) -> bytes:
-    """Return the model description of a unit.
+    """Return the XML model description of a functional mock-up unit.
 
     Args:
         loop: loop whose policy the unit contains.
@@ -131,7 +131,7 @@ def describe(loop: Loop, name: str, version: Version, token: str, sources: tuple
 
 
 def describe_build(name: str, sources: tuple[str, ...]) -> bytes:
-    """Return the build description of a unit of FMI 3.0."""
+    """Return the XML build description of a functional mock-up unit for FMI 3.0."""
     root = Xml.Element("fmiBuildDescription", {"fmiVersion": "3.0"})
     build = Xml.SubElement(root, "BuildConfiguration", {"modelIdentifier": name})
     listed = Xml.SubElement(build, "SourceFileSet", {"language": "C99"})

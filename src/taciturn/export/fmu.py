@@ -212,7 +212,7 @@ def _place(name: str, version: Version, compiler: str | None) -> str:
     if compiler is None:
         raise _NoBinaryError("none was requested")
     if shutil.which(compiler) is None:
-        raise _NoBinaryError(f"there is no compiler {compiler!r} here")
+        raise _NoBinaryError(f"this machine has no compiler {compiler!r}")
     if not (system and machine and found):
         raise _NoBinaryError(f"FMI {version} defines no folder name for {platform.system()} on {platform.machine()}")
     return f"binaries/{found}/{name}{ending}"

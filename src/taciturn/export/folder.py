@@ -35,7 +35,7 @@ _BYTES = {"d": 8, "f": 4, "h": 2}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class CFolder(Displayed):
-    """The contents of a folder of C99.
+    """The contents of a folder with the C99 sources of a policy's nodes.
 
     Args:
         name: name of the policy, as an identifier.
@@ -118,7 +118,7 @@ def _first_line(path: Path) -> str:
 
 
 def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows: int = ROWS, seed: int = 0) -> CFolder:
-    """Return the nodes of a loop's policy as C99.
+    """Return the nodes of a loop's policy as a folder of C99 sources.
 
     Args:
         loop: loop with plant, policy and network; it also sets the precision of the nodes.

@@ -148,7 +148,7 @@ class _Data:
     seed: int
 
     def arrays(self) -> list[str]:
-        """Return the arrays to which the node's data point."""
+        """Return the C arrays to which the data of the node point."""
         found, layout = list[str](), self.layout
         shapes = [
             (kind, link, encoding, entries, self._steps(found, f"{kind}_{link}", encoding))

@@ -93,7 +93,7 @@ class NodeOnBoard:
         self.close()
 
     def step(self, tick: int, datagrams: Sequence[bytes] = (), measurement: Sequence[float] | None = None) -> Answer:
-        """Let the node execute a step, and return the result.
+        """Let the node on the board execute a step, and return its packets and input.
 
         Args:
             tick: number of the step, larger than that of the last step.

@@ -39,12 +39,12 @@ class Vector(Displayed):
 
     @property
     def rows(self) -> Array:
-        """All columns with one row per step: first the given values, then the expected ones."""
+        """All recorded columns with one row per step: inputs of the nodes first, then their expected outputs."""
         return np.hstack([self.measured, self.drawn, self.arrived, self.sent, self.applied])
 
 
 def record_loop(loop: Loop, ticks: int, seed: int = 0, drawn: Array | None = None) -> Vector:
-    """Run the bit-exact build of a loop's program, and return the recording.
+    """Run the bit-exact build of a loop's program, and return its measurements, losses, decisions and inputs.
 
     Args:
         loop: the loop, with the precision of its nodes.

@@ -216,7 +216,8 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
     if unknown.size and (closure(resting, np.asarray(plant.A != 0, dtype=np.bool_)) & seen).any():
         raise UnstableError(
             f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which no "
-            "noise and no measurement affects, so that its initial error remains and causes a cost forever; expected 0 "
+            "noise drives and no measurement shows, so that its initial error remains and causes a cost forever; "
+            "expected 0 "
             "there (a known initial state, initial.mean), or a measurement of this state"
         )
 

@@ -213,7 +213,9 @@ def _stabilising(A: Array, B: Array, channel: Channel) -> Array:
     """
     rate, L = slowest_growth(A, B, channel)
     if rate >= 1 - STRICT:
-        raise UnstableError(f"{loss_sentence(A, B, channel)}; expected smaller losses, or cost.horizon")
+        raise UnstableError(
+            f"{loss_sentence(A, B, channel)}; expected smaller losses, or a finite horizon (cost.horizon)"
+        )
     return L
 
 

@@ -325,7 +325,7 @@ def _schedule(
     if start is not None and not found.queries[start:].any() and radius(plant.A[np.ix_(moving, moving)]) >= 1:
         raise UnstableError(
             f"at the price or threshold {price:g} the sensor is never queried, and the plant is unstable, so that the "
-            "estimation error would grow; expected a smaller value, or noise W on the unstable modes"
+            "estimation error would grow; expected a smaller price or threshold, or noise W on the unstable modes"
         )
     return found
 

@@ -93,7 +93,7 @@ class Cost(Displayed):
 
     @property
     def mission(self) -> bool:
-        """Whether the cost is a total over a finite horizon or a discounted sum, and not an average."""
+        """True if the cost is a total over a finite horizon or a discounted sum, and not an average."""
         return self.horizon is not None or self.discount < 1
 
     def same_as(self, other: Cost) -> bool:

@@ -30,11 +30,11 @@ class Estimate(Displayed):
     error: float = 0.0
 
     def summary(self) -> Mapping[str, object]:
-        """Return the value with its error, and the method."""
+        """Return the value with its standard error, and the method."""
         return {"value": self, "method": self.method}
 
     def short(self) -> str:
-        """Return the value with its error."""
+        """Return the value with its standard error as text."""
         return str(self)
 
     def scaled(self, factor: float, offset: float = 0.0) -> Estimate:

@@ -68,7 +68,7 @@ class Assign(Displayed):
         if (on is None) != (len(checked) == 1):
             raise ProblemError(
                 f"{signal} has {len(checked)} branches on {on}; expected one branch without a condition, or several "
-                "branches that depend on one"
+                "branches that depend on a condition"
             )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:

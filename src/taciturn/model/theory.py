@@ -67,7 +67,7 @@ class Innovations(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Reset(Displayed):
-    """An error e⁺ = A e (1−σ) + w that a send resets to zero, with A of the model and w independent between steps.
+    """An error e⁺ = A e (1−σ) + w that a send (σ = 1) resets, with A of the model and white noise w.
 
     Args:
         covariance: covariance of w, (n, n); for a plant with jumps, w is the effect of the jumps.
@@ -81,7 +81,7 @@ class Reset(Displayed):
 
     @property
     def error(self) -> str:
-        """Name of the signal that equals e."""
+        """Name of the signal of the policy that equals the error e."""
         return next(iter(self.signals))
 
     @property
@@ -92,7 +92,7 @@ class Reset(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class ClosedForm(Displayed):
-    """Exact cost in the units of the cost, and exact rates per step.
+    """The exact cost and the exact rates per step of a policy, in closed form.
 
     They are known, for example, for a policy whose actions do not depend on the state.
     """

@@ -117,7 +117,7 @@ class Encoding(Displayed):
         return [Encoding("int16", each[begin:end]) for begin, end in pairwise(ends)]
 
     def rounded(self, values: ArrayLike) -> Array:
-        """Return the values as the receiver decodes them."""
+        """Return values rounded by an encoding, as the receiver decodes them."""
         exact = np.asarray(values, dtype=np.float64)
         if self.name == "float32":
             return exact.astype(np.float32).astype(np.float64)

@@ -132,7 +132,7 @@ class Problem(Displayed):
         return policy
 
     def designed(self) -> AnyPolicy:
-        """Design the policy, including kinds that nodes cannot run.
+        """Return the designed policy, also if it is of a kind that nodes cannot run.
 
         Raises:
             ProblemError: if a parameter is unknown, missing or out of range, or the policy would ignore a part of the
@@ -154,7 +154,7 @@ class Problem(Displayed):
 
     @property
     def nonlinear(self) -> bool:
-        """Whether the simulated plant is a nonlinear function, of which A and B are only the linearisation."""
+        """True if the simulated plant is a nonlinear function, of which A and B are only the linearisation."""
         plant = self.actual or self.plant
         return isinstance(plant, Plant) and plant.function is not None
 

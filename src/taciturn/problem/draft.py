@@ -49,7 +49,7 @@ class Draft(Displayed):
 
     @property
     def continuous(self) -> bool:
-        """Whether the plant is continuous in time."""
+        """True if the plant is continuous in time."""
         return self.dt == 0
 
     def keep(self, key: str, value: ArrayLike) -> None:

@@ -146,7 +146,7 @@ def suggest(word: str, names: Sequence[str]) -> str:
 
 
 def ours(message: str) -> str:
-    """Return the end of an error message from a message of pydantic: Input should be … → expected …."""
+    """Rewrite the end of a message of pydantic: "Input should be a valid integer" becomes "expected a whole number"."""
     message = message.split(" or instance of ")[0]
     for theirs, ours in _WORDS:
         message = message.replace(theirs, ours)

@@ -185,7 +185,8 @@ def climb(
         )
     if best.off > USELESS:
         raise NoQuadratureError(
-            f"with {MOST_NODES} nodes in double precision, rate and excess have a relative error of {best.off:.1g}; "
+            f"with {MOST_NODES} nodes in double precision, rate and excess cost have a relative error of "
+            f"{best.off:.1g}; "
             f"expected at most {USELESS:g}; use {less}, or {instead}"
         )
     return best

@@ -274,7 +274,8 @@ class _Counting:
             self.advance(FIRST_TICKS)
         if not all(np.isfinite(total).all() for total in self.sums.values()):
             raise UnstableError(
-                "the error grows without bound within a cycle; expected a trigger that weighs every growing direction"
+                "the error grows without bound within a cycle; expected a trigger that weighs every growing direction "
+                "of the error"
             )
         return CycleEstimate(
             _ratio(self.sums[DURATION], self.sums[CYCLES]),

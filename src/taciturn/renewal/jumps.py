@@ -141,7 +141,7 @@ def _refined(levels: Iterator[Sums], accuracy: float, told: Stages) -> Renewal:
     off = float((change / np.abs(found)).max())
     if off > USELESS:
         raise NoQuadratureError(
-            f"rate and excess have a relative error of {off:.1g}; expected at most {USELESS:g}; use a smaller "
+            f"rate and excess cost have a relative error of {off:.1g}; expected at most {USELESS:g}; use a smaller "
             "threshold δ, or "
             "simulate instead"
         )

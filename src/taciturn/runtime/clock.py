@@ -1,4 +1,4 @@
-"""The beginning of steps in real time: the phase of the steps is estimated from arriving packets.
+"""Timing of steps in real time: the time at which step 0 began is estimated from arriving packets.
 
 The wall clocks of nodes are not synchronised. The node with the sensor begins a step when the measurement arrives. The
 other nodes estimate the phase of the steps from the packets that arrive. Drift or adjustment of a wall clock therefore
@@ -38,7 +38,7 @@ class Phase:
 
     @property
     def known(self) -> bool:
-        """Whether any packet has arrived."""
+        """True if any packet has arrived."""
         return self.zero == self.zero
 
     def hear(self, tick: int, now: float) -> bool:

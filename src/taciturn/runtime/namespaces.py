@@ -163,12 +163,12 @@ class Namespaces:
         self._clear()
 
     def before(self, place: str) -> list[str]:
-        """Return the prefix of a command that runs it in the namespace of a place."""
+        """Return the prefix of a command that runs the command in the namespace of a node or of the plant."""
         return ["ip", "netns", "exec", self.names[place]]
 
     @contextmanager
     def visit(self, place: str) -> Generator[None]:
-        """Enter the namespace of a place with this thread; sockets opened inside the block remain in the namespace.
+        """Enter the namespace of a node or of the plant with this thread; sockets of the block remain in the namespace.
 
         Raises:
             ProblemError: the namespace cannot be entered.

@@ -125,12 +125,12 @@ class Node:
 
     @property
     def measures(self) -> bool:
-        """Whether the node contains the sensor, so that each step requires a measurement."""
+        """True if the node contains the sensor, so that each step requires a measurement."""
         return "sensor" in self.program.site
 
     @property
     def actuates(self) -> bool:
-        """Whether the node contains the actuator, so that each step returns the plant input."""
+        """True if the node contains the actuator, so that each step returns the plant input."""
         return self._layout.applied is not None
 
     @property
@@ -144,12 +144,12 @@ class Node:
 
     @property
     def degraded(self) -> bool:
-        """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
+        """True if the loop still depends on an event that violated an assumption of the policy's theory."""
         return self.tick < self._degraded_until
 
     @property
     def silent(self) -> bool:
-        """Whether the watchdog has expired: no usable packet arrived for so many steps."""
+        """True if the watchdog has expired: no usable packet has arrived for the set number of steps."""
         return self._unheard or (self.watchdog is not None and self.tick - self._heard_at >= self.watchdog)
 
     def step(
@@ -200,7 +200,7 @@ class Node:
 
     @property
     def talks(self) -> bool:
-        """Whether the node sends packets."""
+        """True if the node sends packets."""
         return bool(self._layout.departures or self.acknowledges)
 
     def mark(self, every: int = 0) -> tuple[Packet, ...]:

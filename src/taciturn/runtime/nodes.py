@@ -1,4 +1,4 @@
-"""All nodes of a policy together, one sample at a time: measurement in, input out.
+"""All nodes of a policy in one process: each step takes a measurement and returns the plant input.
 
 In ``taciturn.runtime.node``, each node is separate and packets arrive at arbitrary times. In this module, one program
 computes a step of all nodes and links. Its random draws depend only on the seed and the number of the step. A step is
@@ -57,7 +57,7 @@ class StepFunction:
         self._block: tuple[int, list[list[int]]] = -1, []
 
     def drawn(self, tick: int) -> Values:
-        """Return the uniform numbers of a step, in (0, 1)."""
+        """Return the uniform random numbers of a step, in (0, 1)."""
         if self._draw is None:
             return ()
         block, place = divmod(tick, BLOCK)
@@ -74,7 +74,7 @@ class StepFunction:
 
 
 class Nodes:
-    """All nodes of a policy with the links between them, in memory: y in, u out, one sample at a time.
+    """All nodes of a policy and the links between them, in memory: each step takes y and returns u.
 
     The results are bit-identical to those of separate nodes and of the closed loop.
 

@@ -129,7 +129,7 @@ class Wire:
 
     @property
     def keyed(self) -> bool:
-        """Whether packets are authenticated."""
+        """True if packets are authenticated."""
         return self._key is not None
 
     def decode(self, datagram: bytes) -> Packet | str:

@@ -68,7 +68,7 @@ class Process:
 
     @property
     def alive(self) -> bool:
-        """Whether the process is running."""
+        """True if the process is running."""
         return self._process.poll() is None
 
     def expect(self) -> None:

@@ -129,7 +129,7 @@ class EmulatedLink:
 
     @property
     def pending(self) -> int:
-        """Number of datagrams on the link, without marks."""
+        """Number of datagrams on the link, excluding marks."""
         waiting = sum(not mark for _, _, mark, _ in self._waiting)
         return waiting + len(self._held) + (self._swapped is not None)
 

@@ -39,7 +39,7 @@ def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | Non
 
 
 def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
-    """Receive datagrams until stopped, and then those already sent."""
+    """Receive datagrams until stopped, and then the datagrams that were already sent."""
     while not stopped():
         take(endpoint.receive(time.monotonic() + IDLE))
     while found := endpoint.receive(time.monotonic() + QUIET):
@@ -81,7 +81,7 @@ class _Log:
         self._file = path.open("a", encoding="utf-8")
 
     def write(self, line: Mapping[str, Any]) -> None:
-        """Write one line, and complete a part if it is large enough."""
+        """Write one line to the log, and complete the current part of the log if it is large enough."""
         print(json.dumps(line), file=self._file, flush=True)
         if self._part is not None and self._file.tell() >= self._part and not name_of_part(self._path).exists():
             self._file.close()

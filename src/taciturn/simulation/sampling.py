@@ -268,7 +268,7 @@ class Sampling:
                     find_loss(part.loop, self.programs[k], run, before, now)
                     single = part.loop.precision == "float32"
                     passed = "the range of single precision" if single else f"{HUGE:g}"
-                    raise part.diverges(f"its cost exceeded {passed} within {self.steps} steps")
+                    raise part.diverges(f"the cost exceeded {passed} within {self.steps} steps")
             ticks -= now
             self.progress.tick()
         return sums, after
@@ -282,7 +282,7 @@ class Sampling:
         for part, rows in zip(self.parts, self.rows, strict=True):
             if np.abs(last[rows]).max() > 1e6 * length * max(float(np.abs(earlier[rows]).max()), 1e-300):
                 raise part.diverges(
-                    "its mean cost grew by a factor of a million from one simulated interval to the next"
+                    "the mean cost grew by a factor of a million from one simulated interval to the next"
                 )
         early = self.counted / length  # a window may end just before a send
         drift = DRIFT * spread + early + 1e-12 * np.abs(earlier.mean(axis=1))

@@ -122,7 +122,7 @@ def contestants(loop: Loop) -> dict[str, Contestant]:
 
 
 def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = TICKS) -> Contestant:
-    """Return the contestant that runs machine code on one thread."""
+    """Return the compared program that runs machine code on one thread."""
     kept = program.keep(SUMS)
     kernel, link = Kernel(kept, build), f"{SENT} {loop.policy.scheduled[0]}"
 
@@ -134,7 +134,7 @@ def compiled(loop: Loop, program: Program, build: Build = "fast", ticks: int = T
 
 
 def by_matrices(loop: Loop, paths: int, ticks: int) -> Contestant:
-    """Return the contestant that uses NumPy's matrices and generator, for several paths side by side or for one."""
+    """Return the compared program that uses NumPy's matrices and generator, for one path or several side by side."""
     problem, plant, policy = loop.problem, loop.problem.plant, loop.policy
     A, B, C = plant.A, plant.B, plant.C
     steps = {step.signal: step.branches[0] for step in policy.steps if isinstance(step, Assign)}
@@ -171,7 +171,7 @@ def race(
     progress: Progress | None = None,
     clock: Callable[[], float] = time.thread_time,
 ) -> dict[str, list[float]]:
-    """Return the steps per second of each contestant in each round; a first round for warm-up is not counted.
+    """Return the steps per second of each compared program in each round after a warm-up round.
 
     Args:
         entries: contestants by name; each runs once per round, in turn.
@@ -227,7 +227,7 @@ def compile_times(loop: Loop) -> dict[str, float]:
 
 
 def variance_ratios(loop: Loop) -> dict[str, float]:
-    """Return two variance ratios: stage cost over completed squares, and these without over with control variates.
+    """Return the factors by which completed squares and control variates reduce the variance of a mean cost.
 
     Source: khashooei2017, henderson2002
     """

@@ -73,7 +73,7 @@ Answer: TypeAlias = Evaluation | Refusal
 
 
 class Cells(Protocol):
-    """A sequence of cells: a list, or cells that are created on demand."""
+    """A sequence of grid cells: a list, or cells that are created on demand."""
 
     def __len__(self) -> int:
         """Return the number of cells."""

@@ -128,7 +128,7 @@ class Sharing(Tabular):
 
     @property
     def consistent(self) -> bool | None:
-        """Whether the loops cost no more than the best periodic allocation; None if undecided within the errors.
+        """True if the loops cost no more than the best periodic allocation; None if undecided within the errors.
 
         The margin is 4 standard errors. If too many loops check in the same step, no periodic schedule may attain the
         cost of the best allocation; then the answer is never False.

@@ -92,7 +92,7 @@ def remote_row(
 
 
 def running_costs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return E[x'Qx + û'Rû] of a problem at each step, for event-triggered control and for θ = ζ = 0."""
+    """Return the running cost E[x'Qx + û'Rû] at each step, for event-triggered control and for θ = ζ = 0."""
     series: list[Series] = []
     for label, color, case in _both_cases(problem):
         found = course(case.close(case.design()), steps, paths=PATHS, seed=seed)
@@ -101,7 +101,7 @@ def running_costs(problem: Problem, steps: int, seed: int) -> list[Series]:
 
 
 def inputs(problem: Problem, steps: int, seed: int) -> list[Series]:
-    """Return the input for one realisation of the noise, for event-triggered control and for θ = ζ = 0."""
+    """Return the plant input for one noise realisation, for event-triggered control and for θ = ζ = 0."""
     series: list[Series] = []
     for label, color, case in _both_cases(problem):
         path = simulate(case.close(case.design()), steps, seed=seed)

@@ -37,12 +37,12 @@ Choice: TypeAlias = Callable[[Sequence["ClockPoint"]], Sequence["ClockPoint"]]
 
 @dataclass(frozen=True, repr=False)
 class ClockPoint(Displayed):
-    """Time-triggered control at one rate, exact.
+    """The rate and the exact cost of periodic control with one cycle of send intervals.
 
     Args:
         rate: sends per step or per second.
-        cost: in the units of the cost.
-        cycle: steps from send to send; None where it sends at one real period.
+        cost: exact cost.
+        cycle: steps from send to send; None for a period that need not be a whole number of steps.
     """
 
     rate: float
@@ -52,13 +52,13 @@ class ClockPoint(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class ClockMix(Displayed):
-    """Time-triggered control at a rate: one point, or two that share the time over long phases.
+    """Periodic control at a rate: one cycle of send intervals, or two cycles that alternate in long phases.
 
     Args:
-        cost: exact, in the units of the cost.
-        points: one or two.
-        shares: of the time.
-        words: ``"hold"`` or ``"model"``, its actuation; ``"queries"`` where the sensor is what it schedules.
+        cost: exact cost.
+        points: one or two cycles.
+        shares: share of the time of each cycle.
+        words: actuation, ``"hold"`` or ``"model"``; ``"queries"`` if queries of the sensor are scheduled.
     """
 
     cost: float
@@ -67,7 +67,7 @@ class ClockMix(Displayed):
     words: ClockKind
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document: cycles in steps, null where it sends at one real period."""
+        """Return a JSON document: the cost, and rate and intervals (in steps; null: any period) of each cycle."""
         return {
             "kind": self.words,
             "cost": self.cost,
@@ -78,20 +78,20 @@ class ClockMix(Displayed):
 
 
 class Clock(ABC):
-    """The least cost that time-triggered control of one kind has, against its rate."""
+    """The least cost of periodic control as a function of its rate, for one kind of actuation."""
 
     words: ClockKind
 
     @abstractmethod
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the points, of at most this rate and of at least this rate, between which the time is shared."""
+        """Return the cycle with at most this rate and the cycle with at least this rate that share the time."""
 
     @abstractmethod
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the points from one rate down to another, joined by lines."""
+        """Return the points of the cost curve between two rates; straight lines connect them."""
 
     def at(self, rate: float) -> ClockMix | None:
-        """Return the cheapest at a rate, or None where no stable one is known."""
+        """Return the cheapest periodic control at a rate, or None if no stable one was found."""
         found = self.around(rate) if rate > 0 else None
         if found is None:
             return None
@@ -104,11 +104,11 @@ class Clock(ABC):
 
 
 class Timed(Clock):
-    """Control that sends at one real period, as nothing happens between its sends that it could measure.
+    """Periodic control that measures only when it sends, at any period in seconds.
 
     Args:
-        words: what it is.
-        cost_of: the exact cost at a period, or None where it is not stable.
+        words: actuation.
+        cost_of: function that returns the exact cost for a period, or None if the loop is unstable.
     """
 
     def __init__(self, words: ClockKind, cost_of: Callable[[float], float | None]) -> None:
@@ -116,27 +116,27 @@ class Timed(Clock):
         self.words, self._cost_of = words, cost_of
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the point of the period."""
+        """Return the cost of the period with this rate, twice, because one period reaches every rate."""
         cost = self._cost_of(1 / rate)
         point = None if cost is None else ClockPoint(rate, cost)
         return None if point is None else (point, point)
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the points of periods in between, those that are stable."""
+        """Return rate and cost of stable loops with periods between those of two rates."""
         periods = np.geomspace(1 / fastest, 1.05 * max(1 / slowest, 1 / fastest), CURVE_POINTS).tolist()
         found = [(1 / period, self._cost_of(period)) for period in periods]
         return tuple(ClockPoint(rate, cost) for rate, cost in found if cost is not None)
 
 
 class Ticked(Clock):
-    """Control that sends at steps: the best of the cycles that are tried.
+    """Periodic control that sends at sampling instants: the best of several cycles of send intervals.
 
     Args:
-        words: what it is.
-        tick: seconds, or 1 step.
-        solve: the exact cost of a cycle; raises where it is not stable.
-        screen: about what cycles of as many intervals cost, all at once; omitted: cycles are single intervals.
-        most: cycles that are worth the time.
+        words: actuation.
+        tick: seconds per step, or 1.
+        solve: function that returns the exact cost of a cycle; it raises an error if the loop is unstable.
+        screen: function for the approximate costs of cycles with equally many intervals; None: single intervals only.
+        most: largest number of cycles to try.
     """
 
     def __init__(
@@ -155,7 +155,7 @@ class Ticked(Clock):
         self._tried: dict[tuple[int, int, int], list[Cycle]] = {}
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the lower hull next to a rate."""
+        """Return the two corners of the convex lower hull of the costs that are next to a rate."""
         ticks = max(1.0, 1 / (rate * self._tick))
         nearest = int(ticks * (1 + SAME))
         lengths = max(1, nearest // 2), 2 * nearest + REACH, nearest
@@ -163,7 +163,7 @@ class Ticked(Clock):
         return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners next to a cost, the dearer one first; None where none costs as much, or as little."""
+        """Return the two corners of the lower hull next to a cost, the larger cost first; None if out of reach."""
         last = REACH
         while last <= LONGEST:
             corners = self._exact((1, last, last // 2), lambda corners: corners)
@@ -175,7 +175,7 @@ class Ticked(Clock):
         return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the lower hull between two rates, and the first one beyond, the fastest first."""
+        """Return the corners of the lower hull between two rates and the next slower one, the highest rate first."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
         corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)
@@ -247,16 +247,16 @@ class Ticked(Clock):
 
 
 class Either(Clock):
-    """Control that sends at steps, or samples and sends at one real period: whichever costs less, or a mix.
+    """Periodic control that sends at sampling instants or at any period, whichever costs less, or a mix of both.
 
-    Between one step and two, say, a real period comes nearer to a rate.
+    A period of 1.5 steps, for example, reaches a rate that needs two cycles at sampling instants.
 
     Args:
-        ticked: sends at steps.
-        timed: sends at any period.
-        tick: seconds.
-        near: periods that are tried next to the one at a rate.
-        longest: real period that is tried, in steps.
+        ticked: control that sends at sampling instants.
+        timed: control that sends at any period.
+        tick: seconds per step.
+        near: number of periods to try next to the period with the requested rate.
+        longest: longest period to try, in steps.
     """
 
     def __init__(self, ticked: Ticked, timed: Timed, tick: float, near: int, longest: float = FREE) -> None:
@@ -265,13 +265,13 @@ class Either(Clock):
         self._slowest = 1 / (longest * tick)
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the common lower hull next to a rate."""
+        """Return the two corners of the convex lower hull of all costs that are next to a rate."""
         near = max(rate / 1.5, self._slowest), min(1.5 * rate, 1 / self._tick)
         found = _beside(lower_hull([*(self.ticked.around(rate) or ()), *self._free(rate, *near)]), rate)
         return (found[0], found[1]) if found else None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the common lower hull, the fastest first."""
+        """Return the corners of the convex lower hull of all costs, the highest rate first."""
         slow = max(slowest, self._slowest)
         free = self._free(fastest, slow, min(fastest, 1 / self._tick))
         return tuple(reversed(lower_hull([*self.ticked.curve(fastest, slowest), *free])))
@@ -293,7 +293,7 @@ def _beside(corners: Sequence[ClockPoint], rate: float) -> Sequence[ClockPoint]:
 
 
 def lower_hull(points: Iterable[ClockPoint]) -> list[ClockPoint]:
-    """Return the corners of the convex lower hull, from the least rate to the cheapest point."""
+    """Return the corners of the convex lower hull of costs over rates, from the least rate to the least cost."""
     corners: list[ClockPoint] = []
     for point in sorted(points, key=lambda one: (one.rate, one.cost)):
         if corners and point.rate <= corners[-1].rate * (1 + SAME):  # one rate, but for rounding

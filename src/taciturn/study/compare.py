@@ -38,7 +38,7 @@ RELATIVE_ERROR = 3e-4  # default standard error, relative to the cost of sending
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Contestant(Displayed):
-    """A policy at the rate of the comparison.
+    """One of the compared policies, tuned to the common rate.
 
     Args:
         name: name given by the user.
@@ -62,19 +62,19 @@ class Contestant(Displayed):
     cost_bound: float | None
 
     def short(self) -> str:
-        """Return the name and the cost."""
+        """Return the name of the policy and its cost as text."""
         return f"{self.name}: {self.cost}"
 
     @property
     def parameter(self) -> str:
-        """Name and value of the tuned parameter, or the two values between which the time is shared."""
+        """Name and value of the tuned parameter, or two values that alternate in long phases."""
         one, two = self.tuned.parameter, None if self.tuned.beyond is None else self.tuned.beyond.parameter
         values = [one.beside(two), *(() if two is None else (two.beside(one),))]
         return f"{self.tuned.parameter.name} = {' and '.join(values)}"
 
     @property
     def reached(self) -> bool:
-        """Whether the rate and the standard error were reached."""
+        """True if the policy reached the common rate and the requested standard error."""
         return all(one.evaluation.reached for one in (self.tuned, self.tuned.beyond) if one is not None)
 
 

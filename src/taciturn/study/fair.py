@@ -1,4 +1,4 @@
-"""The fair periodic control for a policy: with its measurements, its actuator and its rate, and the best gains."""
+"""Fair periodic control for a policy: the same measurements, actuator and rate, with the optimal gains."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ WORK = 3e7  # cycles, times the cube of the size of the problem that one of them
 
 
 class NoClockError(Exception):
-    """There is no fair periodic control; the message is the reason."""
+    """Error that states why a policy has no fair periodic control to compare with."""
 
 
 def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
-    """Return the fair periodic control of a policy, or None where ``fair_clock`` finds a reason that there is none."""
+    """Return fair periodic control for a policy, or None if ``fair_clock`` gives a reason why there is none."""
     try:
         return fair_clock(problem, policy)
     except NoClockError:
@@ -39,14 +39,14 @@ def clock_of(problem: Problem, policy: AnyPolicy) -> Clock | None:
 
 
 def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
-    """Return the fair periodic control of a policy.
+    """Return fair periodic control for a policy: the same measurements and actuator, and optimal gains.
 
     Args:
-        problem: its plant, cost and network.
-        policy: designed for it.
+        problem: plant, cost and network.
+        policy: policy that was designed for the problem.
 
     Returns:
-        Its least cost against the rate.
+        The least cost of periodic control as a function of its rate.
 
     Raises:
         NoClockError: the simulated loop differs from the design, the horizon is finite, the policy schedules two
@@ -97,7 +97,7 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
 
 
 def periodic_at(problem: Problem, policy: AnyPolicy, rate: float) -> tuple[ClockMix | None, str]:
-    """Return the fair periodic control at a rate, or the reason why there is none."""
+    """Return fair periodic control for a policy at a rate, or the reason why there is none."""
     if rate == 0:
         return None, "the policy sent nothing"
     try:
@@ -108,7 +108,7 @@ def periodic_at(problem: Problem, policy: AnyPolicy, rate: float) -> tuple[Clock
 
 
 def actuation_of(policy: Policy) -> Actuation:
-    """Return whether the actuator of a policy holds its input between sends, or runs a model."""
+    """Return ``"hold"`` if the actuator of a policy holds its input between sends, ``"model"`` if it runs a model."""
     silent = next(
         step.branches[0]
         for step in policy.steps
@@ -118,10 +118,10 @@ def actuation_of(policy: Policy) -> Actuation:
 
 
 def sampling_clock(problem: Problem, actuation: Actuation = "hold") -> Timed:
-    """Return periodic control that samples a continuous plant and sends at one rate: it measures only when it sends.
+    """Return periodic control of a continuous plant that measures only when it sends.
 
-    With an exact measurement of the full state that is fair periodic control. Else it is a weaker one, which the
-    thesis shows.
+    For an exact measurement of the full state, this control is fair periodic control. Otherwise it is weaker; the
+    thesis uses it for comparison.
     """
     return Timed(actuation, lambda seconds: _cost(problem, seconds, actuation))
 

@@ -25,7 +25,7 @@ PATIENCE = 5.0  # seconds in which workers must report their version after a tas
 
 @dataclass(frozen=True, repr=False)
 class Code(Displayed):
-    """The code that a process runs.
+    """The version of taciturn and the digest of its sources that a process runs.
 
     Args:
         version: version of taciturn.
@@ -38,7 +38,7 @@ class Code(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Report(Displayed, Generic[Answer]):
-    """An answer, with the worker that gives it.
+    """The answer of a worker to a task, with the name of the worker and its code.
 
     Args:
         worker: machine and process.
@@ -52,7 +52,7 @@ class Report(Displayed, Generic[Answer]):
 
 
 def code_of(folder: Path, version: str) -> Code:
-    """Return version and digest of a package: of the names and texts of all its Python files."""
+    """Return the version of a package and a digest of the names and texts of all its Python files."""
     read = hashlib.sha256()
     for path in sorted(folder.rglob("*.py"), key=lambda path: path.relative_to(folder).as_posix()):
         text = path.read_bytes().replace(b"\r\n", b"\n")  # as a checkout on Windows may have
@@ -67,7 +67,7 @@ def own_code() -> Code:
 
 
 def asked(executor: Executor, ask: Callable[..., Answer], *given: Any) -> Future[Report[Answer]]:
-    """Submit a task; the worker reports its code, and computes nothing if this process has other code.
+    """Submit a task to a worker, which reports its code and computes the answer only if both codes are equal.
 
     Args:
         executor: executor of this or of other processes.
@@ -87,7 +87,7 @@ def _place() -> str:
 
 
 def accepted(report: Report[Answer]) -> Answer:
-    """Return the answer of a report.
+    """Return the answer in the report of a worker, if the worker runs the same code as this process.
 
     Raises:
         ProblemError: the worker runs another version, or other code of the same version.
@@ -112,7 +112,7 @@ def _refusal(worker: str, code: Code, own: Code) -> str:
 
 
 def refuse_other_versions(executor: Executor, workers: int, error: BaseException | None = None) -> None:
-    """Ask workers for their version, and report one of another version.
+    """Raise an error if a worker runs another version of taciturn than this process.
 
     This is done on dask before the first task, because a worker of dask shuts down if it cannot import a task, and on
     any executor after a task failed. The question is a function of the standard library, so every version answers.

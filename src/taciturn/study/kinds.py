@@ -56,7 +56,7 @@ class Kind(Displayed):
 
     @property
     def looks(self) -> float:
-        """Checks per step of all these loops."""
+        """Number of checks per step of all loops that share the channel."""
         return self.count / self.every
 
 

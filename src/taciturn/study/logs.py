@@ -46,7 +46,7 @@ class Logs:
 
     @contextmanager
     def followed(self) -> Generator[None]:
-        """Read and delete complete parts while the block runs, and the rest at its end."""
+        """Read and delete complete parts of the logs while the block runs, and the rest of the logs at its end."""
         ended = threading.Event()
 
         def follow() -> None:

@@ -49,7 +49,7 @@ class ThresholdPoint(Displayed):
 
     @property
     def loses(self) -> bool:
-        """Whether the threshold costs more than periodic control, beyond the statistical and quadrature errors."""
+        """True if the threshold costs more than periodic control, beyond the statistical and quadrature errors."""
         return self.cost.value - SURE * self.cost.standard_error - self.cost.error > self.cost_periodic
 
 

@@ -56,7 +56,7 @@ _KNOWN: dict[tuple[object, Hashable], Any] = {}
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Schedule(Displayed):
-    """A nearly optimal schedule for the errors of a kind at a price.
+    """A nearly optimal schedule for one kind of loops at a price per send.
 
     Args:
         price: price per send, in the units of the cost times steps.
@@ -71,7 +71,7 @@ class Schedule(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Settled(Displayed):
-    """Estimates of a kind at a price.
+    """The schedule and the lower bound of one kind of loops at a price per send.
 
     Args:
         schedule: a nearly optimal schedule.
@@ -103,13 +103,13 @@ class Job(Displayed):
 
     @property
     def key(self) -> Hashable:
-        """Key of all data that the answer depends on."""
+        """Cache key with all data on which the answer of the job depends."""
         return _numbers(self.kind), self.price, self.seed, self.confidence, self.precise
 
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """Lower bound on the cost of any scheduler of some loops.
+    """Lower bound on the cost of a set of loops under any scheduler.
 
     Args:
         cost: sum over all loops, in the units of the cost.

@@ -1,4 +1,4 @@
-"""Results as text from which they are restored bit by bit, and digests of the data they were computed from."""
+"""Encoding of results as text that restores them exactly, and digests of the data behind the results."""
 
 from __future__ import annotations
 

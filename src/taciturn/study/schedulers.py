@@ -82,7 +82,7 @@ class Game:
 
     @cached_property
     def settled(self) -> list[Settled]:
-        """Estimates of each kind at the common price."""
+        """Schedule and lower bound of each kind of loops at the common price."""
         return self.curves.settle(self.price, self.confidence) if self.price else []
 
     @property
@@ -111,7 +111,7 @@ class Game:
 
     @cached_property
     def clashes(self) -> tuple[int, int]:
-        """Number of steps in a cycle with fewer checks than slots (0 if no step has more checks), and cycle length."""
+        """Number of steps per cycle with unused capacity (0 if no step has too many checks), and the cycle length."""
         ticks = np.arange(self.cycle)
         looks = sum(-(-(kind.count - ticks % kind.every) // kind.every) for kind in self.kinds)
         few = int(np.sum(looks < self.capacity))
@@ -222,7 +222,7 @@ SCHEDULERS: Mapping[str, Callable[[Game], Plan]] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measured(Displayed):
-    """Results of stretches, one row each: costs beyond every sample, sends per step by kind, busy, and waiting."""
+    """Results of a simulated scheduler, with one row per interval: excess costs, sends by kind, busy and waiting."""
 
     costs: Array
     sends: Array
@@ -233,7 +233,7 @@ class Measured(Displayed):
 
 
 def measure(game: Game, plan: Plan, standard_error: float | None, ticks: int | None) -> Measured:
-    """Run channels side by side, in stretches, until the sum of costs has the requested standard error."""
+    """Simulate several channels side by side until the sum of costs has the requested standard error."""
     channels, channel, kept = game.channels, game.play(plan, game.channels), list[Stretch]()
     length = game.burn_in if ticks is None else min(game.burn_in, -(-ticks // 2 // game.cycle) * game.cycle)
     game.refuse_uncontrolled(channel.run(game.burn_in))

@@ -51,7 +51,7 @@ class Goal(Displayed):
         return f"{self.name} at most {self.budget:.6g}"
 
     def rate(self, evaluation: Evaluation) -> Estimate:
-        """Return the rate of the link.
+        """Return the rate of the link to which the budget refers.
 
         Raises:
             ProblemError: the policy does not decide on it.
@@ -242,7 +242,7 @@ class Search:
         return measured, error, along
 
     def measure(self, look: Look, standard_error: float | None) -> Look:
-        """Return a trial at full precision."""
+        """Return a trial of the same value of the tuning parameter at full precision."""
         return self._look(look.value, standard_error=standard_error)
 
     def measure_within(self, look: Look, standard_error: float | None) -> Look:

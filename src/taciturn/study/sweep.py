@@ -132,7 +132,9 @@ def check_grid(over: Mapping[str, Sequence[object]]) -> dict[str, list[object]]:
         path = _path(name)
         for other in itertools.islice(listed, len(listed) - 1):
             if path[: len(_path(other))] == _path(other) or path == _path(other)[: len(path)]:
-                raise ProblemError(f"{other} and {name} are the same, or one contains the other; expected one of them")
+                raise ProblemError(
+                    f"the keys {other} and {name} are the same, or one contains the other; expected one of them"
+                )
     if not listed or not all(listed.values()):
         raise ProblemError("there are no values; expected a name with at least one value, such as theta=0.1,1")
     return listed
@@ -310,7 +312,7 @@ class _Table:
         self.methods: set[str] = set()
 
     def put(self, index: int, seed: int, answer: Evaluation | Refusal) -> None:
-        """Write the answer of a cell."""
+        """Write the answer of a cell to the columns of the result."""
         self.seeds[index] = seed
         if isinstance(answer, Refusal):
             self.refusals[index] = str(answer.error)
@@ -347,7 +349,7 @@ class _Table:
         warnings.warn(sentence, stacklevel=3)
 
     def dataset(self, axes: Mapping[str, Sequence[Any]], attributes: Mapping[str, Any]) -> xarray.Dataset:
-        """Return the columns over the grid, in the order of ``COLUMNS``."""
+        """Return the results over the grid as a data set, with variables in the order of ``COLUMNS``."""
         import xarray
 
         held = self.columns | {"seed": self.seeds, "refusal": self.refusals}

@@ -87,7 +87,7 @@ class Tradeoff(Tabular):
 
     @property
     def one_controller(self) -> bool:
-        """Whether all points have the same sampling rate and cost of sending every sample."""
+        """True if all points have the same sampling rate and cost of sending every sample."""
         return len({(one.evaluation.base_rate, one.evaluation.cost_all_time) for one in self.points}) == 1
 
     def columns(self) -> Columns:

@@ -32,7 +32,7 @@ class Parameter(Displayed):
     standard_error: float | None
 
     def short(self) -> str:
-        """Return the name and the value."""
+        """Return the name and the value of the parameter as text."""
         return f"{self.name} = {self}"
 
     def __str__(self) -> str:

@@ -39,7 +39,7 @@ def workers_of(executor: Executor) -> int:
 
 
 def deserted(executor: Executor) -> str | None:
-    """Return the address of an executor's dask scheduler if the scheduler has no workers, else None."""
+    """Return the address of an executor's dask scheduler if this scheduler has no workers, else None."""
     client: Any = getattr(executor, "_client", None)
     return None if client is None or client.nthreads() else str(client.scheduler.address)
 
@@ -93,7 +93,7 @@ def _alone(answer: Callable[[Job], Answer], job: Job) -> Answer:
 
 @contextmanager
 def processes(workers: int | None) -> Generator[Executor | None]:
-    """Provide a pool of processes (None: one per processor), or None for one worker, whose threads are used instead."""
+    """Provide a pool of worker processes, or None for one worker, because this process then uses its threads."""
     if (workers := workers or available_processors()) == 1:
         yield None
         return

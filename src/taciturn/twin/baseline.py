@@ -1,4 +1,4 @@
-"""A loop that sends every sample, synchronous with a watched round, with equal seed, disturbances and losses."""
+"""A loop that sends every sample, next to the loop on a live page, with the same disturbances and losses."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ class Baseline:
 
     @property
     def failed(self) -> bool:
-        """Whether the loop has ended with an error."""
+        """True if the loop has ended with an error."""
         return self._trial.done() and self._trial.exception() is not None
 
     def permit(self, step: int, pushes: int) -> None:
-        """Permit the loop to begin a step, after ``pushes`` pushes."""
+        """Permit the loop to begin a step, before which the robot receives ``pushes`` pushes of users."""
         with self._turn:
             self._permitted, self._pushes[step] = step, pushes
             self._turn.notify_all()

@@ -105,7 +105,7 @@ class Camera:
 
     @property
     def covered(self) -> bool:
-        """Whether the marker is covered."""
+        """True if the marker is covered."""
         return self._covered
 
     @covered.setter

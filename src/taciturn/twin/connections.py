@@ -1,4 +1,4 @@
-"""The open connections of a live page: strangers, which have a deadline and few seats, and admitted ones.
+"""The open connections of a live page: strangers, which await access control, and admitted connections.
 
 A connection is a stranger until its request passed the access control. A new stranger is always accepted: if there are
 too many, the oldest of the address with the most strangers is closed. Therefore connections that wait, or that send
@@ -30,7 +30,7 @@ class Connections:
         self._admitted: set[socket.socket] = set()
 
     def enter(self, connection: socket.socket, address: str) -> None:
-        """Add a stranger, and close another one if there are too many, from its address or in all."""
+        """Add a connection that awaits access control, and close the oldest one if there are too many."""
         with self._lock:
             self._strangers[connection] = address
             counts = Counter(self._strangers.values())
@@ -39,7 +39,7 @@ class Connections:
                 self._dismiss(next(one for one, place in self._strangers.items() if place == heaviest))
 
     def admit(self, connection: socket.socket) -> bool:
-        """Give a stranger a seat, and return whether there was one."""
+        """Admit a connection after access control, and return whether fewer than ``SEATS`` were admitted."""
         with self._lock:
             if len(self._admitted) >= SEATS or self._strangers.pop(connection, None) is None:
                 return False
@@ -53,7 +53,7 @@ class Connections:
             self._admitted.discard(connection)
 
     def dismiss(self) -> None:
-        """Close all strangers."""
+        """Close all connections that await access control."""
         with self._lock:
             for connection in list(self._strangers):
                 self._dismiss(connection)
@@ -66,7 +66,7 @@ class Connections:
 
 
 class Timed(io.RawIOBase):
-    """The bytes of a request that a socket receives until a deadline, however they arrive.
+    """The bytes of a request, which a socket must receive completely before a deadline.
 
     Args:
         connection: the socket.

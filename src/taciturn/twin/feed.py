@@ -21,7 +21,7 @@ ASKS = ("pause", "value", "push")
 
 
 class News(NamedTuple):
-    """The next part of the log for a reader.
+    """The next part of the event log for one reader.
 
     Args:
         text: events in the format of server-sent events; may be empty.

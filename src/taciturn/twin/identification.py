@@ -94,7 +94,7 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
     W = symmetrised(residuals.T @ residuals / (len(residuals) - B.shape[1]) - 2 * V)
     if np.linalg.eigvalsh(W)[0] <= 0.0:
         raise ProblemError(
-            "the residuals are smaller than the measurement noise alone would cause; expected a disturbed robot"
+            "the residuals are smaller than the measurement noise alone would cause; expected a robot with disturbances"
         )
     left = np.concatenate([step - u @ B.T for _, u, step in kept])
     return Identification(

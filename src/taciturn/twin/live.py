@@ -103,7 +103,7 @@ class _Round:
         self._baseline = Baseline(prepared, setup, problem, page.compare, self._push)
 
     def run(self) -> tuple[Trial, Trial] | None:
-        """Run both loops, and return their trials if they are complete, else None."""
+        """Run the watched loop and the loop that sends every sample; return both trials, or None if incomplete."""
         complete = False
         watcher = Watcher(self._before, self._steps.add, self._ends, self._start, self._steps.finish, True)
         try:

@@ -211,10 +211,12 @@ class Page:
     def _check(self, row: Mapping[str, Any], keys: tuple[str, ...]) -> About:
         """Return the description of the round, if a row contains the given keys and a state of the right size."""
         if self._about is None:
-            raise ProblemError("a row is shown before a round begins; expected a call of begin first")
+            raise ProblemError("a step is shown before a round begins; expected a call of begin first")
         missing = [key for key in keys if key not in row]
         if missing:
-            raise ProblemError(f"a row lacks {', '.join(map(repr, missing))}; expected the keys {', '.join(keys)}")
+            raise ProblemError(
+                f"the row of a step lacks {', '.join(map(repr, missing))}; expected the keys {', '.join(keys)}"
+            )
         _check_size("state", row["state"], self._about.states)
         return self._about
 
@@ -222,11 +224,15 @@ class Page:
 def _check_size(key: str, values: Any, names: tuple[str, ...]) -> None:
     """Reject a vector of the wrong size."""
     if len(values) != len(names):
-        raise ProblemError(f"{key} of a row has {len(values)} numbers; expected {len(names)}: {', '.join(names)}")
+        raise ProblemError(
+            f"{key} of the row of a step has {len(values)} numbers; expected {len(names)}: {', '.join(names)}"
+        )
 
 
 def _check_links(key: str, values: Mapping[str, Any], links: tuple[str, ...]) -> None:
     """Reject a mapping that lacks an entry for a link."""
     lacking = [link for link in links if link not in values]
     if lacking:
-        raise ProblemError(f"{key} of a row lacks the link {lacking[0]!r}; expected one entry for each link")
+        raise ProblemError(
+            f"{key} of the row of a step lacks the link {lacking[0]!r}; expected one entry for each link"
+        )

@@ -137,10 +137,10 @@ class Robot(Displayed):
 
     @property
     def turns(self) -> bool:
-        """Whether the last state is a heading."""
+        """True if the last state is a heading."""
         return len(self.states) == 3
 
     @property
     def B(self) -> Array:
-        """B in x⁺ = x + B u per step from the data sheet, (states, inputs)."""
+        """Input matrix B of x⁺ = x + B u per step, from the data sheet, (states, inputs)."""
         return frozen(self.tick * np.array(self.rate))

@@ -94,7 +94,7 @@ class Server(ThreadingHTTPServer):
         TCPServer.server_bind(self)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """Answer in a separate thread, as a stranger at first."""
+        """Answer a request in a separate thread, after access control."""
         self._answering = [thread for thread in self._answering if thread.is_alive()]
         self._connections.enter(request, client_address[0])
         thread = threading.Thread(target=self.process_request_thread, args=(request, client_address), daemon=True)
