@@ -1,4 +1,4 @@
-"""Absolute threshold: the controller sends when the error of the actuator's input or state is large."""
+"""Absolute threshold: the controller sends when the error of the input or state at the actuator is large."""
 
 from __future__ import annotations
 

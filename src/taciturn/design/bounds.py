@@ -32,7 +32,7 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the text that a cost bound of a sampled plant needs to exclude the inter-sample noise cost c."""
+    """Return the text by which the cost bound of a sampled plant excludes the inter-sample noise cost c."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 

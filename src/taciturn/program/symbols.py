@@ -270,14 +270,14 @@ def objects(value: object) -> Objects:
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``Vector``, whose operations are recorded; other values are unchanged."""
+    """Return an array of objects as a ``Vector``, whose operations are recorded; return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
     return value.view(Vector) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
-    """Return an array of floats as an array that can contain symbols; other values are unchanged."""
+    """Return an array of floats as an array that can contain symbols; return other values unchanged."""
     return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
 
 

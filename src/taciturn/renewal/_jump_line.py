@@ -39,7 +39,7 @@ class Line:
     Gamma: float
 
     def sums(self, fineness: float, checks: int) -> Sums:
-        """Return the renewal equations of this error, on numbers of nodes that are proportional to ``fineness``.
+        """Return the renewal equations of this error, discretised on a number of nodes proportional to ``fineness``.
 
         Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
         the scale of all nodes.

@@ -59,7 +59,7 @@ class Fitted(Displayed):
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return a near-optimal send schedule of the error e⁺ = F e(1−σ) + w.
+    """Return a near-optimal send schedule for the error e⁺ = F e(1−σ) + w, where σ is 1 at a send and 0 otherwise.
 
     Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
 
@@ -89,7 +89,7 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
 
 
 class Fitting:
-    """Fits near-optimal send schedules for many prices of a send, from simulated errors.
+    """Fits of near-optimal send schedules to simulated errors, for many prices per send.
 
     All prices within half an octave use the same errors.
 
