@@ -188,7 +188,7 @@ def find_gain(loop: Switched) -> Gain:
 
 
 def bound_cost(loop: Switched) -> Moment:
-    """Return a proven bound on the average stage cost per step, ``constant`` included, of a loop under white noise.
+    """Return a proven bound on a loop's average stage cost per step under white noise, including ``constant``.
 
     The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
     residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or

@@ -105,7 +105,7 @@ def bound_below(
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the optimal send schedule of a loop's controller at a price per send, computed by quadrature.
+    """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature.
 
     Args:
         loop: loop of the design, with Gaussian noise, an actuator that runs a model, and at most three relevant states.

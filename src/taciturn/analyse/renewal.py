@@ -190,7 +190,7 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
 
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return bounds on the mean number of sends in any window of ``ticks`` steps, and on the number with a confidence.
+    """Return upper bounds on the sends in any window of ``ticks`` steps: on their mean, and at a confidence level.
 
     Args:
         loop: loop whose decision depends only on the error that a send resets.

@@ -37,7 +37,7 @@ def less_noise(problem: Discrete, share: str) -> str:
 
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
-    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each cost at most δ more."""
+    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
         problem.per_unit(all_time + per_silence),

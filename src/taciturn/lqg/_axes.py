@@ -136,7 +136,7 @@ def units_of_weight(given: Quadratic) -> Axes:
 
 
 def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
-    """Return, for each state, a cost-to-go that is as small as rounding or slow convergence, and counts as zero, (n,).
+    """Return, for each state, a cost-to-go that counts as zero because of rounding and slow convergence, (n,).
 
     A state with a weight in Q has at least this cost. The natural size of the cost of another state follows from the
     weight of the inputs that affect it, or from the states that it affects.

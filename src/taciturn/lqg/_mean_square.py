@@ -48,7 +48,7 @@ class MeanSquare:
         self.spread = self.alpha * (1 - self.alpha)  # variance of the loss
 
     def at(self, level: float) -> MeanSquare:
-        """Return the analysis of the same loop with its map divided by a different factor ``level`` in each step."""
+        """Return the same analysis with a different factor ``level``, by which the weights are divided in each step."""
         return MeanSquare(self.A, self.B, self.L, (self.alpha, self.beta), self.reach, level)
 
     @property

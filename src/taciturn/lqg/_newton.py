@@ -162,7 +162,7 @@ class Time(ABC):
 
     @abstractmethod
     def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
-        """Return the optimal gain for a cost-to-go; in directions in which all gains are optimal, L is kept."""
+        """Return the optimal gain for a cost-to-go; in directions in which all gains are optimal, L is unchanged."""
 
     @abstractmethod
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:

@@ -64,7 +64,7 @@ class Discrete(Displayed):
         return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:
-        """Convert a cost per step to the user's units, including the inter-sample noise cost; per second if sampled."""
+        """Convert a cost per step to the user's units: add the inter-sample noise cost, and divide by the period."""
         return (cost + self.noise_cost) / self.tick
 
 

@@ -85,7 +85,7 @@ class LossyRegulator(Displayed):
 def lossy_step(
     A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the weights K, P and Γ and the gain L of a step over lossy links, from K and P of the next step.
+    """Return the weights K, P and Γ and the gain L of one step over lossy links, from K and P of the next step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.

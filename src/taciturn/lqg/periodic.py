@@ -124,7 +124,7 @@ class Held:
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return approximate costs of many cycles with equal numbers of intervals; a cost is inf if none was found.
+        """Return approximate costs of many cycles with equal numbers of intervals; inf for a cost that was not found.
 
         The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
         """

@@ -82,7 +82,7 @@ class Body(Lines):
         self.label = ""  # label of the current basic block
 
     def operations(self, indices: Iterable[int]) -> None:
-        """Write the LLVM IR of operations in the given order; each must come after those that it reads."""
+        """Write the LLVM IR of operations in the given order, in which each must come after its operands."""
         for index in indices:
             op = self.program.ops[index]
             if op.name == "product":

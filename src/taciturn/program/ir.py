@@ -55,7 +55,7 @@ class Program:
 
     @property
     def structure(self) -> Hashable:
-        """Key that is equal for programs that differ only in their constants, so that these can run together."""
+        """Key that is the same for programs that differ only in their constants, so that these can run together."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
         names = (tuple(self.sums.items()), tuple(self.outputs.items()))
         sizes = (len(self.constants), *(len(table) for table in self.tables))
@@ -262,7 +262,7 @@ class Builder:
     def finish(
         self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
     ) -> Program:
-        """Return the collected program; equal states are merged, and unused operations removed."""
+        """Return the collected program; equal states are merged, and unused operations are removed."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
     def collect(self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int]) -> Program:
@@ -302,7 +302,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
 
 
 def merge_states(program: Program) -> Program:
-    """Return a program without redundant states: equal states are merged, and states without effect removed.
+    """Return a program without redundant states: equal states are merged, and states without effect are removed.
 
     A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
     one class. A class is split if the next values of its states differ while each state is read from its class leader.

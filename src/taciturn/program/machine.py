@@ -189,7 +189,7 @@ def one_thread() -> Generator[None]:
 
 
 def available_processors() -> int:
-    """Return the number of processors that programs may run on."""
+    """Return the number of processors on which programs can run."""
     if _ALONE.get():
         return 1
     affinity: Callable[[int], set[int]] | None = getattr(os, "sched_getaffinity", None)  # exists on Linux only

@@ -28,7 +28,7 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """Matrix of the probabilities that one trigger check takes an unsent error from one quadrature node to another.
+    """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another.
 
     Args:
         entries: probability to go from the node of the row to that of the column without a send, (nodes, nodes).
@@ -46,11 +46,11 @@ class Matrix:
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return, for each node, the expected sum of a quantity until the next send: X = known + entries·X."""
+        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + entries·X."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return the expected number of visits to each node until the next send: X = known + after(X)."""
+        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
         return Matrix(self.entries.T).settled(known)
 
 
@@ -122,14 +122,14 @@ class Grid:
         return self.read.T
 
     def settled(self, known: Array) -> Array:
-        """Return, for each node, the expected sum of a quantity until the next send: X = known + ahead(X).
+        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + ahead(X).
 
         The result is NaN if GMRES does not converge. Each column is solved separately.
         """
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return the expected number of visits to each node until the next send: X = known + after(X).
+        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits.
 
         The result is NaN if GMRES does not converge.
         """

@@ -25,9 +25,10 @@ LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class ContinuationRegion:
-    """Set of errors x for which the optimal scheduler does not send, as silence costs less than a send: U(x) < 0.
+    """Set of errors for which the optimal scheduler does not send, because silence costs less than a send.
 
-    For the weights m_i of the trigger and the mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
+    The set is U(x) < 0, where U is the cost of silence minus that of a send. For the weights m_i of the trigger and the
+    mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
 
     The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
 
@@ -202,7 +203,7 @@ class ContinuationRegion:
 
 
 def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
-    """Return the next set of errors that are not sent, by one policy-iteration step from a solution.
+    """Return the next set of unsent errors, by one policy-iteration step from a solution of the renewal equations.
 
     Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
 
@@ -231,7 +232,7 @@ def beyond_a_send(solved: Solved) -> Array:
 
 
 def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
-    """Return by how much rate, excess and cost change if errors are also sent at nodes where a send costs less.
+    """Return by how much rate, excess and cost change if errors are also sent wherever a send costs less than silence.
 
     A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
     visits to the node times the change of the expected future by a send there. This is exact if the visits are counted

@@ -1,4 +1,4 @@
-"""Probability density of the sum of all jumps in one period, for a two-dimensional error with normal jumps."""
+"""Probability density of the summed jumps in one period, for a two-dimensional error and normally distributed jumps."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class CompoundPoissonNoise:
         return exp(-self.rate * self.period)
 
     def moved(self, left: Array) -> Array:
-        """Return e^{As}G, the effect on the error at a check of a jump that occurred s seconds earlier."""
+        """Return e^{As}G, which maps a jump to its effect on the error s seconds later."""
         return flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:

@@ -18,7 +18,7 @@ FADED = 9.0  # frequency times the smallest standard deviation at which the char
 
 @dataclass(frozen=True)
 class Line:
-    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a bound.
+    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold.
 
     Args:
         a: dynamics between jumps, ė = a e, per second.

@@ -68,7 +68,7 @@ class Sums:
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of checks at which an unsent error is outside the region of the nodes."""
+        """Return a bound on the fraction of checks at which an unsent error is outside the set that the nodes cover."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:

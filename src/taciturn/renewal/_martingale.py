@@ -37,11 +37,14 @@ class Martingale:
         self.less = float(np.linalg.det(spread)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the mean, over given noise samples, of φ minus its Gaussian part at the next check, (batches, paths).
+        """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check.
 
         Args:
             error: errors before the check, (batches, paths, n).
             w: noises, (batches, noises, n).
+
+        Returns:
+            The means, (batches, paths).
         """
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
@@ -58,7 +61,7 @@ class Martingale:
         return self._off(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
 
     def bell_after(self, error: Array) -> Array:
-        """Return the conditional mean of the Gaussian part of φ at the next check, given the error before it."""
+        """Return the mean of the Gaussian part of the function φ at the next check, given the error before it."""
         return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
 
     def now(self, error: Array) -> tuple[Array, Array]:

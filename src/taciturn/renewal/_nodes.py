@@ -105,7 +105,7 @@ class Level:
         return np.stack(parts).reshape(len(parts), -1)
 
     def scattered(self, fall: Array, sums: Array) -> Array:
-        """Apply the transpose of the linear map ``gathered``, with shapes (outer, points·k) to (places, k)."""
+        """Apply the transpose of the linear map ``gathered``, which maps (outer, points·k) to (places, k)."""
         ends = (*self.first[1:], len(self.x))
         cubes = sums.reshape(len(self.first), fall.shape[1], -1)
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])

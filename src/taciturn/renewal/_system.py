@@ -193,7 +193,7 @@ def climb(
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
-    """Return a window that contains nearly all unsent errors, found by iteration on coarse nodes.
+    """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors.
 
     Args:
         white: the chain.

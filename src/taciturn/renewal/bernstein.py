@@ -1,4 +1,4 @@
-"""Program operations on polynomials in time: proof that a polynomial has no root, and search for its root.
+"""Program operations on polynomials in time: proof that a polynomial has no root, or search for a root.
 
 A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in the Bernstein basis. Its values lie between the least and the
 largest b_j. The number of roots in (0, 1) is at most the number of sign changes of the b_j, and has the same parity.

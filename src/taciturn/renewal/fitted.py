@@ -107,7 +107,7 @@ class Fitting:
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return a near-optimal send schedule at a price λ > 0 of a send, as :func:`fit_schedule` does.
+        """Return a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does.
 
         Raises:
             ProblemError: hardly anything is ever sent at this price, or nothing at any price.

@@ -38,7 +38,7 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """Optimal send schedule for a price per send, with its rate, its cost, and error estimates of the quadrature.
+    """Optimal send schedule for a given price per send, with its rate, its cost, and error estimates of the quadrature.
 
     Args:
         cost: g = excess + price · rate, the least mean cost per check.
