@@ -79,7 +79,7 @@ class Decay(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Gain(Displayed):
-    """A proven l2 gain γ of a loop from noise to cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + once.
+    """A proven l2 gain γ of a loop from noise w to cost: Σ stage cost ≤ γ² Σ|w|² + β·steps + a constant.
 
     It holds for every noise signal w and z_0 = 0.
 
@@ -98,7 +98,7 @@ class Gain(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Moment(Displayed):
-    """A proven bound on a loop's average stage cost, or on E|Xz|² of its states, under white noise of unit covariance.
+    """A proven bound on a loop's average stage cost or mean-square state under white noise of unit covariance.
 
     Args:
         value: the bound, per step.
@@ -188,7 +188,7 @@ def find_gain(loop: Switched) -> Gain:
 
 
 def bound_cost(loop: Switched) -> Moment:
-    """Return a proven bound on the average stage cost per step of a loop under white noise, ``constant`` included.
+    """Return a proven bound on a loop's average stage cost per step under white noise, including ``constant``.
 
     The result is the least β such that F_i'PF_i − P + M_i ⪯ 0 after the S-procedure at i, P ⪰ 0, and tr(PGG') plus the
     residual of the constants c is at most β. The noise must be white with zero mean and unit covariance, Gaussian or

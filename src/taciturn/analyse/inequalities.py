@@ -123,7 +123,7 @@ class Inequalities(Displayed):
 
 
 class Widest:
-    """Finds the solution with the largest common margin of inequalities that depend linearly on a parameter.
+    """Search for the solution with the largest common margin of inequalities that depend linearly on a parameter.
 
     They are interpolated between two lists of the same structure.
 

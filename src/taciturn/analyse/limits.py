@@ -1,4 +1,4 @@
-"""Lower bounds on the cost of all send schedules of a controller at a given rate, and the optimal send schedule."""
+"""Lower bounds on the cost of every send schedule of a controller at a given rate, and the optimal send schedule."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ EASY = 0.97  # sends per step from which on the bound is the cost of sending eve
 
 @dataclass(frozen=True, repr=False)
 class LowerBound(Displayed):
-    """A lower bound on the cost of all send schedules of a controller at a given rate of sends.
+    """A lower bound on the cost of every send schedule of a controller at a given rate of sends.
 
     Args:
         cost: the bound, in units of the cost.
@@ -51,7 +51,7 @@ class LowerBound(Displayed):
 def bound_below(
     loop: Loop, rate: float, confidence: float = USUAL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
-    """Return a lower bound on the cost of all send schedules of a loop's controller, at a given rate per step.
+    """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step.
 
     For every schedule, J = J_all + E[(1−σ)e'Γe] with the error e of the actuator's model, which a send resets. For any
     price λ of a send E[(1−σ)e'Γe + λσ] ≥ g. Therefore J ≥ J_all + g − λ·rate for every schedule. λ is the price for
@@ -105,7 +105,7 @@ def bound_below(
 
 
 def solve_optimum(loop: Loop, price: float, accuracy: float | None = None, progress: Progress | None = None) -> Optimum:
-    """Return the optimal send schedule of a loop's controller at a price per send, computed by quadrature.
+    """Return the optimal send schedule of a loop's controller for a given price per send, computed by quadrature.
 
     Args:
         loop: loop of the design, with Gaussian noise, an actuator that runs a model, and at most three relevant states.

@@ -39,7 +39,7 @@ class Coordinates(Displayed):
     starts: Array
 
     def changed(self, inverse: Array, T: Array) -> Coordinates:
-        """Return this map in new coordinates, given a matrix T, with z = T·(new coordinates), and its inverse."""
+        """Return this map in new coordinates y with z = T y, given the matrix T and its inverse."""
         return Coordinates(
             tuple(inverse @ F @ T for F in self.F),
             inverse @ self.G,
@@ -79,7 +79,7 @@ def relevant(raw: Coordinates) -> Coordinates:
 
 
 def invariant(columns: Array, maps: Sequence[Array]) -> Array:
-    """Return an orthonormal basis of the least subspace that contains some columns and is invariant under all maps."""
+    """Return an orthonormal basis of the least subspace that contains given columns and is invariant under all maps."""
     basis = np.zeros((len(columns), 0))
     new = _added(columns, basis)
     scales = [float(np.linalg.norm(map_, 2)) or 1.0 for map_ in maps]

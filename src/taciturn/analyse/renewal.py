@@ -60,7 +60,7 @@ def solve_renewal(loop: Loop, accuracy: float | None = None, progress: Progress 
 
 
 class RenewalQuadrature:
-    """Renewal equations of a loop: predicts the effort to solve them, and solves them by quadrature.
+    """Solver for the renewal equations of a loop by quadrature, which can first predict the computation.
 
     Args:
         loop: loop with the plant and network of the design.
@@ -90,11 +90,11 @@ class RenewalQuadrature:
         return ACCURACY_OF_JUMPS if self.gaussian is None else self.gaussian.usual
 
     def accuracy(self, error: float) -> float:
-        """Return the relative accuracy that gives an absolute error of the excess cost, from its rough value."""
+        """Return the relative accuracy for a given absolute error of the excess cost, from a rough estimate of it."""
         return ACCURACY_OF_JUMPS if self.gaussian is None else error / max(self.gaussian.rough_excess, 1e-300)
 
     def predict(self, accuracy: float) -> float:
-        """Return approximately how many operations a relative accuracy requires, without solving the equations."""
+        """Return approximately how many operations a given relative accuracy needs, without solving the equations."""
         return self.least if self.gaussian is None else self.gaussian.predict(accuracy)
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
@@ -135,7 +135,7 @@ class ConditionalSampling:
         return self._solved(ROUGH)
 
     def predict(self, standard_error: float, others: float) -> float:
-        """Return approximately how many operations a standard error of the excess cost requires, from a pilot run.
+        """Return approximately how many operations a given standard error of the excess cost needs, from a pilot run.
 
         If the pilot alone would take more operations than other methods, it is not run, and its own number is returned.
 
@@ -190,7 +190,7 @@ def bound_rate(loop: Loop) -> tuple[float, float] | None:
 
 
 def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBound:
-    """Return bounds on the number of sends in any window of ``ticks`` steps: on its mean, and at a confidence level.
+    """Return upper bounds on the sends in any window of ``ticks`` steps: on their mean, and at a confidence level.
 
     Args:
         loop: loop whose decision depends only on the error that a send resets.
@@ -233,7 +233,7 @@ def expect_affordable(loop: Loop) -> None:
 
 
 def chain_of(loop: Loop) -> Chain:
-    """Return the Markov chain of the error on which alone the send decision and the cost of a loop depend.
+    """Return the error process of a loop whose send decisions and cost depend only on this error.
 
     Raises:
         NoQuadratureError: the decision or the cost depends on more than one error.

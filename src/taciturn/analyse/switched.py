@@ -145,7 +145,7 @@ def switched(loop: Loop) -> Switched:
 
 
 def switched_innovations(loop: Loop) -> Switched:
-    """Return the switched linear map of a closed loop's innovations form: the estimate, driven by innovations.
+    """Return the switched linear map of a closed loop in innovations form, where innovations drive the state estimate.
 
     The result has the same distribution as that of :func:`switched` if the plant is that of the design and the filter
     is in steady state. ``constant`` is tr(QΣ).
@@ -259,7 +259,7 @@ class Reading:
         return np.vstack([*rows, np.zeros((self.sizes[NOISE], self.size))])
 
     def sends(self) -> int | None:
-        """Return the action in which every link with a send decision sends, or None if there is no such action."""
+        """Return the action with a send on every link that has a send decision, or None if there is no such action."""
         for action in range(len(self.labels)):
             sent = {s.link for s in self.steps if isinstance(s, Send) and self._is_sent(s, action)}
             if sent.issuperset(self.policy.scheduled):

@@ -1,4 +1,4 @@
-"""Absolute threshold: the controller sends when the error of the actuator's input or state is large."""
+"""Absolute threshold: the controller sends when the error of the input or state at the actuator is large."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def absolute(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that sends when the weighted squared error e'We of the actuator exceeds a threshold Y².
+    """Design LQG control that sends when the weighted squared error e'We at the actuator exceeds a threshold Y².
 
     The error e is either û − Lx̂, with the input û applied in silence, or x̃ − x̂, with the state x̃ that the actuator
     uses: the last estimate sent, or its prediction [lunze2010]. By completion of squares, silence costs at most μY²,

@@ -32,12 +32,12 @@ def largest_ratio(M: Array, weight: Array) -> float | None:
 
 
 def less_noise(problem: Discrete, share: str) -> str:
-    """Return the text that a cost bound of a sampled plant needs to exclude the inter-sample noise cost c."""
+    """Return the text by which the cost bound of a sampled plant excludes the inter-sample noise cost c."""
     return f" − {share}c, c the inter-sample noise cost in the same unit" if problem.noise_cost else ""
 
 
 def bound_by_silence(certainty: CertaintyEquivalentDesign, per_silence: float, source: str) -> Guarantee:
-    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each cost at most δ more."""
+    """Return the guarantee J ≤ J_all + δ(1 − rate) of a policy whose silent steps each add at most δ to the cost."""
     problem, all_time = certainty.problem, certainty.cost_all_time
     return Guarantee(
         problem.per_unit(all_time + per_silence),

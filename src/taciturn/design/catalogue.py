@@ -58,7 +58,7 @@ CATALOGUE: Mapping[str, Callable[..., AnyPolicy]] = {
 
 @dataclass(frozen=True, repr=False)
 class TradeoffParameter(Displayed):
-    """The main parameter of a policy kind, which trades the cost of a policy against its send rate.
+    """The main parameter of a policy kind, by which the cost of the policy is traded against its send rate.
 
     Args:
         name: key of ``[policy]``; if several of the kind's parameters are given, the first is varied.

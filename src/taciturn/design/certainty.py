@@ -335,7 +335,7 @@ def silence_form(problem: Discrete, H: Array, theta: float) -> Form:
 
 
 def count_ticks(ticks: int, start: int | None) -> Location:
-    """Return a step counter 0, 1, …, ``ticks`` − 1, which then continues at ``start``, or stops if that is None."""
+    """Return a step counter 0, 1, …, ``ticks`` − 1 that then continues at ``start``, or stops if ``start`` is None."""
     table = np.arange(1, ticks + 1)
     table[-1] = ticks - 1 if start is None else start
     return Location(CLOCK, table)

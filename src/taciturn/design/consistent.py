@@ -1,4 +1,4 @@
-"""Consistent periodic event-triggered control: a threshold that provably beats periodic control at its own rate."""
+"""Consistent periodic event-triggered control, which provably costs no more than periodic control at the same rate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROUNDING = 1e-12  # relative tolerance for a threshold equal to its largest cons
 
 
 def consistent(plant: Plant | ContinuousPlant, cost: Cost, *, period: float, delta: float | None = None) -> Policy:
-    """Design the policy that checks the prediction error every τ seconds, and sends the state if it costs too much.
+    """Design the policy that checks the prediction error every τ seconds, and sends the state if the error is costly.
 
     Sensor and actuator run dx̂/dt = (A + BL)x̂, and a send sets x̂ to x. With e = x − x̂ before the decision, the state
     is sent iff

@@ -28,7 +28,7 @@ def downsampled(
     period: float | None = None,
     actuation: Actuation = "hold",
 ) -> Policy:
-    """Design LQG control that checks only at some steps whether the error |e| exceeds a threshold Y, and then sends.
+    """Design LQG control that checks the error only at some steps, and sends if |e| then exceeds a threshold Y.
 
     The error is e = x̃ − x̂, where x̃ is the state that the actuator uses. The next check follows ``fast`` steps after a
     send, and ``slow`` steps after a check without a send. This is periodic event-triggered control [heemels2013] with

@@ -1,4 +1,4 @@
-"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily, by use of stored credit."""
+"""Dynamic trigger: a relative threshold on the error that may be exceeded temporarily by using a stored credit."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def lossy_lqg(
     network: Network | None = None,
     reference: Reference | None = None,
 ) -> Policy:
-    """Design LQG control over lossy links, which sends an input when silence would cost more than the price of a send.
+    """Design LQG control that sends an input over lossy links when silence would cost more than the price of a send.
 
     The sensor sends the state at every step, the controller sends u = L x̂ iff x̂'Γx̂ > λ, and the actuator applies 0
     if no packet arrives. Silence costs exactly x̂'Γx̂, so J = J_all + E Σ (1−σ) x̂'Γx̂. Let α and β be the loss

@@ -1,4 +1,4 @@
-"""Output-feedback event-triggered LQG, which sends only if silence would cost more than a share θ of the stage cost."""
+"""Output-feedback event-triggered LQG, which sends only if silence would cost more than θ times the stage cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Nearly optimal trigger for an error that a send resets, with a fitted function for the savings of later steps."""
+"""Nearly optimal trigger for an error that a send resets, with a fitted function for the savings in later steps."""
 
 from __future__ import annotations
 

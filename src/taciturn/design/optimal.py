@@ -1,4 +1,4 @@
-"""Optimal send schedule for an error that a send resets, at a price per send."""
+"""Optimal send schedule for an error that a send resets, for a given price per send."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ class Prices(Displayed):
         return by_clock(self.H / self.problem.tick if self.average else self.H)
 
     def total(self, covariance: Array, start: int | None) -> float:
-        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, or in total.
+        """Return the cost of applying the input Lx̂ at every step: per step for an average cost, otherwise in total.
 
         The cost is tr(KW) + mean tr(PΣ_k) for an average, E[x_0'K_0x_0] + Σ tr(K_{k+1}W) + Σ tr(P_kΣ_k) for a horizon,
         and E[x_0'Kx_0] + α/(1−α) tr(KW) + Σ α^k tr(PΣ_k) for a discounted sum.

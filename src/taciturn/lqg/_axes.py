@@ -54,7 +54,7 @@ class Quadratic(NamedTuple):
         return Quadratic(A[np.ix_(states, states)], B[states], Q[np.ix_(states, states)], R, N[states])
 
     def under(self, L: Array) -> tuple[Array, Array]:
-        """Return the closed loop A + BL for a gain L, and its weight of the stage cost."""
+        """Return the closed-loop matrix A + BL for a gain L, and the weight of the state in its stage cost."""
         stage = self.Q + self.N @ L + L.T @ self.N.T + L.T @ self.R @ L
         return self.A + self.B @ L, symmetrised(stage)
 
@@ -85,7 +85,7 @@ class Axes:
     units: Array
 
     def problem(self, given: Quadratic) -> Quadratic:
-        """Return a regulator problem in these coordinates; it is exact if T contains only powers of two."""
+        """Convert a regulator problem to these coordinates; this is exact if T contains only powers of two."""
         A, B, Q, R, N = given
         return Quadratic(
             self.inverse @ A @ self.T,
@@ -96,11 +96,11 @@ class Axes:
         )
 
     def then(self, inner: Axes) -> Axes:
-        """Return the composition of these coordinates with the coordinates ``inner``, which are relative to them."""
+        """Return the composition of this change of coordinates with the subsequent change ``inner``."""
         return Axes(self.T @ inner.T, inner.inverse @ self.inverse, self.units * inner.units)
 
     def sizes(self, given: Quadratic) -> tuple[Array, Array]:
-        """Return the sums of the absolute terms of A and Q in these coordinates, which scale the rounding errors."""
+        """Return the sums of the absolute terms in each entry of A and Q in these coordinates, to bound rounding."""
         T, inverse = np.abs(self.T), np.abs(self.inverse)
         return inverse @ np.abs(given.A) @ T, T.T @ np.abs(given.Q) @ T
 
@@ -136,7 +136,7 @@ def units_of_weight(given: Quadratic) -> Axes:
 
 
 def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
-    """Return for each state the cost-to-go that counts as zero, because of rounding or slow convergence, (n,).
+    """Return, for each state, a cost-to-go that counts as zero because of rounding and slow convergence, (n,).
 
     A state with a weight in Q has at least this cost. The natural size of the cost of another state follows from the
     weight of the inputs that affect it, or from the states that it affects.
@@ -156,7 +156,7 @@ def rounding_floor(given: Quadratic, K: Array, L: Array) -> Array:
 
 
 def units_of(F: Array, K: Array, H: Array, least: Array) -> Axes:
-    """Return units in which the cost-to-go K of a closed loop and the weight H of its inputs have a diagonal near 1.
+    """Return units in which the cost-to-go K of a closed loop and its input weight H have diagonal entries near 1.
 
     A state without cost gets the unit of the states that affect it.
 

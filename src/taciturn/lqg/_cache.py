@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 def kept(solve: Callable[[*Ts], T]) -> Callable[[*Ts], T]:
-    """Return a function of arrays with a cache of its latest results, keyed by the bytes of its arguments.
+    """Wrap a function of arrays in a cache of its latest results, keyed by the bytes of the arguments.
 
     Args:
         solve: a function of arrays and numbers; its results must be read-only, because callers share them.

@@ -1,4 +1,4 @@
-"""Stabilising solution of the continuous-time Riccati equation, by SciPy and then Newton's method."""
+"""Stabilising solution of the continuous-time Riccati equation, from SciPy and refined by Newton's method."""
 
 from __future__ import annotations
 

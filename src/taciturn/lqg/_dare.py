@@ -1,4 +1,4 @@
-"""Stabilising solution of the discrete-time Riccati equation, by doubling and then Newton's method.
+"""Stabilising solution of the discrete-time Riccati equation, by doubling and refined by Newton's method.
 
 The regulator and, by duality, the filter use it. H = R + B'KB may be singular (noise-free measurements). The gain then
 satisfies H L = −(B'KA + N'), and in the directions in which H is zero it is any gain with which A + BL is stable.

@@ -11,7 +11,7 @@ SETTLED = 1e-6  # last relative change; the remaining error is its square, which
 
 
 def double(A: Array, B: Array, Q: Array, N: Array, last: Array, H: Array, inverse: Array) -> Array:
-    """Return the stabilising solution of a discrete-time Riccati equation; it is not finite if none exists.
+    """Return the stabilising solution of a discrete-time Riccati equation; its entries are not finite if none exists.
 
     A stack of equations can be solved together.
 

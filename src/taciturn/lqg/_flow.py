@@ -1,4 +1,4 @@
-"""Closed form of the filter Riccati recursion over many steps, relative to the steady covariance."""
+"""Closed form of many steps of the Kalman filter's Riccati recursion, relative to the steady covariance."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ class Flow:
     observed: Array
 
     def attracts(self, covariances: Array) -> bool:
-        """Return whether given covariances converge to the steady one, so that the closed form is accurate for them."""
+        """Return whether given covariances converge to the steady covariance, so that the closed form is accurate."""
         off = (covariances - self.steady) @ self.observed[-1]
         return bool((np.linalg.cond(np.eye(len(self.unit)) + off / self.unit[:, None] * self.unit) < CONDITION).all())
 
     def weighed(self, P: Array, discount: float) -> Array:
-        """Return the discounted weights α^{s+1} F̄'^s P F̄^s for every step s, and last their sum over all later steps.
+        """Return the discounted weights α^{s+1} F̄'^s P F̄^s for every step s, and then their sum over all later steps.
 
         Args:
             P: weight, (n, n), or one for each remaining step, (remaining steps, n, n); then there is no sum at the end.
@@ -70,7 +70,7 @@ class Flow:
 
 
 def flow(plant: Plant, discount: float, horizon: int | None) -> Flow | None:
-    """Return the closed form of the filter Riccati recursion, for all steps that are not negligible.
+    """Return the closed form of the filter Riccati recursion, up to the step after which its terms are negligible.
 
     Args:
         plant: plant with A, C, W and V.

@@ -58,7 +58,7 @@ def compose(first: Interval, second: Interval) -> Interval:
 
 
 def repeat(once: Interval, times: int) -> Interval:
-    """Return the effect of the same interval repeated ``times`` times, by binary powers."""
+    """Return the effect of the same interval repeated ``times`` times, computed by repeated squaring."""
     result: Interval | None = None
     while True:
         if times & 1:

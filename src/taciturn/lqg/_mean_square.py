@@ -48,12 +48,12 @@ class MeanSquare:
         self.spread = self.alpha * (1 - self.alpha)  # variance of the loss
 
     def at(self, level: float) -> MeanSquare:
-        """Return the same loop with its map divided by another level per step."""
+        """Return the same analysis with a different factor ``level``, by which the weights are divided in each step."""
         return MeanSquare(self.A, self.B, self.L, (self.alpha, self.beta), self.reach, level)
 
     @property
     def apart(self) -> float:
-        """Growth of the mean square without the coupling of the two Lyapunov equations, a lower bound on the growth."""
+        """Lower bound on the mean-square growth, which neglects the coupling of the two Lyapunov equations."""
         return max(radius(self.moved) ** 2, self.beta * radius(self.A) ** 2)
 
     @property
@@ -62,7 +62,7 @@ class MeanSquare:
         return self.apart < self.level and self.joined() < 1
 
     def growth(self) -> float:
-        """Return the factor per step by which the mean square of the loop without noise grows."""
+        """Return the factor by which the mean square of the loop, without noise, grows per step."""
         if len(self.A) <= FEW:
             if self.reach:
                 return radius(self._stacked)
@@ -80,7 +80,7 @@ class MeanSquare:
         return _scipy.crossing(lambda level: self.at(level).joined() - 1.0, low * (1 + NEAREST), high, 4e-16 * high)
 
     def joined(self) -> float:
-        """Return the spectral radius of the map of Y through both Lyapunov equations of the loop.
+        """Return the spectral radius of the map that couples the two Lyapunov equations of the loop.
 
         The sums over all steps exist if it is below 1.
         """

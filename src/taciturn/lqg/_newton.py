@@ -66,7 +66,7 @@ class Solution(Displayed):
 
     @property
     def doubt(self) -> float:
-        """Bound on the relative error of the noise cost tr(KW), for noise with an equal cost in every state."""
+        """Bound on the relative error of the noise cost tr(KW), for noise that costs the same in every state."""
         return float(self.relative.mean()) if len(self.K) else 0.0
 
     def within(self, worth: Worth, others: float) -> Solution:
@@ -85,7 +85,7 @@ class Solution(Displayed):
 
     @property
     def sound(self) -> bool:
-        """Whether the residual and the error bound of this Riccati solution are small enough."""
+        """Whether the residual and the error bound of this Riccati solution are within the tolerances."""
         return self.residual <= RESIDUAL and self.doubt <= TOLERANCE
 
 
@@ -146,7 +146,7 @@ class Time(ABC):
 
     @abstractmethod
     def rough(self, given: Quadratic) -> Array | None:
-        """Return an approximate Riccati solution as a start of Newton's method, or None if it overflows."""
+        """Return an approximate Riccati solution from which Newton's method starts, or None if it overflows."""
 
     @abstractmethod
     def pace(self, modes: Modes) -> Array:
@@ -162,11 +162,11 @@ class Time(ABC):
 
     @abstractmethod
     def answer(self, given: Quadratic, K: Array, L: Array) -> Answer:
-        """Return the optimal gain for a cost-to-go; in directions in which all gains are equivalent, L is kept."""
+        """Return the optimal gain for a cost-to-go; in directions in which all gains are optimal, L is unchanged."""
 
     @abstractmethod
     def residual(self, given: Quadratic, F: Array, stage: Array, K: Array) -> tuple[Array, Array]:
-        """Return the Lyapunov residual of the cost-to-go K of a closed loop F, and the size of F for each state.
+        """Return the Lyapunov residual of a cost-to-go K for a closed loop F, and the size of F for each state.
 
         The size is in units of cost.
         """
@@ -177,10 +177,10 @@ class Time(ABC):
 
     @abstractmethod
     def step(self, F: Array) -> Array:
-        """Return the closed-loop matrix of a discrete step, up to a factor, from a closed-loop matrix."""
+        """Return the closed-loop matrix of one discrete step, up to a scalar factor, from the closed-loop matrix F."""
 
     def solve(self, given: Quadratic) -> Solution | None:
-        """Return the most accurate Riccati solution found, or None if no start stabilises or no iteration converges."""
+        """Return the most accurate Riccati solution found, or None if Newton's method did not start or converge."""
         worth = self.worth(given)
         if worth.states.all():
             return self._solved(given)
@@ -295,7 +295,7 @@ class Time(ABC):
         return None
 
     def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
-        """Return a Riccati solution with its error bound, evaluated in the coordinates in which it was computed.
+        """Return a Riccati solution with an error bound that is evaluated in the coordinates of its computation.
 
         Args:
             given: the problem as it was given.

@@ -1,4 +1,4 @@
-"""States whose cost-to-go is exactly zero, found from zeros in the data, and left out of Riccati equations.
+"""Search for states whose cost-to-go is exactly zero, which are then left out of the Riccati equations.
 
 Examples are registers that no noise reaches, and modes that nothing drives and that do not affect the cost. The cost of
 such a state has no natural size to which an error could be relative, and iterations only halve it towards zero.
@@ -17,7 +17,7 @@ from taciturn.lqg._axes import Quadratic
 
 
 class Worth(NamedTuple):
-    """Partition of the states: those with a nonzero cost-to-go, and the modes of the other states.
+    """Partition of the states into those with a nonzero cost-to-go and the others, with the modes of the others.
 
     Args:
         states: the states with a cost-to-go, for which the equation must be solved, (n,).

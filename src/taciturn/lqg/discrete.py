@@ -22,7 +22,7 @@ GROWTH = 1e8  # largest growth of an unstable mode within a period: half of the 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Discrete(Displayed):
-    """A discrete-time control problem: a plant from step to step, and its cost per step.
+    """A discrete-time control problem: the plant's dynamics from step to step, and the cost per step.
 
     Args:
         plant: the plant from step to step.
@@ -50,7 +50,7 @@ class Discrete(Displayed):
 
     @cached_property
     def moving(self) -> Bits:
-        """Mask of all states but uncontrollable, marginally stable ones that do not affect the cost, (n,).
+        """Mask of the states, (n,), without uncontrollable, marginally stable states that do not affect the cost.
 
         States that the excluded ones affect are excluded too. An average cost does not depend on the excluded states,
         and their variance may grow without bound.
@@ -60,11 +60,11 @@ class Discrete(Displayed):
         return ~closure(resting, np.asarray(A != 0, dtype=np.bool_))
 
     def slowest(self, closed: Array) -> float:
-        """Return the modulus of the slowest mode of a closed loop, restricted to the states in ``moving``."""
+        """Return the modulus of the slowest mode of a closed loop, restricted to the states that ``moving`` selects."""
         return radius(closed[np.ix_(self.moving, self.moving)])
 
     def per_unit(self, cost: float) -> float:
-        """Convert a cost per step to the user's units: plus inter-sample noise cost, and per second if sampled."""
+        """Convert a cost per step to the user's units: add the inter-sample noise cost, and divide by the period."""
         return (cost + self.noise_cost) / self.tick
 
 

@@ -1,4 +1,4 @@
-"""Steady and time-varying Kalman filters, also for noise-free measurements."""
+"""Steady and time-varying Kalman filters, including filters for noise-free measurements."""
 
 from __future__ import annotations
 
@@ -194,7 +194,7 @@ def riccati_step(A: ArrayLike, C: ArrayLike, W: ArrayLike, V: ArrayLike, Sigma: 
 
 
 def resting_states(plant: Plant) -> Bits:
-    """Return the states with an unobservable mode on the unit circle that no noise reaches, (n,).
+    """Return a mask of the states with an unobservable mode on the unit circle that no noise excites, (n,).
 
     The estimation error of these states remains that of the start.
     """
@@ -202,7 +202,7 @@ def resting_states(plant: Plant) -> Bits:
 
 
 def expect_known_start(plant: Plant, seen: Bits) -> None:
-    """Raise an error for an uncertain initial state that no measurement corrects and that causes a cost forever.
+    """Raise an error if an uncertain initial state causes a cost forever because no measurement corrects it.
 
     Args:
         plant: the plant, with the covariance of its initial state.
@@ -252,7 +252,7 @@ def forgetting(
 
 @kept
 def filter_checked(A: Array, C: Array, W: Array, V: Array) -> Filter:
-    """Return the filter of :func:`steady_filter` for matrices that were already checked."""
+    """Return the steady Kalman filter, as :func:`steady_filter` does, for matrices that were already checked."""
     n, p = A.shape[0], C.shape[0]
     if not V.any() and np.linalg.matrix_rank(C) == n:
         gain = np.eye(n) if np.array_equal(C, np.eye(n)) else np.asarray(np.linalg.pinv(C), dtype=np.float64)

@@ -44,12 +44,12 @@ class Channel(Displayed):
 
     @property
     def exposure(self) -> float:
-        """Probability φ that an estimation error persists at the next control: β, or 1 with a delay of one step."""
+        """Probability φ that an estimation error affects the next input: the sensor loss, or 1 if there is a delay."""
         return 1.0 if self.delayed else self.sensor_loss
 
     @property
     def coupling(self) -> float:
-        """Factor αφ of the estimation error that an unacknowledged input causes; 0 with acknowledgements."""
+        """Factor αφ by which an unacknowledged input adds to the estimation error; 0 with acknowledgements."""
         return 0.0 if self.acknowledged else self.actuator_loss * self.exposure
 
 
@@ -85,7 +85,7 @@ class LossyRegulator(Displayed):
 def lossy_step(
     A: Array, B: Array, Q: Array, R: Array, K: Array, P: Array, channel: Channel
 ) -> tuple[Array, Array, Array, Array]:
-    """Return the weights K, P and Γ and the gain L of a step over lossy links, from K and P of the next step.
+    """Return the weights K, P and Γ and the gain L of one step over lossy links, from K and P of the next step.
 
     M = R + B'(K + αφP)B (UDP-like) or R + B'KB (TCP-like),  L = −M^{-1}B'KA,  Γ = (1−α) A'KB M^{-1} B'KA,
     K ← Q + A'KA − Γ,  P ← Γ + βA'PA,  with φ = β, or 1 with a one-step delay.
@@ -237,7 +237,7 @@ def _doubt(
 
 
 def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]:
-    """Return the critical loss probability of each link at the given loss probability of the opposite link.
+    """Return the critical loss probability of each link at the given loss probability of the other link.
 
     The actuator link is first.
 
@@ -258,7 +258,7 @@ def critical_losses(A: Array, B: Array, channel: Channel) -> tuple[float, float]
 
 
 def loss_sentence(A: Array, B: Array, channel: Channel) -> str:
-    """Return a sentence that states the loss probabilities and those that mean-square stability allows."""
+    """Return a sentence that states the loss probabilities and their limits for mean-square stability."""
     many = int((np.abs(eigenvalues(A)) >= 1 - SCATTER).sum()) > MOST_MODES
     actuator, sensor = (0.0, 0.0) if many else critical_losses(A, B, channel)
     limits: list[str] = []
@@ -322,7 +322,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
 
 
 def mean_square_rate(A: Array, B: Array, L: Array, channel: Channel) -> float:
-    """Return the factor per step by which the mean square of the loop without noise grows under a given gain.
+    """Return the factor by which the mean square of a noise-free loop with a given gain grows per step.
 
     Source: schenato2007
     """

@@ -1,4 +1,4 @@
-"""Optimal gains and exact cost of control whose input changes only at fixed steps, in a cycle of intervals.
+"""Optimal gains and exact cost of control whose input is updated only at fixed steps of a repeating cycle.
 
 An interval of k steps is one step of a slower plant, the lifted plant. A cycle of intervals is one step of an even
 slower plant, whose input contains the inputs of all sends. One Riccati equation gives the cost-to-go at the start of
@@ -83,7 +83,7 @@ class Pattern(Displayed):
     cost: float
 
     def unrolled(self) -> tuple[Array, Array]:
-        """Return for each step of a period whether a send occurs, and the gain of the last send."""
+        """Return, for each step of a period, whether a send occurs, and the gain of the most recent send."""
         places = np.zeros(sum(self.intervals), dtype=bool)
         places[np.cumsum((0, *self.intervals[:-1]))] = True
         return places, np.repeat(self.gains, self.intervals, axis=0)
@@ -124,7 +124,7 @@ class Held:
         return self._known[ticks]
 
     def screen(self, listed: Sequence[tuple[int, ...]]) -> Array:
-        """Return approximate costs of many cycles with equal numbers of intervals; inf where no cost was found.
+        """Return approximate costs of many cycles with equal numbers of intervals; inf for a cost that was not found.
 
         The costs come from the doubling algorithm without an error check. They show which cycles are worth solving.
         """
@@ -227,7 +227,7 @@ def step_back(stretch: Sampled, K: Array) -> tuple[Array, Array]:
 
 
 def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
-    """Yield the cycles of ``sends`` intervals that add up to ``length``, one for each set of rotations.
+    """Yield all cycles of ``sends`` intervals with the sum ``length``, but only one rotation of each cycle.
 
     The lexicographically largest rotation of each cycle is given.
     """
@@ -235,7 +235,7 @@ def necklaces(length: int, sends: int) -> Iterator[tuple[int, ...]]:
 
 
 def cycles(intervals: Sequence[int], most: int) -> Iterator[tuple[int, ...]]:
-    """Yield the cycles of at most ``most`` of the given intervals, one for each set of rotations.
+    """Yield all cycles of up to ``most`` of the given intervals, but only one rotation of each cycle.
 
     Cycles that repeat a shorter cycle are left out.
     """

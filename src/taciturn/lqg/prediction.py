@@ -53,7 +53,7 @@ class PredictionCost(Displayed):
         return self._over(length).M
 
     def growth(self, length: float) -> float:
-        """Return g(h), the additional cost per second of corrections every h seconds instead of a known state."""
+        """Return g(h), the cost per second that corrections every h seconds add to the cost with a known state."""
         return self._over(length).noise_cost / length
 
     def periodic(self, length: float) -> float:
@@ -61,7 +61,7 @@ class PredictionCost(Displayed):
         return self.base + self.growth(length)
 
     def slope_in_rate(self, length: float) -> float:
-        """Return −dJ_per/dr = h² g'(h), the decrease of the periodic cost with the rate r = 1/h of corrections.
+        """Return −dJ_per/dr = h² g'(h), by which the periodic cost decreases per unit of the correction rate r = 1/h.
 
         It equals tr(S(hV(h) − ∫_0^h V)).
         """
@@ -134,7 +134,7 @@ class PredictionCost(Displayed):
 def prediction_cost(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike
 ) -> PredictionCost:
-    """Return the cost of control with a predicted state and the gain of the continuous-time regulator.
+    """Return the cost of control that applies the gain of the continuous-time regulator to a predicted state.
 
     Args:
         A: (n, n) dynamics, per second.

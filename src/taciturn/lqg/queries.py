@@ -51,7 +51,7 @@ class Weights(Displayed):
 
 
 class Predictor:
-    """Kalman predictor of a plant: the measurement of step k reaches the control of step k + 1.
+    """Kalman predictor of a plant: the controller uses the measurement of step k at step k + 1.
 
     Args:
         plant: plant with A, C, W and V.
@@ -95,7 +95,7 @@ class Predictor:
         return symmetrised(F @ Sigma @ F.swapaxes(-1, -2) + gain @ p.V @ turned + p.W)
 
     def change(self, before: Array, after: Array) -> Array:
-        """Return the largest difference of each covariance from a reference, relative to its standard deviations.
+        """Return the largest difference of each covariance from a reference, in standard deviations of the reference.
 
         A variance that is small compared with the products in its sum may be their rounding; its difference is relative
         to these products.
@@ -121,7 +121,7 @@ class Predictor:
 
 
 class QueryValue:
-    """Value h(Σ) of a sensor query at error covariance Σ: its saving in cost if all later steps query the sensor.
+    """Value h(Σ) of a sensor query at error covariance Σ: the cost that it saves if all later steps query the sensor.
 
     h(Σ) = Σ_{s≥0} α^{s+1} tr(P D_s),  D_s = Ric^s(AΣA' + W) − Ric^{s+1}(Σ). With a finite horizon, P is P_{k+1+s} at
     step k, and the sum ends with the horizon. The differences D_s are computed without subtraction: D_0 = G(CΣC' + V)G'
@@ -255,7 +255,7 @@ def schedule_queries(plant: Plant, weights: Weights, price: float, initial: Arra
 
 
 def schedule_by_variance(plant: Plant, threshold: float) -> Schedule:
-    """Return the periodic schedule that queries the sensor if the variance of a predicted output is too large.
+    """Return the periodic schedule that queries the sensor if the variance of a predicted output exceeds a threshold.
 
     The sensor is queried if max_i (CΣ_kC')_ii > threshold, where Σ_k is the covariance of the prediction.
 

@@ -57,7 +57,7 @@ class Regulator(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FiniteRegulator(Displayed):
-    """Optimal gains L (N, m, n), costs-to-go K (N+1, n, n) and input weights H (N, m, m) of a horizon of N steps."""
+    """Optimal gains L (N, m, n), costs-to-go K (N+1, n, n) and input weights H (N, m, m) for a horizon of N steps."""
 
     K: Array
     L: Array
@@ -232,7 +232,7 @@ def regulate_continuous(A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, 
 
 
 def states_with_cost(A: Array, B: Array, Q: Array, R: Array, N: Array) -> Bits:
-    """Return for each state whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
+    """Return, for each state, whether it has a cost-to-go; other states affect no cost and need no input, (n,)."""
     return _dare.worth(A, B, Q, R, N).states
 
 
@@ -256,7 +256,7 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
 
 @kept
 def regulate_checked(A: Array, B: Array, Q: Array, R: Array, N: Array, unit: float) -> Regulator:
-    """Return the regulator of :func:`regulate` for matrices whose shapes were already checked.
+    """Return the optimal regulator, as :func:`regulate` does, for matrices whose shapes were already checked.
 
     A and B are already multiplied by ``unit`` = √α; error messages name the modes without this factor.
     """

@@ -19,7 +19,7 @@ LONG = 1e4  # period, in time constants of the fastest mode, from which on the r
 def sample(
     A: ArrayLike, B: ArrayLike, Q: ArrayLike, R: ArrayLike, N: ArrayLike, W: ArrayLike, period: float
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time one whose input is held between samples.
+    """Return the discrete-time LQ problem of a continuous-time problem whose input is held between samples.
 
     dx = (Ax + Bu)dt + noise of intensity W, cost ∫ x'Qx + u'Ru + 2x'Nu dt, u constant over a period h:
     A_d = e^{Ah}, B_d = ∫e^{As}ds B, W_d = ∫e^{As}We^{A's}ds, [[Q_d, N_d], [N_d', R_d]] = ∫e^{F't}Me^{Ft}dt
@@ -72,7 +72,7 @@ def sample_prediction(
     period: float,
     dynamics: ArrayLike | None = None,
 ) -> Sampled:
-    """Return the discrete-time LQ problem of a continuous-time one whose actuator predicts the state between samples.
+    """Return the discrete-time LQ problem of a continuous-time problem with an actuator that predicts the state.
 
     Between samples u = L x̂ with dx̂/dt = (A + BL)x̂; the sampled "input" is x̂ at the start of the period:
     x⁺ = e^{Ah}x + (e^{(A+BL)h} − e^{Ah})x̂ + w. Weights and noise_cost are those of :func:`sample`, with

@@ -1,4 +1,4 @@
-"""Straight-line programs of one time step of a loop, and back ends: NumPy (the reference), LLVM, Python and C.
+"""Straight-line programs that compute one time step of a loop, with back ends: NumPy (reference), LLVM, Python, C.
 
 A closed loop is a map from one time step to the next:
 

@@ -1,4 +1,4 @@
-"""Software pipelining of time steps: random numbers, and values that depend only on them, are computed one step ahead.
+"""Software pipelining: random numbers, and operations that depend only on them, are computed one time step ahead.
 
 A time step is one long chain of dependent operations: a random word, a logarithm and a root, which give a normal
 number, the next state, and the decision that depends on it. A processor reorders instructions within a window of some

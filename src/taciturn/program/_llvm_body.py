@@ -55,7 +55,7 @@ def _roots(program: Program) -> list[int]:
 
 
 class Body(Lines):
-    """Writes the LLVM IR of one time step, and records the name of each operation's value.
+    """Writer of the LLVM IR of one time step, which records the name of each operation's value.
 
     Args:
         program: the program to translate.
@@ -82,7 +82,7 @@ class Body(Lines):
         self.label = ""  # label of the current basic block
 
     def operations(self, indices: Iterable[int]) -> None:
-        """Write the LLVM IR of operations in the given order; each must come after the operations that it reads."""
+        """Write the LLVM IR of operations in the given order, in which each must come after its operands."""
         for index in indices:
             op = self.program.ops[index]
             if op.name == "product":
@@ -121,7 +121,7 @@ class Body(Lines):
         return self._new(self.multiply_add(one, other, rest))
 
     def multiply_add(self, one: str, other: str, term: str) -> str:
-        """Return the LLVM instruction for one·other + term, which rounds once if the processor supports that."""
+        """Return the LLVM instruction for one·other + term, which is rounded once if the processor supports this."""
         V = self.numbers
         return f"call {self.flags}{V} @llvm.fmuladd.v{self.lanes}f{self.bits}({V} {one}, {V} {other}, {V} {term})"
 

@@ -1,4 +1,4 @@
-"""Writing of LLVM IR for vectors: single instructions, access to memory, and table lookups.
+"""Generation of LLVM IR for vectors: single instructions, access to memory, and table lookups.
 
 ``Lines`` collects lines of LLVM IR. Each value is a vector with one lane per path. Constants, tables and matrices are
 in one array in memory, so that programs that differ only in their numbers share machine code.

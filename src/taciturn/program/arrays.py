@@ -1,4 +1,4 @@
-"""NumPy functions of whole arrays that work on traced symbols: rearrangement, selection, products, linear systems."""
+"""NumPy functions for arrays that contain traced symbols: rearrangement, selection, products, linear systems."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ def choose(condition: Any, yes: Any, no: Any) -> Any:
 
 
 def clip(a: Any, a_min: Any = None, a_max: Any = None, *, min: Any = None, max: Any = None) -> Any:
-    """Return the result of ``np.clip``: entries limited to given bounds, each of which has two names in NumPy."""
+    """Return the result of ``np.clip``, which limits entries to bounds; NumPy has two names for each bound."""
     for ufunc, bound in ((np.maximum, a_min), (np.maximum, min), (np.minimum, a_max), (np.minimum, max)):
         a = a if bound is None else compute(ufunc, "__call__", (a, bound), None, 0, False)
     return a
 
 
 def dot(a: Any, b: Any) -> Any:
-    """Return the result of ``np.dot`` for vectors, matrices or numbers."""
+    """Return the result of ``np.dot`` for vectors, matrices or scalars."""
     one, other = objects(a), objects(b)
     return seen(multiply(one, other)) if one.ndim and other.ndim else a * b
 
@@ -57,7 +57,7 @@ def inner(a: Any, b: Any) -> Any:
 
 
 def vdot(a: Any, b: Any) -> Any:
-    """Return the result of ``np.vdot``: the sum of the products of all entries, in order."""
+    """Return the result of ``np.vdot``: the sum of the products of all entries, added in order."""
     return dot(objects(a).ravel(), objects(b).ravel())
 
 

@@ -24,7 +24,7 @@ class Layout(NamedTuple):
 
     @property
     def shift(self) -> float:
-        """A number whose addition rounds a number to an integer, because the sum has no bits for fractions.
+        """Constant whose addition rounds a number to an integer, because the sum has no fraction bits.
 
         The last bits of the sum are those of the integer.
         """
@@ -63,7 +63,7 @@ LAYOUTS: Mapping[Precision, Layout] = {
 
 
 def literal(b: Builder, bits: int) -> int:
-    """Return the operation of a constant word of bits; a negative integer is represented by its two's complement."""
+    """Return the operation that gives a constant word of bits; a negative integer becomes its two's complement."""
     layout = LAYOUTS[b.precision]
     return b.emit(layout.word, bits % layout.modulus)
 
@@ -84,7 +84,7 @@ def signed(b: Builder, x: int, sign: int) -> int:
 
 
 def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
-    """Return the integer k nearest to factor·x, as a number, and a word whose last bits are those of k.
+    """Return the integer k nearest to factor·x as a floating-point number, and a word whose last bits are those of k.
 
     |factor·x| must be below 2^51, or 2^22 in single precision.
     """
@@ -96,7 +96,7 @@ def nearest(b: Builder, x: int, factor: float = 1.0) -> tuple[int, int]:
 
 
 def power_of_two(b: Builder, whole: int) -> int:
-    """Return the number 2^k for an integer k that is given by the last bits of a word."""
+    """Return the floating-point number 2^k for an integer k that is given by the last bits of a word."""
     # k + bias, shifted to the field of the exponent; higher bits of the word are shifted out
     layout = LAYOUTS[b.precision]
     biased = b.emit("word_add", whole, literal(b, layout.bias))

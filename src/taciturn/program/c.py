@@ -1,4 +1,4 @@
-"""Translation of a program to a C99 function for devices, which computes one time step of one path.
+"""Translation of a program to a C99 function for embedded devices, which computes one time step of one path.
 
 Each operation rounds once, in the order of the program. If the compiler does not fuse operations
 (``-ffp-contract=off``), the results are bit-identical to those of ``program.numpy``. Numbers have the type

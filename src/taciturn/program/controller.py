@@ -55,7 +55,7 @@ def begin_time_step(
 
 
 def draw_losses(tick: TimeStep, policy: Policy, network: Network) -> dict[str, Coefficient]:
-    """Return the loss probability of each link: a constant, or for burst losses a value that depends on its state."""
+    """Return the loss probability of each link: a constant, or a value that depends on the state of a bursty link."""
     losses: dict[str, Coefficient] = {}
     for link in ENDS:
         burst, b = network.burst(link), tick.builder

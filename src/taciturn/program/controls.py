@@ -46,7 +46,7 @@ def with_controls(program: Program) -> Program:
 
 
 def controlled(program: Program, lean: Program) -> Program:
-    """Return the reduced program ``lean`` with those control variates of ``program`` that use only its states."""
+    """Return the reduced program ``lean`` with the control variates of ``program`` that use only states of ``lean``."""
     remembered = {f"{state.name} {state.index}" for state in lean.states}
     controls = [name for name in program.sums if name.startswith(CONTROL)]
     fit = {name for name in controls if name.partition(" of ")[2] in {"", *remembered}}

@@ -97,7 +97,7 @@ def _mix(z: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
 
 
 def draw(builder: Builder, names: Sequence[str], supplied: dict[str, int]) -> list[int]:
-    """Add the random numbers of a step to ``supplied``, by name, and return the generator's next state."""
+    """Add the random numbers of a step to the dictionary ``supplied``, and return the next state of the generator."""
     words = [builder.state(State(GENERATOR, i, start=(GENERATOR, i), word=True)) for i in range(4)]
     normals = [name for name in names if name.split()[0] == NORMAL]
     for i in range(0, len(normals), 2):

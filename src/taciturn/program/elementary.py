@@ -1,4 +1,4 @@
-"""NumPy's elementary functions as operations of a program, on constants (floats) or on indices of operations.
+"""Elementary NumPy functions as operations of a program; arguments are constants or indices of operations.
 
 Constant expressions are evaluated in advance; additions of zero and multiplications by one are removed. ``floor``,
 ``ceil`` and ``round_off`` are exact. The error of ``remainder`` is the rounding error of y·floor(x/y). ``minimum`` and
@@ -183,7 +183,7 @@ def equal(b: Builder, x: Coefficient, y: Coefficient) -> Truth:
 
 
 def both(b: Builder, one: Truth, other: Truth) -> Truth:
-    """Return whether both are true."""
+    """Return whether both truth values are true."""
     if isinstance(one, bool) or isinstance(other, bool):
         known, rest = (one, other) if isinstance(one, bool) else (other, one)
         return rest if known else False

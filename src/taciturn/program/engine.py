@@ -31,7 +31,7 @@ def prepare(program: Program) -> Runner:
 
 
 class Stepper:
-    """Runs many programs of equal structure together, one simulated path for each program.
+    """Runner for many programs of equal structure, with one simulated path for each program.
 
     Args:
         programs: programs without inputs, of equal ``Program.structure``.
@@ -59,7 +59,7 @@ class Stepper:
 
 
 class Resident:
-    """Runs simulated paths of programs step by step, with new inputs at each step.
+    """Runner for simulated paths of programs that advances step by step, with new inputs at each step.
 
     Consecutive programs with few paths run together, with constants per path. A program with many paths runs alone,
     with constants shared by its paths. The results do not depend on this.
@@ -84,11 +84,11 @@ class Resident:
             first = end
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step on all paths: return the outputs, (outputs, paths), for the inputs, (inputs, paths)."""
+        """Run one step on all paths with given inputs, (inputs, paths), and return the outputs, (outputs, paths)."""
         return np.concatenate([part.tick(inputs[:, columns]) for columns, part in self._parts], axis=1)
 
     def take_sums(self) -> dict[str, Array]:
-        """Return each sum over the steps since the last call of this method, (paths,) each."""
+        """Return each sum, (paths,), over the steps since the last call of this method."""
         taken = [part.take_sums() for _, part in self._parts]
         return {name: np.concatenate([sums[name] for sums in taken]) for name in taken[0]}
 

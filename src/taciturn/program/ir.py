@@ -55,7 +55,7 @@ class Program:
 
     @property
     def structure(self) -> Hashable:
-        """Key that is equal for programs that differ only in their constants, so that they can run together."""
+        """Key that is the same for programs that differ only in their constants, so that these can run together."""
         shapes = tuple(tuple(tiles(matrix)) for matrix in self.matrices)
         names = (tuple(self.sums.items()), tuple(self.outputs.items()))
         sizes = (len(self.constants), *(len(table) for table in self.tables))
@@ -66,7 +66,7 @@ class Program:
 
     @property
     def totals(self) -> dict[str, Total]:
-        """Rule for each sum over steps: constant factors and terms are applied once, after the last step."""
+        """Sums over steps, each with a constant factor and term that are applied once, after the last step."""
         return {name: self._total(index) for name, index in self.sums.items()}
 
     def _total(self, index: int) -> Total:
@@ -195,7 +195,7 @@ class Builder:
         return total
 
     def transform(self, matrix: Sequence[Sequence[Coefficient]], values: Sequence[int]) -> list[int | None]:
-        """Return the product of a matrix and values, row by row, or as one operation if it is large and constant."""
+        """Return the product of a matrix and a vector, row by row, or as one operation for a large constant matrix."""
         # M v = M_full v_full (one product) + M_few v_few: columns with few coefficients are cheaper term by term
         full = [sum(not _is(c, 0.0) for c in column) >= FULL for column in zip(*matrix, strict=True)]
         rows = tuple(tuple(c for c in compress(row, full) if isinstance(c, float)) for row in matrix)
@@ -262,7 +262,7 @@ class Builder:
     def finish(
         self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int] | None = None
     ) -> Program:
-        """Return the collected program; equal states are merged, and unused operations removed."""
+        """Return the collected program; equal states are merged, and unused operations are removed."""
         return merge_states(self.collect(following, sums, outputs or {}))
 
     def collect(self, following: Sequence[int], sums: Mapping[str, int], outputs: Mapping[str, int]) -> Program:
@@ -282,7 +282,7 @@ class Builder:
 
 
 def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], states: Sequence[int]) -> Program:
-    """Return a copy of a program with only the given states; ``substitute`` may replace a ``state`` or ``input``."""
+    """Return a copy of a program with only the given states; ``substitute`` can replace a ``state`` or ``input``."""
     roots = [program.following[i] for i in states] + list(program.sums.values()) + list(program.outputs.values())
     live = sorted(needed(program, roots))
     builder = Builder(program.precision)
@@ -302,7 +302,7 @@ def rebuild(program: Program, substitute: Callable[[Builder, Op], int | None], s
 
 
 def merge_states(program: Program) -> Program:
-    """Return a program without redundant states: equal states are merged, and states without effect removed.
+    """Return a program without redundant states: equal states are merged, and states without effect are removed.
 
     A partition of the states is refined as in the minimisation of automata. States with equal start values begin in
     one class. A class is split if the next values of its states differ while each state is read from its class leader.

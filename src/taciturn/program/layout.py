@@ -15,7 +15,7 @@ NEVER = 1 << 62
 
 
 class Arrival(NamedTuple):
-    """Packets of one kind that a node receives on one link, and their positions among its inputs.
+    """Packets (data or acknowledgements) that a node receives on one link, and their positions among its inputs.
 
     Args:
         kind: ``"data"`` or ``"acknowledgement"``.

@@ -184,13 +184,13 @@ class TimeStep:
         return self.choose(truth, self.builder.constant(1.0), self.builder.constant(0.0))
 
     def happened(self, condition: Condition) -> list[Truth]:
-        """Return truth values of all outcomes of a condition but the last; for a packet, whether it did not arrive."""
+        """Return truth values for all outcomes of a condition but the last; for a packet, whether it did not arrive."""
         if isinstance(condition, str):
             return self.outcomes[condition]
         return [self._not(self._arrived(condition.link))]
 
     def coefficients(self, matrix: Matrix) -> list[list[Coefficient]]:
-        """Return the entries of a matrix; a scheduled matrix depends on the current value of a location."""
+        """Return the entries of a matrix; a scheduled matrix depends on a location (a finite-state variable)."""
         if isinstance(matrix, Scheduled):
             at = self.place(matrix.by)
             entries = np.moveaxis(matrix.values, 0, -1)
@@ -198,7 +198,7 @@ class TimeStep:
         return [[float(value) for value in row] for row in matrix]
 
     def number(self, value: float | Scheduled) -> Coefficient:
-        """Return a number; a scheduled number depends on the current value of a location (finite-state variable)."""
+        """Return a number; a scheduled number depends on the value of a location (a finite-state variable)."""
         if isinstance(value, Scheduled):
             return self.builder.lookup(list(value.values), self.place(value.by))
         return value
@@ -209,7 +209,7 @@ class TimeStep:
         return self.builder.input(f"{UNIFORM} {self.drawn - 1}")
 
     def finish(self, sums: Mapping[str, int], outputs: Mapping[str, int] | None = None) -> Program:
-        """Return the program of this time step; at its end, locations and memories get their next values."""
+        """Return the program of this time step, at whose end all memories and locations get their next values."""
         for location in self.locations.values():
             if location.name in self.memories:
                 self.signals[location.name] = [self.move(location)]
@@ -239,7 +239,7 @@ class TimeStep:
         return self.memories[name][0]
 
     def move(self, location: Location) -> int:
-        """Return the next value of a location, from a table over its current value and an outcome."""
+        """Return the next value of a location, from a table indexed by its current value and an outcome."""
         columns = location.table[:, None] if location.on is None else location.table
         here = self.place(location.name)
         options = [self.builder.value(self.builder.lookup([float(v) for v in column], here)) for column in columns.T]

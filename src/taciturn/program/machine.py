@@ -62,7 +62,7 @@ class Kernel:
         self._code = _load(_print(_Printable(program.structure, program), host(), self.lanes, build, own))
 
     def pack(self, programs: Sequence[Program], paths: Sequence[int] | int = 1) -> Array:
-        """Return the constants of several programs for each path in memory layout, (blocks, constants, lanes)."""
+        """Return the constants of several programs, for each path, in memory layout, (blocks, constants, lanes)."""
         known = np.array([constants_of(program) for program in programs])
         return _into_blocks(np.repeat(known, paths, axis=0).T, self.lanes)
 
@@ -131,7 +131,7 @@ class Kernel:
 
 
 class Resident:
-    """Runs simulated paths of a compiled program step by step, with new inputs at each step.
+    """Runner for simulated paths of a compiled program that advances step by step, with new inputs at each step.
 
     Args:
         kernel: kernel compiled for the structure of the program.
@@ -150,13 +150,13 @@ class Resident:
         self._arrays = state, self._sums, kernel.known(program, constants), self._inputs, self._outputs
 
     def tick(self, inputs: Array) -> Array:
-        """Run one step on all paths: return the outputs, (outputs, paths), for the inputs, (inputs, paths)."""
+        """Run one step on all paths with given inputs, (inputs, paths), and return the outputs, (outputs, paths)."""
         self._inputs[:] = _into_blocks(inputs, self._kernel.lanes)
         self._kernel.call(0, len(self._inputs), 1, self._arrays)
         return _from_blocks(self._outputs, self._paths).copy()
 
     def take_sums(self) -> Array:
-        """Return the sums over the steps since the last call, (sums, paths), without factors and offsets."""
+        """Return the sums over the steps since the last call, (sums, paths), before factors and offsets are applied."""
         taken = _from_blocks(self._sums, self._paths).copy()
         self._sums[:] = 0.0
         return taken
@@ -189,7 +189,7 @@ def one_thread() -> Generator[None]:
 
 
 def available_processors() -> int:
-    """Return the number of processors that programs may run on."""
+    """Return the number of processors on which programs can run."""
     if _ALONE.get():
         return 1
     affinity: Callable[[int], set[int]] | None = getattr(os, "sched_getaffinity", None)  # exists on Linux only
@@ -198,7 +198,7 @@ def available_processors() -> int:
 
 @cache
 def host() -> Target:
-    """Return a description of this processor, with the vector size that the environment variable selects."""
+    """Return a description of this processor, with the vector size that an environment variable selects."""
     llvm = _llvm()
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()

@@ -107,7 +107,7 @@ class Truth(Symbol):
 
 
 class Vector(np.ndarray[Any, Any]):
-    """A NumPy array whose entries may be placeholders of unknown numbers (symbols)."""
+    """A NumPy array whose entries can be placeholders of unknown numbers (symbols)."""
 
     __array_ufunc__ = Symbol.__array_ufunc__  # type: ignore[assignment]
     __array_function__ = Symbol.__array_function__  # type: ignore[assignment]
@@ -156,7 +156,7 @@ class Recorder:
         return found
 
     def truth(self, value: object) -> int | bool:
-        """Return an array entry as a truth value that is known, or else as the operation that computes it."""
+        """Return an array entry as a truth value if it is known, or else as the operation that computes it."""
         if isinstance(value, Truth):
             return value.index
         if isinstance(value, Number):
@@ -164,7 +164,7 @@ class Recorder:
         return bool(value)
 
     def entry(self, ufunc: np.ufunc, *values: Any) -> Any:
-        """Return the result of an element-wise NumPy function for single entries, which may be symbols."""
+        """Return the result of an element-wise NumPy function for single entries, which can be symbols."""
         name = "divide" if ufunc.__name__ == "true_divide" else ufunc.__name__
         if not any(isinstance(value, Symbol) for value in values):
             return ufunc(*(float(value) if type(value) is int else value for value in values))
@@ -270,14 +270,14 @@ def objects(value: object) -> Objects:
 
 
 def seen(value: Any) -> Any:
-    """Return an array of objects as a ``Vector``, whose operations are recorded; other values are unchanged."""
+    """Return an array of objects as a ``Vector``, whose operations are recorded; return other values unchanged."""
     if isinstance(value, list):
         return [seen(one) for one in cast("list[Any]", value)]
     return value.view(Vector) if is_array(value) and value.dtype == object else value
 
 
 def held(value: Any) -> Any:
-    """Return an array of floats as an array that can contain symbols; other values are unchanged."""
+    """Return an array of floats as an array that can contain symbols; return other values unchanged."""
     return seen(value.astype(object) if is_array(value) and value.dtype.kind == "f" else value)
 
 

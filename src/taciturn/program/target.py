@@ -55,7 +55,7 @@ class Target:
         return f'"target-cpu"="{self.cpu}" "target-features"="{self.features}"'
 
     def limited(self, vectors: str) -> Target:
-        """Return a description of this processor with its vectors limited to a given kind.
+        """Return a description of this processor, limited to a given set of vector instructions.
 
         Args:
             vectors: ``"avx512"``, ``"avx2"``, ``"baseline"`` (present in every processor of the

@@ -1,4 +1,4 @@
-"""A trigger check as a linear map between quadrature nodes: a matrix or, for many nodes, sums on a grid."""
+"""Effect of one trigger check on functions of the error at quadrature nodes, as a matrix or by sums on a grid."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DIRECTIONS, RESTARTS = 80, 2  # of GMRES
 
 @dataclass(frozen=True, eq=False)
 class Matrix:
-    """Linear map of one trigger check between quadrature nodes, stored as a matrix.
+    """Matrix of the probabilities that one trigger check moves an unsent error from one quadrature node to another.
 
     Args:
         entries: probability to go from the node of the row to that of the column without a send, (nodes, nodes).
@@ -38,7 +38,7 @@ class Matrix:
 
     @property
     def slack(self) -> float:
-        """Relative error of send rate and excess cost due to this numerical map; it is 0 for a matrix."""
+        """Relative error that this map causes in send rate and excess cost; it is 0 for a stored matrix."""
         return 0.0
 
     def after(self, share: Array) -> Array:
@@ -46,17 +46,17 @@ class Matrix:
         return np.asarray(share @ self.entries, dtype=np.float64)
 
     def settled(self, known: Array) -> Array:
-        """Return expected sums of node values until the next send: the solution X of X = known + entries·X."""
+        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + entries·X."""
         return np.asarray(np.linalg.solve(np.eye(len(self.entries)) - self.entries, known), dtype=np.float64)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return given node probabilities summed over all later checks: the solution X of X = known + after(X)."""
+        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits."""
         return Matrix(self.entries.T).settled(known)
 
 
 @dataclass(frozen=True)
 class Effort:
-    """The budget of a quadrature.
+    """Requested accuracy of a quadrature, and limits on its computation.
 
     Args:
         accuracy: requested relative accuracy of rate and excess.
@@ -70,7 +70,7 @@ class Effort:
 
 
 class Grid:
-    """Linear map of one trigger check between quadrature nodes, computed by sums on a grid instead of a matrix.
+    """Effect of one trigger check on functions of the error at many quadrature nodes, computed by sums on a grid.
 
     The expectation over the noise is a smooth function of the error without noise, F x. So it is summed at the points
     of a grid, one axis after the other because the nodes are nested, and interpolated between these points.
@@ -102,7 +102,7 @@ class Grid:
         self.read = _stencils(means, halves, self.shape)
 
     def ahead(self, values: Array) -> Array:
-        """Return, for each node, the expectation of given values at the next check; a send counts as the value 0."""
+        """Return, for each node, the expectation of a function at the next check; its value after a send is 0."""
         sums = (self.scale * values)[:, None]
         for level, fall in zip(reversed(self.levels), reversed(self.falls), strict=True):
             sums = level.gathered(fall, sums)
@@ -122,14 +122,14 @@ class Grid:
         return self.read.T
 
     def settled(self, known: Array) -> Array:
-        """Return expected sums of node values until the next send: the solution X of X = known + ahead(X).
+        """Return, for each node, the expected sum X of ``known`` until the next send: X = known + ahead(X).
 
         The result is NaN if GMRES does not converge. Each column is solved separately.
         """
         return np.stack([self._solved(self.ahead, column) for column in known.T], axis=1)
 
     def settled_shares(self, known: Array) -> Array:
-        """Return given node probabilities summed over all later checks: the solution X of X = known + after(X).
+        """Return expected visits X to each node until the next send, X = known + after(X), from given first visits.
 
         The result is NaN if GMRES does not converge.
         """

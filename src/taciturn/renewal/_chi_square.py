@@ -16,7 +16,7 @@ FLOOR = 1e-13  # absolute rounding error of the integral along the contour
 
 
 def enclosed(weights: Array, limit: float) -> tuple[float, float]:
-    """Return a tight lower and upper bound on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1).
+    """Return tight lower and upper bounds on P(Σ_i μ_i z_i² ≤ x) for independent z_i ~ N(0, 1).
 
     Ruben's series is a mixture of chi-square distributions with positive weights. Any partial sum is a lower bound. The
     missing weight times the probability of the first omitted distribution completes it to an upper bound. If very

@@ -1,4 +1,4 @@
-"""Region of errors that the optimal scheduler does not send; on its boundary, silence and a send cost the same."""
+"""Set of errors for which the optimal scheduler does not send; at its boundary, a send and silence cost the same."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ LEAST_CURVED = 1e-9  # least curvature in a Newton step, relative to the largest
 
 @dataclass(frozen=True, eq=False)
 class ContinuationRegion:
-    """Region of errors x that the optimal scheduler does not send: U(x) < 0, the cost of silence minus that of a send.
+    """Set of errors for which the optimal scheduler does not send, because silence costs less than a send.
 
-    For the weights m_i of the trigger and the mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
+    The set is U(x) < 0, where U is the cost of silence minus that of a send. For the weights m_i of the trigger and the
+    mean cost g, U(x) = Σ_i m_i x_i² − g + E min(0, U(F x + w)).
 
     The expectation is a sum of Gaussians, Σ_k v_k φ(x_k − F x). So U and its derivatives have a closed form at any x.
 
@@ -61,11 +62,11 @@ class ContinuationRegion:
         return int(np.abs(self.x).max(axis=0).argmax())
 
     def values(self, x: Array) -> Array:
-        """Return the cost U of silence minus that of a send at each of the points x."""
+        """Return U(x), the cost of silence minus the cost of a send, at each of the points x."""
         return self._moments(x, 1)[:, 0] + (x * x) @ self.white.m - self.cost
 
     def slopes(self, x: Array) -> tuple[Array, Array]:
-        """Return U and its gradient."""
+        """Return the cost difference U(x) and its gradient at each of the points x."""
         # the gradient of Σ v_k φ(x_k − z) at z = F x is Σ v_k (x_k − z) φ; the chain rule multiplies it by F
         n, F = x.shape[1], self.white.F
         sums = self._moments(x, 1 + n)
@@ -73,7 +74,7 @@ class ContinuationRegion:
         return sums[:, 0] + (x * x) @ self.white.m - self.cost, ahead @ F + 2 * self.white.m * x
 
     def curves(self, x: Array) -> tuple[Array, Array, Array]:
-        """Return the function U of this region at each point, with its gradient and its second derivatives."""
+        """Return the cost difference U(x), its gradient and its second derivatives at each of the points x."""
         n, F = x.shape[1], self.white.F
         sums, z = self._moments(x, 1 + n + n * (n + 1) // 2), x @ F.T
         ahead = sums[:, 1 : 1 + n] - z * sums[:, :1]
@@ -87,7 +88,7 @@ class ContinuationRegion:
         return value, ahead @ F + 2 * self.white.m * x, F.T @ square @ F + 2 * np.diag(self.white.m)
 
     def extent(self, outer: Array, low: Array, high: Array) -> tuple[Array, Array]:
-        """Return the two ends of the region on the next coordinate axis, given the coordinates on earlier axes.
+        """Return both ends of the region along the next coordinate axis, for given coordinates on the earlier axes.
 
         At the ends, the minimum of U over the later axes changes its sign.
 
@@ -202,7 +203,7 @@ class ContinuationRegion:
 
 
 def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
-    """Return the next region of unsent errors, by one step of policy iteration from a solution.
+    """Return the next set of unsent errors, by one policy-iteration step from a solution of the renewal equations.
 
     Its U is the cost of silence minus that of a send, if later decisions follow the region of the solution.
 
@@ -226,12 +227,12 @@ def improve(white: White, solved: Solved, window: Window) -> ContinuationRegion:
 
 
 def beyond_a_send(solved: Solved) -> Array:
-    """Return the cost of silence minus the cost of a send at each node, in units of the price of a send, (nodes,)."""
+    """Return, for each node, the cost of silence minus that of a send, in units of the price per send, (nodes,)."""
     return solved.costs - (solved.excess + solved.rate) * solved.checks
 
 
 def holes(solved: Solved, negligible: float) -> tuple[float, float, float]:
-    """Return by how much rate, excess and cost change if errors are sent at all nodes where a send costs less.
+    """Return by how much rate, excess and cost change if errors are also sent wherever a send costs less than silence.
 
     A chord through a region that is not convex contains such nodes. Removing a node changes a mean by the number of
     visits to the node times the change of the expected future by a send there. This is exact if the visits are counted

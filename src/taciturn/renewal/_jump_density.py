@@ -1,4 +1,4 @@
-"""Probability density of the sum of the normal jumps in one period, for a two-dimensional error."""
+"""Probability density of the summed jumps in one period, for a two-dimensional error and normally distributed jumps."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ RESOLVED = 1e-6  # largest characteristic function at the highest frequency, rel
 
 @dataclass(frozen=True)
 class Fineness:
-    """Numbers of nodes in the tables of the probability density of an error increment.
+    """Numbers of nodes in the tables that represent the probability density of an error increment.
 
     Args:
         angles: nodes of a table in the angle.
@@ -40,7 +40,7 @@ class Fineness:
 
 @dataclass(frozen=True, eq=False)
 class CompoundPoissonNoise:
-    """Noise of a two-dimensional error over the period between two checks: normal jumps at Poisson times.
+    """Noise in a two-dimensional error between two checks: normally distributed jumps at Poisson times.
 
     Args:
         A: (2, 2) dynamics per second.
@@ -60,7 +60,7 @@ class CompoundPoissonNoise:
         return exp(-self.rate * self.period)
 
     def moved(self, left: Array) -> Array:
-        """Return e^{As}G, the effect on the error at a check of a jump that occurred s seconds earlier."""
+        """Return e^{As}G, which maps a jump to its effect on the error s seconds later."""
         return flow(self.A, left) @ self.G
 
     def covariance(self, times: int = 60) -> Array:
@@ -128,7 +128,7 @@ def _coefficients(values: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Rays:
-    """Probability density p of a two-dimensional error increment, as a function of the distance ρ along rays.
+    """Probability density p of a two-dimensional error increment, as a function of the distance ρ from 0 along rays.
 
     The probability of an area element is ρ p(ρ) dρ dθ.
 
@@ -314,7 +314,7 @@ class Density:
 
 
 def reach(jump: float, mean: float) -> float:
-    """Return the distance that the sum of the jumps in one period exceeds with negligible probability.
+    """Return a distance from 0 that the sum of the jumps in one period exceeds only with negligible probability.
 
     Args:
         jump: largest standard deviation of one jump in any direction.

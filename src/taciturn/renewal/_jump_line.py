@@ -18,7 +18,7 @@ FADED = 9.0  # frequency times the smallest standard deviation at which the char
 
 @dataclass(frozen=True)
 class Line:
-    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a bound.
+    """A scalar error with Poisson jumps, which is sent if its absolute value exceeds a threshold.
 
     Args:
         a: dynamics between jumps, ė = a e, per second.
@@ -39,7 +39,7 @@ class Line:
     Gamma: float
 
     def sums(self, fineness: float, checks: int) -> Sums:
-        """Return the renewal equations of this error, on numbers of nodes that are proportional to ``fineness``.
+        """Return the renewal equations of this error, discretised on a number of nodes proportional to ``fineness``.
 
         Given the times of the jumps, the increment of a period is normal. The narrowest of these normal densities sets
         the scale of all nodes.

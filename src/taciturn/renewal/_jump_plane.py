@@ -1,4 +1,4 @@
-"""Renewal equations for a two-dimensional error with Poisson jumps, from integrals along rays.
+"""Renewal equations for a two-dimensional error with Poisson jumps, by integration along rays.
 
 The integrals are split at the edges of the set of unsent errors.
 """
@@ -65,7 +65,7 @@ class Plane:
         self.long, self.short = (float(1 / np.sqrt(max(value, 1e-14 * values[1]))) for value in values)
 
     def density(self, fineness: Fineness) -> Density:
-        """Return the probability density of the error increment over a period with at least one jump; it is cached."""
+        """Return the cached probability density of the error increment over a period with at least one jump."""
         if fineness not in self._densities:
             self._densities[fineness] = Density(self.shower, fineness)
         return self._densities[fineness]

@@ -1,4 +1,4 @@
-"""Linear renewal equations of an error with jumps, and the distribution of the intervals between its sends."""
+"""Linear renewal equations of an error with jumps, and the distribution of the intervals between sends."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEADY = 1e-12  # relative change of the decay factor per check below which the 
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Renewal equations of an error with jumps: integrals over the error increment of a period with a jump.
+    """Renewal equations of an error with jumps, as integrals over the error increment in a period with a jump.
 
     Each row starts at one node, the last row at the error 0.
 
@@ -68,11 +68,11 @@ class Sums:
         return float(self._cycle[0]), float(self._cycle[1])
 
     def outskirts(self) -> float:
-        """Return a bound on the fraction of checks at which the unsent error is outside the truncated set of nodes."""
+        """Return a bound on the fraction of checks at which an unsent error is outside the set that the nodes cover."""
         return float(abs(self._cycle[2] / self._cycle[0]))
 
     def intervals(self, mean: float) -> Intervals:
-        """Return the distribution of the number of checks between sends, given its mean."""
+        """Return the distribution of the number of checks between sends, given the mean of this number."""
         # past[k]: P(no send at the next k + 1 checks, and a jump in the next period), as coefficients of the basis;
         # origin[k]: the same from the error 0
         inverse = np.linalg.inv(self.basis)

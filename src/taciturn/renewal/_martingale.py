@@ -1,4 +1,4 @@
-"""Martingale of a duality lower bound on the cost of all schedules, from the value function of a fitted schedule.
+"""Martingale for a duality lower bound on the cost of every schedule, from the value function of a fitted schedule.
 
 Its increments are φ = min(0, U) of the fitted schedule minus the conditional mean of φ.
 """
@@ -15,7 +15,7 @@ BLOCK = 2**17  # numbers per block: larger blocks do not fit the cache, and thei
 
 
 class Martingale:
-    """The error process and the function φ = min(0, U) of a fitted schedule, from which a martingale is built.
+    """Martingale built from the function φ = min(0, U), where U is the cost of silence minus the cost of a send.
 
     The Gaussian function (called bell) has the height and the curvature of φ at 0. Its conditional mean under Gaussian
     noise has a closed form, so that only the conditional mean of the rest, φ minus the bell, is sampled.
@@ -37,11 +37,14 @@ class Martingale:
         self.less = float(np.linalg.det(spread)) ** -0.5
 
     def after(self, error: Array, w: Array) -> Array:
-        """Return the mean of φ minus its Gaussian part at the next check, averaged over given noises, (batches, paths).
+        """Return the mean, over given noises, of the function φ minus its Gaussian part at the next check.
 
         Args:
             error: errors before the check, (batches, paths, n).
             w: noises, (batches, noises, n).
+
+        Returns:
+            The means, (batches, paths).
         """
         rows = max(1, BLOCK // (error.shape[1] * w.shape[1]))
         return np.concatenate([self._after(error[k : k + rows], w[k : k + rows]) for k in range(0, len(w), rows)])
@@ -58,11 +61,11 @@ class Martingale:
         return self._off(spread(self.Gamma), spread(self.fitted.Pi)).mean(axis=2)
 
     def bell_after(self, error: Array) -> Array:
-        """Return the conditional mean of the Gaussian part of φ at the next check, given the error before it."""
+        """Return the mean of the Gaussian part of the function φ at the next check, given the error before it."""
         return -self.depth * self.less * np.exp(-0.5 * squares(error @ self.F.T, self.blurred))
 
     def now(self, error: Array) -> tuple[Array, Array]:
-        """Return the Gaussian part of φ at each error, and φ minus this part."""
+        """Return the Gaussian part of the function φ at each error, and the remaining part of φ."""
         cost, power = squares(error, self.Gamma), squares(error, self.fitted.Pi)
         bell = -self.depth * np.exp(-(cost + (0.5 * self.fitted.height) * power) / self.depth)
         return bell, self._off(cost, power)

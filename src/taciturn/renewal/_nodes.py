@@ -20,7 +20,7 @@ FEWEST, PER_HALF_WIDTH = 10.0, 3.2  # Gauss–Legendre nodes: a constant, and pe
 
 
 class Region(Protocol):
-    """The set of errors that are not sent, symmetric about 0.
+    """Set of the errors that are not sent; it is symmetric about 0.
 
     For given coordinates on the outer axes, it contains one interval (chord) on the next axis.
     """
@@ -41,7 +41,7 @@ class Region(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Ellipsoid:
-    """Ellipsoid of unsent errors x, Σ_i m_i x_i² ≤ 1.
+    """Ellipsoid Σ_i m_i x_i² ≤ 1 of the errors x that are not sent.
 
     Args:
         m: weights, (n,).
@@ -60,7 +60,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Bounded region that contains nearly all unsent errors: for each axis, an interval given the outer coordinates.
+    """Bounded region that contains nearly all unsent errors: on each axis, an interval that depends on the outer axes.
 
     Args:
         covariance: approximate covariance of unsent errors, (n, n). This covariance determines the conditional mean
@@ -76,7 +76,7 @@ class Window:
         return Window(self.covariance, self.reach * factor)
 
     def given_outer(self, outer: Array) -> tuple[Array, float]:
-        """Return mean and standard deviation of the next coordinate, given each row of outer coordinates."""
+        """Return the conditional mean and standard deviation of the next coordinate for each row of the outer ones."""
         d, covariance = outer.shape[1], self.covariance
         slope = np.linalg.solve(covariance[:d, :d], covariance[:d, d])
         return outer @ slope, float(np.sqrt(max(covariance[d, d] - covariance[d, :d] @ slope, 0.0)))
@@ -105,7 +105,7 @@ class Level:
         return np.stack(parts).reshape(len(parts), -1)
 
     def scattered(self, fall: Array, sums: Array) -> Array:
-        """Return the transpose of the linear map ``gathered``, from (outer, points·k) to (places, k)."""
+        """Apply the transpose of the linear map ``gathered``, which maps (outer, points·k) to (places, k)."""
         ends = (*self.first[1:], len(self.x))
         cubes = sums.reshape(len(self.first), fall.shape[1], -1)
         return np.concatenate([fall[low:high] @ cube for low, high, cube in zip(self.first, ends, cubes, strict=True)])
@@ -113,7 +113,7 @@ class Level:
 
 @dataclass(frozen=True, eq=False)
 class Nodes:
-    """Quadrature nodes of a symmetric region, with one node of every pair ±x.
+    """Quadrature nodes of a symmetric region; only one node of each pair ±x is stored.
 
     Args:
         x: nodes, (nodes, n).

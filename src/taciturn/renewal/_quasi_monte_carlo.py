@@ -27,7 +27,7 @@ class Lattice:
     def normals(
         self, draws: np.random.Generator, copies: int, wanted: slice | npt.NDArray[np.bool_] = slice(None)
     ) -> Array:
-        """Return standard normal samples, (copies, points, dimensions), from a randomly shifted Sobol set per copy.
+        """Return standard normal samples, (copies, points, dimensions); each copy is a newly shifted Sobol set.
 
         Each copy is shifted by an independent uniform draw [cranley1976]. All shifts are drawn, and the wanted copies
         are returned.

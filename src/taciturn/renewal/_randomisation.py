@@ -1,4 +1,4 @@
-"""One random replication of conditional sampling: sampled unsent errors, weighted by the probability of no send."""
+"""One replication of conditional sampling: simulated paths without a send, weighted by the probability of no send."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOST = 1e-30  # survival probability at which a cost that has not converged neve
 
 
 class Walk:
-    """Sampler of the next error of many paths, on the condition that no path sends it.
+    """Sampler of the next error of many paths, conditioned on the event that the error is not sent.
 
     The noise is w = G z with z ~ N(0, I), in coordinates in which G'ΨG is diagonal, ascending.
 
@@ -127,7 +127,7 @@ class Course:
 
 
 def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float) -> Course:
-    """Return the estimates from one randomisation of many paths that do not send.
+    """Simulate many paths, conditioned on no send, and return the estimates from one randomisation.
 
     The draws are scrambled Sobol points at the first checks and pseudo-random numbers at later checks.
 

@@ -1,4 +1,4 @@
-"""Renewal equations of a reset error on quadrature nodes: their discretisation, solution and error estimates."""
+"""Renewal equations of an error that sends reset, on quadrature nodes: discretisation, solution, error estimates."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ USELESS = 0.01  # relative error above which an answer is rejected
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Discretised renewal equations: distribution of the unsent error after one check, and the map of a check.
+    """Discretised renewal equations: the distribution of the unsent error after one check, and the map of a check.
 
     Args:
         x: nodes, (nodes, n).
@@ -111,7 +111,7 @@ def usual_accuracy(white: White) -> float:
 
 
 def afforded(step: int, dimensions: int) -> int:
-    """Return the largest number of quadrature nodes in an attempt.
+    """Return the largest number of quadrature nodes that is allowed in an attempt.
 
     The first attempt uses fewer nodes, because its error estimate needs a finer one.
     """
@@ -193,7 +193,7 @@ def climb(
 
 
 def find_window(white: White, region: Region, covariance: Array, effort: Effort) -> Window:
-    """Return a window that contains nearly all unsent errors, found by iteration on coarse nodes.
+    """Return a window, found by iteration on coarse nodes, that contains nearly all unsent errors.
 
     Args:
         white: the chain.
@@ -227,7 +227,7 @@ def find_window(white: White, region: Region, covariance: Array, effort: Effort)
 
 
 def discretise(white: White, nodes: Nodes, effort: Effort) -> System:
-    """Return the discretised renewal equations; functions of the error are even, so −x and x share a node.
+    """Return the discretised renewal equations; because of symmetry, one node represents both x and −x.
 
     Args:
         white: the chain.

@@ -37,7 +37,7 @@ class White:
 
 @dataclass(frozen=True, eq=False)
 class Data:
-    """An error that a send resets, with its trigger scaled to the threshold 1.
+    """Error process that a send resets, with its trigger scaled to the threshold 1.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -65,7 +65,7 @@ class Data:
 
 
 def reduced(chain: Chain) -> Data:
-    """Return an error process without directions that noise never reaches or that affect neither trigger nor cost.
+    """Return an error process without the directions that noise never reaches or that affect neither trigger nor cost.
 
     Args:
         chain: chain with Gaussian noise.
@@ -90,7 +90,7 @@ def reduced(chain: Chain) -> Data:
 
 
 def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
-    """Return an error process in its fewest coordinates, with white noise and a diagonal trigger weight Ψ.
+    """Return an error process in as few coordinates as possible, with white noise and a diagonal trigger weight Ψ.
 
     Args:
         chain: chain with Gaussian noise.
@@ -125,7 +125,7 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
 
 
 def spread(white: White) -> Array:
-    """Return the approximate covariance of unsent errors, as if the trigger were random.
+    """Return the approximate covariance of unsent errors, computed as if the trigger were random.
 
     Then the error x is not sent with probability exp(−½ SOFT Σ m_i x_i²).
 

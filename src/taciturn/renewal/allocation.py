@@ -1,4 +1,4 @@
-"""Periodic control of several loops on a shared channel: exact cost of every interval, and optimal rates."""
+"""Periodic control of several loops on a shared channel: exact cost of every send interval, and optimal rates."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ HALVINGS = 200
 
 
 class Clocked:
-    """An error e⁺ = F e (1−σ) + w that is sent periodically, at every k-th check, and costs e'Γe at other checks.
+    """An error e⁺ = F e + w that a periodic send resets at every k-th check and that costs e'Γe at all other checks.
 
     At check j after a send, the mean cost is w_j = tr(Γ P_j) with P_j = F P_{j−1} F' + W and P_0 = 0. An interval of k
     checks costs S(k) = w_1 + … + w_{k−1}. For a rate 1/k < r < 1/(k−1) both intervals alternate, so that S is linear in
@@ -42,7 +42,7 @@ class Clocked:
             self.forever = 0.0
 
     def cost(self, rate: float) -> float:
-        """Return the mean cost per check of periodic sends at a given rate per check, in [0, 1]."""
+        """Return the mean cost per check if sends are periodic at a given rate per check, in [0, 1]."""
         if rate * LONGEST < 1:
             return self.forever
         interval = max(1 / rate, 1.0)
@@ -52,7 +52,7 @@ class Clocked:
         return float(rate * (below + (interval - whole) * (above - below))) if np.isfinite(above) else np.inf
 
     def interval(self, price: float) -> float:
-        """Return the optimal number of checks between sends at a price per send, or infinity if no send pays off.
+        """Return the optimal number of checks between sends for a given price per send; infinity if no send pays off.
 
         It is the k with the least (S(k) + price)/k.
 
@@ -70,7 +70,7 @@ class Clocked:
             self._extend(2 * len(gains))
 
     def least_rate(self, cost: float) -> float:
-        """Return the rate 1/k with integer k below which the mean cost per check exceeds ``cost``."""
+        """Return the least rate 1/k with an integer k at which the mean cost per check is at most ``cost``."""
         while self._sums[-1] < cost * len(self._sums) and len(self._sums) < LONGEST and not self._is_settled():
             self._extend(2 * len(self._weights))
         count = np.arange(1, len(self._sums) + 1)
@@ -125,7 +125,7 @@ class Allocation(Displayed):
 
 
 def allocate(sharers: Sequence[LoopClass], capacity: float) -> Allocation:
-    """Return the rate of each class that minimises the total cost per step, with at most ``capacity`` sends per step.
+    """Return the rates of all classes of loops that minimise the total cost, with at most ``capacity`` sends per step.
 
     The mean cost per check is a convex function of the rate. So one price μ per send separates the problem: every class
     uses its optimal interval at this price. At the price where the load crosses the capacity, time is shared between

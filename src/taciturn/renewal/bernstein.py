@@ -1,4 +1,4 @@
-"""Polynomials on pieces of time, as operations of a program: proofs that no root exists, and search for a root.
+"""Program operations on polynomials in time: proof that a polynomial has no root, or search for a root.
 
 A polynomial Σ m_k x^k on [0, 1] is Σ b_j B_j(x) in the Bernstein basis. Its values lie between the least and the
 largest b_j. The number of roots in (0, 1) is at most the number of sign changes of the b_j, and has the same parity.
@@ -25,7 +25,7 @@ _ORDER_ERROR = 1e-14  # size of the first omitted term of the Taylor series
 
 
 class Motion:
-    """Motion ė = A e of an error over short pieces of time, by a Taylor series that is exact if A is nilpotent.
+    """Prediction of an error ė = A e over short pieces of time, by a Taylor series that is exact if A is nilpotent.
 
     Args:
         A: dynamics per second, (n, n).

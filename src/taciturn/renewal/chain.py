@@ -17,7 +17,7 @@ class NoQuadratureError(ProblemError):
 
     @property
     def reason(self) -> str:
-        """The first part of the error message: the reason, without expectation and remedy."""
+        """First part of the error message, which contains the reason but neither expected value nor remedy."""
         return str(self).split("; ", 1)[0]
 
 
@@ -102,7 +102,7 @@ class Intervals(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Renewal(Displayed):
-    """Send rate and excess cost of a chain, with the error estimates of the quadrature.
+    """Send rate and excess cost of an error process (chain), with the error estimates of the quadrature.
 
     Args:
         rate: sends per check.

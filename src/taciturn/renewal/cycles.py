@@ -1,4 +1,4 @@
-"""Mean interval and cost per second of cycles between sends, by simulation, with standard errors.
+"""Mean interval between sends and mean cost per second, by simulation of the cycles between sends.
 
 When enough cycles are counted, every path is run until its current cycle has ended. The number of counted cycles is
 then a stopping time. By Wald's identity, durations and costs have no bias from a last cycle that is cut short.
@@ -49,7 +49,7 @@ Process: TypeAlias = JumpProcess | SampledProcess
 
 @dataclass(frozen=True, repr=False)
 class CycleEstimate(Displayed):
-    """Estimates from many cycles.
+    """Estimates of mean interval and cost per second from many simulated cycles between sends.
 
     Args:
         interval: mean seconds between sends, E[θ].
@@ -69,7 +69,7 @@ class CycleEstimate(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Sample(Displayed):
-    """Durations and costs of simulated cycles between sends: the first cycles of each path.
+    """Durations and costs of simulated cycles between sends, from the first cycles of each path.
 
     Args:
         durations: θ, (cycles,).
@@ -91,7 +91,7 @@ def estimate_cycles(
     threads: int | None = None,
     alive: Callable[[], None] | None = None,
 ) -> CycleEstimate:
-    """Estimate, by simulation, the mean interval between sends and the cost per second of a triggered error.
+    """Estimate, by simulation, the mean interval between sends and the cost per second of an error with a trigger.
 
     Args:
         process: the error.
@@ -143,7 +143,7 @@ def sweep(
     paths: int = PATHS,
     threads: int | None = None,
 ) -> tuple[CycleEstimate, ...]:
-    """Estimate the mean interval M(c) = E[θ] of the integral trigger for many values of c.
+    """Estimate the mean interval M(c) = E[θ] between sends of the integral trigger for many thresholds c.
 
     The jumps and their times are the same for every c.
 

@@ -1,4 +1,4 @@
-"""Lower confidence bounds on the cost of all send schedules of an error that a send resets, by duality."""
+"""Lower confidence bounds, by duality, on the cost of every send schedule of an error that a send resets."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ROUNDS = 60
 
 @dataclass(frozen=True, repr=False)
 class Sampled(Displayed):
-    """Monte Carlo estimate of a lower bound on the mean cost per check: the root g° of h(g) = λ − g + D(g).
+    """Monte Carlo estimate of a lower bound on the mean cost per check, computed as the root of a sampled function.
 
     λ is the price of a send, and D(g) a dual bound (:func:`sample_dual`).
 
@@ -68,7 +68,7 @@ class Sampled(Displayed):
 
 
 def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> float:
-    """Return a lower confidence bound on a weighted sum Σ c_i g°_i of lower bounds, from independent estimates.
+    """Return a lower confidence bound on a weighted sum Σ c_i g°_i of lower bounds that are estimated independently.
 
     The ρ_i are unknown constants, not random numbers. For any values of them, the estimate of Σ c_i ρ_i h_i is unbiased
     and has the standard error of a sum of independent terms. The bound uses the least value over all ρ_i within their
@@ -87,7 +87,7 @@ def bound_sum(terms: Sequence[tuple[float, Sampled]], confidence: float) -> floa
 
 @dataclass(frozen=True, repr=False)
 class DualBound(Displayed):
-    """A lower bound on the mean cost per check of every send schedule; the cost includes the price of the sends.
+    """A lower bound on the mean cost per check of every send schedule, where the cost includes the price of the sends.
 
     Args:
         gain: the bound, at the requested confidence.
@@ -110,7 +110,7 @@ def bound_schedules(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DualBound:
-    """Return a lower bound on E[e'Γe(1−σ) + λσ] for all causal send schedules σ of the error e⁺ = F e(1−σ) + w.
+    """Return a lower bound on E[e'Γe(1−σ) + λσ] that holds for all causal send schedules σ of e⁺ = F e(1−σ) + w.
 
     Args:
         F: map of the error from one check to the next, (n, n).
@@ -149,7 +149,7 @@ def sample_dual(
     precise: float | None = None,
     progress: Progress | None = None,
 ) -> Sampled:
-    """Return a Monte Carlo estimate of the lower bound on the mean cost per check of all send schedules.
+    """Return a Monte Carlo estimate of a lower bound on the mean cost per check of every send schedule.
 
     The arguments are those of :func:`bound_schedules`.
 

@@ -176,7 +176,7 @@ def filled(program: Program, paths: int, values: Mapping[str, Array]) -> Array:
 def count_cycle(
     b: Builder, ended: int, duration: int, cost: int, opened: int, closing: int
 ) -> tuple[int, dict[str, int], dict[str, int]]:
-    """Return the operations that count a cycle at its end: whether later cycles count, the sums, and the outputs.
+    """Return the operations at the end of a cycle: whether later cycles count, the sums, and the outputs.
 
     Args:
         b: collects the operations.

@@ -59,7 +59,7 @@ class Fitted(Displayed):
 
 
 def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int = 0, points: int = POINTS) -> Fitted:
-    """Return a near-optimal send schedule of the error e⁺ = F e(1−σ) + w.
+    """Return a near-optimal send schedule for the error e⁺ = F e(1−σ) + w, where σ is 1 at a send and 0 otherwise.
 
     Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
 
@@ -89,7 +89,7 @@ def fit_schedule(F: Array, noise: Array, Gamma: Array, price: float, seed: int =
 
 
 class Fitting:
-    """Fits near-optimal send schedules for many prices of a send, from simulated errors.
+    """Fits of near-optimal send schedules to simulated errors, for many prices per send.
 
     All prices within half an octave use the same errors.
 
@@ -107,7 +107,7 @@ class Fitting:
         self._grounds: tuple[float, _Ground] | None = None
 
     def at(self, price: float) -> Fitted:
-        """Return a near-optimal send schedule at a price λ > 0 of a send, as :func:`fit_schedule` does.
+        """Return a near-optimal send schedule for a price λ > 0 per send, as :func:`fit_schedule` does.
 
         Raises:
             ProblemError: hardly anything is ever sent at this price, or nothing at any price.

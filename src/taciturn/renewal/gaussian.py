@@ -78,7 +78,7 @@ def solve_gaussian(chain: Chain, accuracy: float | None = None, progress: Progre
 
 
 class Quadrature:
-    """Renewal equations of an error with Gaussian noise; predicts the effort to solve them, and solves them.
+    """Solver for the renewal equations of an error with Gaussian noise, which can first predict the computation.
 
     Args:
         chain: chain with Gaussian noise.
@@ -117,7 +117,7 @@ class Quadrature:
 
     @property
     def rough_excess(self) -> float:
-        """Rough value of the excess cost, usually too large, from the approximate covariance of unsent errors."""
+        """Rough estimate of the excess cost, usually too large, from the approximate covariance of unsent errors."""
         return float(np.sum(self.white.Gamma * self.covariance))
 
     def solve(self, accuracy: float | None = None, progress: Progress | None = None) -> Renewal:
@@ -140,7 +140,7 @@ class Quadrature:
         )
 
     def predict(self, accuracy: float) -> float:
-        """Return approximately how many operations a relative accuracy requires, without solving the equations.
+        """Return approximately how many operations a given relative accuracy requires, without solving the equations.
 
         The result is infinite if too many nodes are needed.
         """

@@ -1,4 +1,4 @@
-"""Send rate and excess cost of an error with normal jumps at Poisson times, by quadrature."""
+"""Send rate and excess cost of an error with normally distributed jumps at Poisson times, by quadrature."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ FINENESS = (Fineness(32, 24, 384), Fineness(48, 40, 800), Fineness(56, 48, 1200)
 
 
 def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None = None) -> Renewal:
-    """Return the send rate and the excess cost of an error with normal jumps at Poisson times.
+    """Return the send rate and the excess cost of an error with normally distributed jumps at Poisson times.
 
     Between two jumps the error moves deterministically: after a fraction e^{−λτ} of the checks, e⁺ = F e exactly. So an
     expectation over later checks is discontinuous wherever F^j e leaves the set of unsent errors. After a jump it is

@@ -1,4 +1,4 @@
-"""Optimal send schedule at a price per send, by policy iteration on the renewal equations."""
+"""Optimal send schedule for a given price per send, by policy iteration on the renewal equations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ OTHERWISE = "use the policy 'near-optimal', which supports any number of states,
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Optimum(Renewal):
-    """Optimal send schedule at a price per send, with its rate and cost and the error estimates of the quadrature.
+    """Optimal send schedule for a given price per send, with its rate, its cost, and error estimates of the quadrature.
 
     Args:
         cost: g = excess + price · rate, the least mean cost per check.
@@ -74,7 +74,7 @@ class Optimum(Renewal):
         return self.price * self.region.values(points @ self.region.white.rows.T).reshape(given.shape[:-1])
 
     def sends(self, e: ArrayLike) -> np.typing.NDArray[np.bool_]:
-        """Return for each error e whether the optimal schedule sends it: U(e) > 0.
+        """Return, for each error e, whether the optimal schedule sends it because silence would cost more: U(e) > 0.
 
         Args:
             e: errors, (…, n).
@@ -96,7 +96,7 @@ def solve_optimal(
     accuracy: float | None = None,
     progress: Progress | None = None,
 ) -> Optimum:
-    """Return the send schedule that minimises the mean cost per check: e'Γe if silent, and a price for each send.
+    """Return the send schedule that minimises the mean cost per check: e'Γe in silence, or the price of a send.
 
     The error before a check is e⁺ = F e + w. A send resets it to 0; an unsent error costs e⁺'Γe⁺. The optimal rule is
 
@@ -161,7 +161,7 @@ def solve_optimal(
 def optimal_curve(
     F: ArrayLike, noise: ArrayLike, Gamma: ArrayLike, prices: ArrayLike, accuracy: float | None = None
 ) -> tuple[Optimum, ...]:
-    """Return the optimal send schedule at each of several prices: points on the optimal curve of cost against rate.
+    """Return the optimal send schedules for several prices per send, which trace the curve of least cost against rate.
 
     Args:
         F: map of the error from one check to the next, any (n, n) matrix.

@@ -62,7 +62,7 @@ def solve_paths(
     steps: int = USUAL,
     progress: Progress | None = None,
 ) -> PathAnswer:
-    """Return send rate and excess cost of an error with Gaussian noise in any dimension, by conditional sampling.
+    """Return send rate and excess cost of an error of any dimension with Gaussian noise, by conditional sampling.
 
     The mean interval is T = Σ_j P(no send at the checks 1 … j), and its mean cost is C = Σ_j E[e_j'Γe_j, no send so
     far]. The rate is 1/T, and the excess is C/T. Sampling is conditional on silence: at each check, the coordinates of
@@ -139,7 +139,7 @@ def _off(*found: Estimate) -> float:
 
 
 def predict_paths(chain: Chain, known: PathAnswer, standard_error: float) -> float:
-    """Return approximately how many operations ``solve_paths`` needs, given a coarser answer.
+    """Return approximately how many operations ``solve_paths`` needs, given a less accurate solution.
 
     The result is 0 if the coarser answer is accurate enough.
 
@@ -168,7 +168,7 @@ def predict_fewest(chain: Chain) -> float:
 
 
 def least_work(chain: Chain) -> float:
-    """Return a lower bound on the operations of ``solve_paths``, for its fewest paths and a send at every check."""
+    """Return a lower bound on the operations of ``solve_paths``: fewest paths, and a send at every check."""
     return _fewest(chain, 1.0)
 
 
@@ -177,7 +177,7 @@ def _fewest(chain: Chain, interval: float) -> float:
 
 
 def expect_quicker(chain: Chain) -> bool:
-    """Predict whether conditional sampling is faster than a plain simulation, which holds for short intervals.
+    """Predict whether conditional sampling is faster than a plain simulation, as it is for short send intervals.
 
     Quasi-random points help only if intervals have few checks; ``benchmarks/paths.py`` measures the limit. The mean
     interval is at least that of independent checks (:func:`least_interval`), and usually close to it.

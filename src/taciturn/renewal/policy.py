@@ -74,7 +74,7 @@ class EventPolicy(Displayed):
         _refuse(f"{self.kind} without a period", given, "policy.period")
 
     def bound(self, interval: float = 0.0) -> float | None:
-        """Return an upper bound on the cost at a given mean interval between sends; at 0, a bound for any interval.
+        """Return an upper bound on the cost for a given mean interval between sends; for 0, it holds for all intervals.
 
         The result is None if a shortest interval allows the cost of an interval to exceed the threshold.
         """
@@ -86,7 +86,7 @@ class EventPolicy(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalPolicy(Displayed):
-    """Policy with the optimal send schedule of an error that a send resets, at a price per send.
+    """Policy with the optimal send schedule, at a given price per send, of an error that a send resets.
 
     Its boundary is computed by quadrature and is not a quadratic form, so that no node can run it.
 
@@ -122,7 +122,7 @@ class OptimalPolicy(Displayed):
 
     @property
     def cost_all_time(self) -> float:
-        """Cost of sending at every step, in the units of the cost."""
+        """Cost of sending at every step, in the user's units."""
         return self.looked_at.cost_all_time
 
 

@@ -15,7 +15,7 @@ SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative t
 
 @dataclass(frozen=True, repr=False)
 class Rarity(Displayed):
-    """Bounds on the send rate and the cost of the optimal schedule at a price per send.
+    """Bounds on the send rate and the cost of the optimal schedule for a given price per send.
 
     Args:
         rate: upper bound on its sends per check.
@@ -27,7 +27,7 @@ class Rarity(Displayed):
 
 
 def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rarity:
-    """Return bounds on send rate and cost of the optimal schedule of the error e⁺ = F e (1−σ) + w.
+    """Return bounds on send rate and cost of the optimal schedule for e⁺ = F e (1−σ) + w, where σ is 1 at a send.
 
     Silence (σ = 0) costs e'Γe, and a send (σ = 1) costs λ.
 

@@ -1,4 +1,4 @@
-"""Access rules that decide which loops may send on a shared channel, one class for each rule."""
+"""Access rules that decide which loops are allowed to send on a shared channel, one class for each rule."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Grant(Displayed):
 
 
 class Access(Protocol):
-    """An access rule of a shared channel; as it may have internal state, use one object for each simulation."""
+    """An access rule of a shared channel; because it can have internal state, use one object for each simulation."""
 
     def grant(self, tick: int, at: Places, urgency: Array) -> Grant:
         """Return which loops send.

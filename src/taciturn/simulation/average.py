@@ -28,7 +28,7 @@ LEAN = 60  # operations of a small program
 
 
 def completed_squares(loop: Loop, reduced: bool | None = None) -> Estimator:
-    """Return the cost estimator J = J_all + E[completed square], in the innovations form if that is valid.
+    """Return the cost estimator J = J_all + E[completed square], in the innovations form if this form is valid.
 
     Args:
         loop: the closed loop.
@@ -188,7 +188,7 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 
 
 def least_work(loop: Loop) -> float:
-    """Return the least number of operations that ``average`` needs until a loop has settled."""
+    """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
     least = max(BURN_IN, int(SETTLE * loop.policy.settling))
     return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
 

@@ -23,7 +23,7 @@ KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "gra
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Group(Displayed):
-    """A group of equal loops with the error e⁺ = F e + w; a send resets the error to 0, and an unsent error costs e'Γe.
+    """A group of identical loops with the error e⁺ = F e + w; a send resets it to 0, and an unsent error costs e'Γe.
 
     Args:
         F: error dynamics, (n, n).
@@ -90,7 +90,7 @@ class SharedChannel:
         self.cohorts = [Cohort(turns, every, phase, channels, seed) for (_, every, phase), turns in alike.items()]
 
     def run(self, ticks: int) -> Stretch:
-        """Continue the simulation for a number of steps, a multiple of every group's steps between two checks."""
+        """Continue the simulation for a number of steps that is a multiple of every group's check interval."""
         channels = self._channels
         busy, waiting = np.zeros(channels), np.zeros(channels)
         active: dict[tuple[bool, ...], tuple[list[Cohort], Places]] = {}
@@ -145,13 +145,13 @@ class Cohort:
         self.urgency = np.full((channels, len(self.places)), -1.0)
 
     def look(self, sent: Bits) -> None:
-        """Advance the errors of these loops to their next check, given which loops send, (channels, loops)."""
+        """Advance the errors of these loops to their next check, after the sends of the loops in the mask ``sent``."""
         self._sent += sent
         told = sent.T.astype(np.float64).reshape(1, -1)
         self.urgency = np.ascontiguousarray(self._errors.tick(told).reshape(-1, self._channels).T)
 
     def take(self) -> Iterator[tuple[int, Array, Array]]:
-        """Yield group, cost and sends of loops with the same check steps since the last call, (channels,) each."""
+        """Yield each group of these loops with its cost and sends since the last call, (channels,) each."""
         added = self._errors.take_sums()[EXCESS].reshape(-1, self._channels)
         end = 0
         for turn in self._turns:

@@ -73,7 +73,7 @@ class Part(Displayed):
 
     @property
     def distance(self) -> float:
-        """Number of time constants in which a large initial state decays to the noise: ln(1 + |mean|/deviation)."""
+        """Number of time constants in which a large initial state decays to noise level: ln(1 + |mean|/deviation)."""
         plant = self.loop.problem.plant
         deviation = float(np.sqrt(np.diag(plant.W).max()))
         return float(np.log1p(np.abs(plant.mean).max() / deviation)) if deviation > 0 else 0.0

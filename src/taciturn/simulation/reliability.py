@@ -23,7 +23,7 @@ HEAVY = 1.6  # limit for an index estimated from 64 paths, to an eighth of its v
 
 
 def expect_arrivals(loop: Loop) -> None:
-    """Raise an error if link outages make the mean square of a loop infinite for any send decisions.
+    """Raise an error if link outages make the mean square of a loop infinite, whatever the send decisions.
 
     Raises:
         UnstableError: a link drops every packet, or too many in a row, and the plant does not come to rest by itself.
@@ -132,7 +132,7 @@ def _outages(loop: Loop) -> list[tuple[str, float, float]]:
 
 
 def doubt_errors(cost: Estimate, steps: int) -> tuple[str, ...]:
-    """Return a warning if the standard error of a simulated cost is a large share of the cost."""
+    """Return a warning if the standard error of a simulated cost is a large fraction of the cost."""
     if cost.standard_error <= LARGE * abs(cost.value):
         return ()
     share = cost.standard_error / abs(cost.value) if cost.value else float("inf")

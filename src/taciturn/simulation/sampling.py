@@ -77,7 +77,7 @@ class Averages(Displayed):
 
 
 class Sampling:
-    """Simulation of one loop, or of two loops with the same noise, whose means are added path by path.
+    """Simulation of one loop, or of two loops with the same noise whose results are added or subtracted on each path.
 
     Args:
         parts: one loop, or two loops that are compared.
@@ -337,7 +337,7 @@ class Sampling:
 
 
 def last_of(answers: Iterator[Averages], found: Averages | None) -> Averages:
-    """Return the last of successively better simulation results, or the best one before the time limit.
+    """Return the last of successively better simulation results, or the last one before the time limit.
 
     Args:
         answers: answers still to be computed.

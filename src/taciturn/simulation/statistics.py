@@ -1,4 +1,4 @@
-"""Means with standard errors, over independent paths and along one correlated record."""
+"""Means with standard errors, from independent paths or from one correlated record."""
 
 from __future__ import annotations
 
