@@ -19,7 +19,7 @@ NAMES = ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef
 
 
 def written(path: Path) -> Iterator[str]:
-    """Every whole sentence of a page's text, with its heading; no table, code block or displayed formula."""
+    """Every whole sentence of a page's text, with its heading and links in brackets; no table, code or formula."""
     heading = path.stem
     for _, block in prose.blocks(path):
         if block.lstrip().startswith("#"):
@@ -27,7 +27,7 @@ def written(path: Path) -> Iterator[str]:
         if block.lstrip().startswith(("#", "|", "$$", ":::", "![", "[^", "<", "(")):
             continue
         plain = re.sub(r"\[\^[^]]*\]|\{[\w:]+\}(?=`)", "", re.sub(r"\]\([^)]*\)", "]", block))
-        plain = re.sub(r"^\s*[-*>]\s|\*\*?|[][]", "", " ".join(plain.split()))
+        plain = re.sub(r"^\s*[-*>]\s|\*\*?", "", " ".join(plain.split()))
         for sentence in re.split(r"(?<=[.!?])(?<!\b[A-Z]\.)\s+(?=[A-Z0-9`\"'])", plain):
             if re.match(r"[A-Z`\"']", sentence) and sentence.endswith((".", "?", "!")):
                 yield f"[{path.name}, {heading}] {sentence}"
