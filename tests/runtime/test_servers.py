@@ -94,6 +94,35 @@ def test_an_answer_is_given_again_but_not_often(here: Endpoint) -> None:
         assert again == (first if tick is None else 0)
 
 
+def test_in_virtual_time_the_packets_of_the_last_two_steps_are_repeated(here: Endpoint) -> None:
+    """A node with a lag of one step may have executed two steps before the port of its receiver was open."""
+    server = serving("controller", here, None)
+    with server.endpoint:
+        for tick in range(3):
+            here.send(measured(tick), server.endpoint.address)
+        server.run(3, soon(5.0))
+        first = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.2)]
+        here.send(measured(2), server.endpoint.address)
+        server.run(None, soon(0.3))
+        again = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.2)]
+    assert again == [packet for packet in first if isinstance(packet, Packet) and packet.tick > 0]
+
+
+def test_in_virtual_time_no_step_begins_before_every_mark_has_arrived(here: Endpoint) -> None:
+    """The mark of step 1 does not show that the packet of step 0 has arrived, as both may have been dropped."""
+    server = serving("actuator", here, None)
+    marks = [WIRE.encode(Packet("mark", "actuator", tick, tick, (), 100)) for tick in range(2)]
+    with server.endpoint:
+        here.send(marks[1], server.endpoint.address)
+        server.run(2, soon(0.3))
+        assert server.nodes[0].tick == -1
+        here.send(WIRE.encode(Packet("data", "actuator", 0, 0, (0.25,), 100)), server.endpoint.address)
+        here.send(marks[0], server.endpoint.address)
+        server.run(2, soon(5.0))
+        assert server.nodes[0].tick == 1
+        assert server.nodes[0].counters["used"] == 1
+
+
 def test_refused_packets_do_not_move_the_clock(here: Endpoint) -> None:
     """Copies of one old packet are counted, and the actuator keeps its steps."""
     server = serving("actuator", here, TICK)

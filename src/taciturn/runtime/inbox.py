@@ -117,6 +117,13 @@ class Inbox:
         """Return whether the packet of a step has arrived or will not be sent."""
         return self.marked[link] >= tick or tick in self.streams["data", link].waiting
 
+    def finished(self, link: str, tick: int) -> bool:
+        """Return whether the sender has finished a step, and every mark up to its newest one has arrived.
+
+        In lockstep, a missing mark shows that datagrams of its step were dropped; their sender repeats them.
+        """
+        return tick < 0 or (self.marked[link] >= tick and not self.marks[link].missing)
+
     def collect(self, part: int, tick: int, inputs: list[float]) -> list[Packet]:
         """Copy the packets that a part of a step reads to the inputs; return the packets that arrived in time."""
         found: list[Packet] = []

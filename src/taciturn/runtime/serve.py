@@ -28,6 +28,7 @@ from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
+REPEATED = 2  # last steps whose packets a node repeats in lockstep, as it may be one step ahead of its receiver
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
@@ -89,7 +90,7 @@ class NodeServer:
         self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._measured = [Window() for _ in nodes]
-        self._outbox: list[list[Packet]] = [[] for _ in nodes]
+        self._outbox = [deque[list[Packet]](maxlen=REPEATED) for _ in nodes]  # packets of the last steps
         self._answered = [0.0 for _ in nodes]  # time of the last retransmission
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._began, self._cpu = time.monotonic(), time.process_time()
@@ -200,7 +201,7 @@ class NodeServer:
         """Send the last answer again, as it may have been dropped; the rate is limited against amplification."""
         if asked and self._tick is None and now - self._answered[loop] > QUIET:
             self._answered[loop] = now
-            self._send(self._outbox[loop])
+            self._repeat(loop)
 
     def _go_on(self, node: Node, now: float) -> None:
         """Execute the steps that may begin."""
@@ -215,9 +216,9 @@ class NodeServer:
             out += node.mark(0 if self._tick is None else self._heartbeat)
             if given is not None:
                 out.append(Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
-            self._outbox[loop] = out
+            self._outbox[loop].append(out)
             if self._keep is not None:
-                outbox = [list(packet) for packet in out]
+                outbox = [[list(packet) for packet in sent] for sent in self._outbox[loop]]
                 kept = {"node": node.save(), "measured": self._measured[loop].save(), "outbox": outbox}
                 write_whole(self._keep, json.dumps(kept).encode())
             self._send(out)
@@ -232,7 +233,7 @@ class NodeServer:
         tick, loop = node.tick + 1, node.loop
         if self._tick is None:
             # before the first datagram arrives, the peers may not run yet, and packets would be lost
-            heard = all(node.inbox.marked[link] >= tick - lag for link, lag in node.listens.items())
+            heard = all(node.inbox.finished(link, tick - lag) for link, lag in node.listens.items())
             heard = heard and self.endpoint.received > 0
             return tick if heard and (not node.measures or tick in self._measurements[loop]) else None
         if node.measures:
@@ -284,6 +285,11 @@ class NodeServer:
         tick = self.phase.now(time.monotonic()) if behind < 0 else behind + 1
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
+    def _repeat(self, loop: int) -> None:
+        """Send the packets of the last steps again, in their order."""
+        for sent in self._outbox[loop]:
+            self._send(sent)
+
     def _send(self, packets: Sequence[Packet]) -> None:
         for packet in packets:
             to = self.plant if packet.link == "plant" else self.peer
@@ -295,7 +301,7 @@ class NodeServer:
             kept = json.loads(path.read_bytes())
             self.nodes[0].restore(kept["node"])
             self._measured[0].restore(kept["measured"])
-            self._outbox[0] = [packet_of(entry) for entry in kept["outbox"]]
+            self._outbox[0].extend([packet_of(entry) for entry in sent] for sent in kept["outbox"])
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -303,7 +309,7 @@ class NodeServer:
                 f"the saved state {path} cannot be read ({error}); expected a saved state of this node"
             ) from None
         if self._tick is None:
-            self._send(self._outbox[0])  # the process may have ended after saving and before sending
+            self._repeat(0)  # the process may have ended after saving and before sending
 
     def _line(
         self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None
