@@ -70,7 +70,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
         i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
             f"{name} is not symmetric: entry ({i}, {j}) is {result[i, j]:g} and ({j}, {i}) is {result[j, i]:g}; "
-            f"expected a symmetric matrix; if only its symmetric part is meant, use ({name} + {name}')/2"
+            f"expected a symmetric matrix; if only the symmetric part is meant, use ({name} + {name}')/2"
         )
     return frozen((result + result.T) / 2)
 

@@ -351,7 +351,7 @@ def stationary(F: Array, W: Array) -> Array:
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
-            "the sum Σ F^k W F'^k overflows: F is stable, but its powers grow too large first; scale the states"
+            "the sum Σ F^k W F'^k overflows: F is stable, but its powers first grow too large; scale the states"
         )
     spread = np.sqrt(np.maximum(np.diag(X), 0.0))
     unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
@@ -363,9 +363,9 @@ def stationary(F: Array, W: Array) -> Array:
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
     if not doubt <= TOLERANCE:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has "
-            f"an eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers decay too slowly or first grow "
-            "too large; expected a larger stability margin"
+            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has an "
+            f"eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and the powers of F decay too "
+            "slowly, or grow too large before they decay; expected a larger stability margin"
         )
     return X
 

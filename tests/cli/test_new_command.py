@@ -185,7 +185,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "-1"), "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ((*WALK, "1", "1", "0"), "R has the eigenvalue 0; expected a positive definite matrix"),
         ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
-        ((*WALK, "1", "1", "1", "udp"), "the network is udp, but its policy, lossy-lqg, needs a discrete-time model"),
+        ((*WALK, "1", "1", "1", "udp"), "the network is udp, but the policy for this network, lossy-lqg, requires"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
         ((*STEP, "", "9"), "the goal is 9; expected a number from 1 to 6, or a policy kind"),
         ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),

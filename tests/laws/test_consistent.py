@@ -136,7 +136,7 @@ Q, R = np.eye(2), [[1.0]]
         ({"plant": Plant(Q, Q, Q)}, "the plant is discrete in time, and consistent predicts in continuous time; "),
         (
             {"plant": ContinuousPlant(*SEEN)},
-            "C or V is given, and consistent measures the full state; expected neither",
+            "C or V is given, but consistent measures the full state; expected neither",
         ),
     ],
 )

@@ -200,7 +200,9 @@ def test_a_cost_that_rounding_covers_is_refused():
     A, B = turned(1.2, 1e-8, 0.7)
     stable = np.linalg.eig(A)
     calm = stable.eigenvectors[:, [int(np.argmin(np.abs(stable.eigenvalues)))]].real
-    with pytest.raises(UnstableError, match=r"uncertain by .*; expected at most 1e-06 of the cost"):
+    with pytest.raises(
+        UnstableError, match=r"with an error of up to .*; expected an error of at most 1e-06 of the cost"
+    ):
         design.all_time(Plant(A, B, calm @ calm.T), Cost(np.eye(2), np.eye(1)))
 
 

@@ -232,7 +232,10 @@ def tune(
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
-                raise taciturn.ProblemError("--least-period is given; expected a number for --rate, and no --cost")
+                raise taciturn.ProblemError(
+                    "--least-period is given without a number for --rate, or with --cost; expected --rate with a "
+                    "number, and no --cost"
+                )
             found = tune_period(
                 problem,
                 rate=allowed,

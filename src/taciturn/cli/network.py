@@ -87,7 +87,8 @@ def network(
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
         raise taciturn.ProblemError(
-            "--loss is given with --namespaces, which uses no relay; expected only one of the two options"
+            "--loss is given with --namespaces, but only relays apply --loss, and namespaces have no relays; expected "
+            "only one of the two options"
         )
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:

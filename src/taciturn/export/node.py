@@ -132,7 +132,8 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
     for what, size in found.items():
         if size > MOST[what]:
             raise ProblemError(
-                f"a node of {policy.kind} has {size} numbers in its {what}; expected at most {MOST[what]} on a device"
+                f"the array {what!r} of a node of {policy.kind} has {size} entries; expected at most {MOST[what]} on a "
+                "device"
             )
 
 

@@ -200,8 +200,8 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         previous, L = change, following[2]
     raise UnstableError(
         "the lossy Riccati recursion did not converge: the last iteration had a relative change of "
-        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected losses further from the critical "
-        "ones"
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected loss probabilities further from "
+        "their critical values"
     )
 
 

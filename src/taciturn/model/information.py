@@ -51,8 +51,8 @@ def check_network(policy: Policy, network: Network) -> None:
     carrying = links_of(policy)
     if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
-            f"network.payload is {network.payload!r}, but the receivers of all packets of {policy.kind} already have "
-            "the signals sent, so rounding has no effect; expected payload = 'float64', the default"
+            f"network.payload is {network.payload!r}, but each receiver of {policy.kind} already has the signals in "
+            "its packets, so rounding has no effect; expected payload = 'float64', the default"
         )
     for link in ENDS:
         given = [name for name in network.given(link) if link not in carrying]

@@ -90,7 +90,8 @@ def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
     number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
         raise ProblemError(
-            "llvmlite is not installed, so there is no compiled engine to measure; expected llvmlite to be installed"
+            "llvmlite is not installed, but the compiled engine, which bench measures, requires it: pip install "
+            "llvmlite"
         )
     loop = masses()
     speeds = {name: statistics.median(found) for name, found in race(contestants(loop), rounds, progress).items()}

@@ -241,7 +241,7 @@ def evaluate(
         )
     except OutOfTime:
         raise ProblemError(
-            f"time_limit is {time_limit:g}, and no answer was found within {time_limit:g} s; expected a longer "
+            f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
             "time_limit"
         ) from None
 

@@ -108,7 +108,8 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
         loop = close(problem.actual or problem.plant, policy)
         if loop.violated_assumptions:
             raise ProblemError(
-                f"{loop.violated_assumptions[0]}; expected plant and cost of the design on a shared channel"
+                f"{loop.violated_assumptions[0]}; expected the plant and cost of the design for loops on a shared "
+                "channel"
             )
         if loop.problem.jumps is not None:
             raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")

@@ -131,7 +131,7 @@ class Search:
             found = self._look(value, LONGER * EFFORT)
         if not found.evaluation.reached:
             given = f"{self.problem.kind} with {self.tuning.name} = {value:g}"
-            raise UnstableError(f"{given} does not settle within {LONGER * EFFORT} steps")
+            raise UnstableError(f"the mean cost of {given} does not settle within {LONGER * EFFORT} steps")
         return found
 
     def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
@@ -333,7 +333,7 @@ class Search:
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
             f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: from "
-            f"{values[0]:.4g} to {values[-1]:.4g} it reaches {self.goal.name}s from {found[0]:.5g} to {found[-1]:.5g}"
+            f"{values[0]:.4g} to {values[-1]:.4g} the {self.goal.name} ranges from {found[0]:.5g} to {found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
             + f"; expected a {self.goal.name} within this range"
         )
