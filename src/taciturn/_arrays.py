@@ -114,7 +114,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 
 def is_definite(matrix: Array) -> bool:
-    """Return whether a symmetric matrix is positive definite and invertible, for any units of the variables."""
+    """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
     return bool((matrix.diagonal() > TINY).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
 
 

@@ -165,7 +165,7 @@ class Loop(Displayed):
         return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
-        """Return the initial states of a program for paths with numbers from ``first``, (states, paths)."""
+        """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
         plant = self.problem.plant
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)

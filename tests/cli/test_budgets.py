@@ -77,7 +77,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--rate", "0.05"], "it reaches rates from 0.20"),
+        (["--rate", "0.05"], "the rate ranges from 0.20"),
         (["--cost", "0.1"], "expected at least 0.733"),
         ([], "expected one of them"),
         (["--rate", "0.3", "--cost", "1"], "expected one of them"),

@@ -172,7 +172,7 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return the sizes of the nodes on a Cortex-M, or on this machine if only its compiler is installed, else None.
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None.
 
     Args:
         folder: folder with the nodes, which are compiled with optimisation for size.

@@ -73,7 +73,7 @@ class Fmu(Displayed):
     notes: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document of the unit."""
+        """Return the JSON document of the FMU."""
         return {
             "policy": self.kind,
             "name": self.name,
@@ -95,7 +95,7 @@ class Fmu(Displayed):
         ]
 
     def archive(self) -> bytes:
-        """Return the bytes of the archive, which depend only on its content."""
+        """Return the bytes of the FMU archive, which depend only on the content of its files."""
         buffer = BytesIO()
         with zipfile.ZipFile(buffer, "w") as held:
             for path in sorted(self.files, key=lambda path: (path != "modelDescription.xml", path)):

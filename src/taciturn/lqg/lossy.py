@@ -299,7 +299,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     A, B = A / scale[:, None] * scale, B / scale[:, None]
     lost = lost_modes(A, B, False)
     if lost.size:
-        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
+        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which is uncontrollable through B")
     A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
     B_u, count = V @ B, len(V)
     if count == 0:

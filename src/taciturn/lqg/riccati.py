@@ -299,7 +299,7 @@ def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None
     """Reject uncontrollable modes; for a marginally stable one, the message adds that it affects the cost."""
     if not modes.size:
         return
-    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move"
+    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which is uncontrollable through B"
     if on_edge[0]:
         raise UnstableError(
             f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or depends on exact "

@@ -65,7 +65,7 @@ def check_network(policy: Policy, network: Network) -> None:
 
 
 def links_of(policy: Policy) -> tuple[LinkName, ...]:
-    """Return the links in use: packets are sent on the link, and their arrival is a condition of a policy step."""
+    """Return the links on which packets are sent and whose arrivals are a condition of a policy step."""
     sent: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
     heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
     return tuple([link for link in sent if link in heard])

@@ -1,4 +1,4 @@
-"""Finite discrete states ("locations") that evolve by tables, and the common period of those independent of data."""
+"""Finite discrete states ("locations") that evolve by tables, and the common period of data-independent ones."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Location(Displayed):
 
     @property
     def period(self) -> int:
-        """Steps after which the location repeats if it is independent of decisions and packets; otherwise 1."""
+        """Steps after which the location repeats; 1 if the location depends on decisions or packets."""
         return joint_cycle([self], {})
 
 

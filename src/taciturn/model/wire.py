@@ -132,5 +132,5 @@ class Encoding(Displayed):
 
 
 def read_place(datagram: bytes) -> tuple[int, int, int, int]:
-    """Return sequence, kind, loop and step from a datagram without checks; it must be at least as long as a header."""
+    """Return sequence, kind, loop and step without checks from a datagram that is at least as long as a header."""
     return _PLACE.unpack_from(datagram)

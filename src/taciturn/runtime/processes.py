@@ -269,7 +269,7 @@ class Processes:
         return role_at(self.policy, ENDS[link])
 
     def peer(self, role: NodeName) -> str | None:
-        """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
+        """Return the receiver of a node's packets: a relay, the next node, or the sender of acknowledged packets."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:

@@ -209,7 +209,7 @@ def gain_of_threads(loop: Loop, rounds: int) -> float:
 
 
 def compile_times(loop: Loop) -> dict[str, float]:
-    """Return the compile times in seconds, without and with the cache on disk, as medians of five."""
+    """Return the compile times in seconds, without and with the cache on disk, as medians of five repetitions."""
     program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
     before = os.environ.get("XDG_CACHE_HOME")
     try:

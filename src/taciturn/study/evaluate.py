@@ -114,7 +114,7 @@ class Evaluation(Tabular):
 
     @property
     def drawn(self) -> bool:
-        """True if any number of the result depends on the seed."""
+        """True if any number in the result depends on the seed."""
         return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
 
     @property

@@ -184,7 +184,7 @@ class Search:
         return None
 
     def close_in(self, low: Look, high: Look) -> tuple[Look, Look]:
-        """Return the trials on both sides of a jump, or twice the same trial if it equals the budget."""
+        """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly."""
         ends = [low, high]
 
         def above(place: float) -> float:
@@ -332,8 +332,8 @@ class Search:
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: from "
-            f"{values[0]:.4g} to {values[-1]:.4g} the {self.goal.name} ranges from {found[0]:.5g} to {found[-1]:.5g}"
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: for values "
+            f"from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to {found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
             + f"; expected a {self.goal.name} within this range"
         )

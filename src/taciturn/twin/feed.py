@@ -37,7 +37,7 @@ class News(NamedTuple):
 
 
 class Feed:
-    """A thread-safe store of the events of a round, the newest picture, and the requests that wait for the run.
+    """A thread-safe store of the events of a round, the newest picture, and the requests that are waiting for the run.
 
     Example:
         >>> feed = Feed()
