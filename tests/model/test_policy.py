@@ -69,8 +69,16 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         "the weight of y in command has shape (1, 1); expected 2",
     ),
     ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'one', 'y']"),
-    ((COMMAND, SEND, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
-    ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
+    (
+        (COMMAND, SEND, INPUT),
+        {},
+        "the condition 'send' is used before it is decided; expected one of the earlier decisions []",
+    ),
+    (
+        (COMMAND, SEND, DECIDE, INPUT),
+        {},
+        "the condition 'send' is used before it is decided; expected one of the earlier decisions []",
+    ),
     (
         (COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE),
         {},

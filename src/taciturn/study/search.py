@@ -332,8 +332,9 @@ class Search:
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: for values "
-            f"from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to {found[-1]:.5g}"
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: for "
+            f"values from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to "
+            f"{found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
             + f"; expected a {self.goal.name} within this range"
         )
