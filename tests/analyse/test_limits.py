@@ -35,8 +35,8 @@ def excess(actuation: str = "model") -> Policy:
             "a lower bound requires that a send resets the error that determines the cost, but a send of excess does "
             "not reset it; ",
         ),
-        (design.lqg(PLANT, COST, theta=0.3), "and a send of lqg does not; "),
-        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "and a send of remote-lqg does not; "),
+        (design.lqg(PLANT, COST, theta=0.3), "but a send of lqg does not reset it; "),
+        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "but a send of remote-lqg does not reset it; "),
     ],
 )
 def test_a_loop_whose_sends_reset_no_error_has_no_bound(policy: Policy, words: str) -> None:

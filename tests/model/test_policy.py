@@ -257,19 +257,19 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table indexed by 'clock' is not an array of numbers ("),
         (
             lambda: Location("clock", np.array([1, 2])),
-            "location clock has entries from 1 to 2; expected integers that",
+            "the table of location clock has entries from 1 to 2; expected integers that",
         ),
         (
             lambda: Location("clock", np.array([-1, 0])),
-            "location clock has entries from -1 to 0; expected integers",
+            "the table of location clock has entries from -1 to 0; expected integers",
         ),
         (
             lambda: Location("clock", np.array([0.5, 0])),
-            "location clock has entries from 0 to 0.5; expected integers",
+            "the table of location clock has entries from 0 to 0.5; expected integers",
         ),
         (
             lambda: Location("clock", np.array([])),
-            "location clock has no entries; expected integers that are at least 0 and below 0",
+            "the table of location clock has no entries; expected integers that are at least 0 and below 0",
         ),
         (
             lambda: Location("clock", np.array(0)),
