@@ -70,7 +70,7 @@ def symmetric(name: str, value: ArrayLike, size: int, meaning: str = "") -> Arra
         i, j = (int(k) for k in np.unravel_index(np.argmax(difference - allowed), result.shape))
         raise ProblemError(
             f"{name} is not symmetric: entry ({i}, {j}) is {result[i, j]:g} and ({j}, {i}) is {result[j, i]:g}; "
-            f"expected a symmetric matrix; if only its symmetric part is meant, use ({name} + {name}')/2"
+            f"expected a symmetric matrix; if only the symmetric part is meant, use ({name} + {name}')/2"
         )
     return frozen((result + result.T) / 2)
 
@@ -114,7 +114,7 @@ def definite(name: str, value: ArrayLike, size: int, meaning: str = "") -> Array
 
 
 def is_definite(matrix: Array) -> bool:
-    """Return whether a symmetric matrix is positive definite and invertible, for any units of the variables."""
+    """Return whether a symmetric matrix is positive definite and invertible, in any units of the variables."""
     return bool((matrix.diagonal() > TINY).all()) and exceeds(_in_units(matrix), DEFINITENESS_TOLERANCE)
 
 

@@ -70,7 +70,7 @@ def convex_hull(points: Array) -> Array:
 
 
 def draw_tag(number: int, size: int) -> Pixels:
-    """Return the picture of an ArUco tag (4×4) with a number in 0..49 and a black border, (size, size)."""
+    """Return the picture, (size, size), of an ArUco tag (4×4) with a number from 0 to 49 and a black border."""
     return _cv2().aruco.generateImageMarker(_dictionary(), number, size)
 
 
@@ -86,7 +86,7 @@ def find_tags(picture: Pixels) -> dict[int, Array]:
 
 
 class Board:
-    """A ChArUco board: a chessboard of 7×5 squares with a tag in each white one.
+    """A ChArUco board: a chessboard of 7×5 squares with a tag in each white square.
 
     Args:
         square: side of a square, in metres.
@@ -105,7 +105,7 @@ class Board:
         return self._board.generateImage((self.SHAPE[0] * square, self.SHAPE[1] * square), None, 0, 1)
 
     def find(self, picture: Pixels) -> tuple[Array, Array] | None:
-        """Return the corners on the board (corners, 3) and in a picture (corners, 2); None if fewer than 8."""
+        """Return at least 8 corners on the board (corners, 3) and in a picture (corners, 2), or None for fewer."""
         corners, numbers, _, _ = self._detector.detectBoard(picture)
         if numbers is None or len(numbers) < 8:
             return None

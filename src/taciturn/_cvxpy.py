@@ -23,7 +23,7 @@ def expect_solver() -> None:
 
 
 class Minimum:
-    """A semidefinite program: minimise objective'x such that mat((A + share·S) x + b) ⪰ 0 for all blocks, any share.
+    """A semidefinite program with a given share: minimise objective'x so that all blocks mat((A + share·S) x + b) ⪰ 0.
 
     cvxpy takes ten times as long to build such a problem as Clarabel takes to solve it, so it is built only once.
 
@@ -50,7 +50,7 @@ class Minimum:
         self._problem = cp.Problem(cp.Minimize(objective @ self._x), listed)
 
     def at(self, share: float) -> Array | None:
-        """Return the solution x for a share, or None if the solver finds none.
+        """Return the solution x for a value of the share, or None if the solver finds none.
 
         The solution satisfies the inequalities only to the precision of the solver, so the caller must verify it.
         """

@@ -187,7 +187,7 @@ def remark(text: str) -> Generator[None]:
 
 @contextmanager
 def at_once(call: Callable[[], object]) -> Generator[None]:
-    """Run a function if the process is ended at once while the block runs, for example to end its child processes."""
+    """While the block runs, call a function if the process must end immediately, for example to end child processes."""
     last = [] if _present is None else _present.last
     last.append(call)
     try:

@@ -124,7 +124,7 @@ def _figure_class() -> Any:
 
 @dataclass(frozen=True)
 class Arrow:
-    """An arrow from one lane to another, by index, with a label in the middle."""
+    """An arrow between two lanes, which are given by their indices, with a label in the middle."""
 
     start: int
     end: int

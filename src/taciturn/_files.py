@@ -42,7 +42,7 @@ def write_whole(path: Path, content: bytes, *, private: bool = False) -> None:
 
 @contextmanager
 def temporary_folder() -> Generator[Path]:
-    """Provide a folder that is removed after the block, also if the process is ended at once."""
+    """Provide a folder that is removed after the block, even if the process must end immediately."""
     folder = tempfile.TemporaryDirectory(prefix="taciturn-")
     with folder as name, at_once(lambda: shutil.rmtree(folder.name, ignore_errors=True)):
         yield Path(name)

@@ -16,7 +16,7 @@ def parse_settings(items: list[str]) -> dict[str, object]:
     settings = parse_grid(items, "--set")
     for name, values in settings.items():
         if len(values) > 1:
-            raise ProblemError(f"--set {name} has {len(values)} values; expected one value; a list is written [v1,v2]")
+            raise ProblemError(f"--set {name} has {len(values)} values; expected one value; write a list as [v1,v2]")
     return {name: None if values == ["none"] else values[0] for name, values in settings.items()}
 
 

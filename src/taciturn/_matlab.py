@@ -56,8 +56,8 @@ class _Sizes:
         self._sum += size
         if self._sum > LARGEST:
             raise ProblemError(
-                f"{str(self._path)!r} expands to {self._sum:,} bytes or more (at {name}); expected at most {LARGEST:,} "
-                "bytes: save only the matrices A, B, C, W, V, Q, R, N and dt"
+                f"{str(self._path)!r} expands to {self._sum:,} bytes or more (counted up to {name}); "
+                f"expected at most {LARGEST:,} bytes: save only the matrices A, B, C, W, V, Q, R, N and dt"
             )
 
     def add_array(self, name: str, shape: Iterable[int], itemsize: int) -> None:

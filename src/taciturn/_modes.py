@@ -255,7 +255,7 @@ def lost_modes(A: Array, B: Array, continuous: bool, slow: Slow | None = None) -
 
 
 def reach(A: Array, B: Array) -> tuple[Array, Array]:
-    """Return units of the states and of the inputs in which an input changes each state that it reaches by about 1.
+    """Return units of the states and inputs in which each input of 1 changes every state that it affects by about 1.
 
     The unit of a state is the largest direct effect of an input on it. Other states get the largest effect of states
     with known units, relative to the couplings in cycles. This reverses a change of units, also of uncoupled states.
@@ -303,7 +303,7 @@ def root(matrix: Array, beside: Array | None = None, crumb: float = 1e-13) -> Ar
 
 
 def factor(covariance: Array) -> Array:
-    """Return G with G G' = covariance: the Cholesky factor, which is cheaper to apply, if it exists."""
+    """Return G with G G' = covariance: the Cholesky factor if it exists, because it is cheaper to apply."""
     found = root(covariance)
     if found.shape[1] == len(covariance):
         found[:] = np.linalg.cholesky(covariance)
@@ -351,7 +351,7 @@ def stationary(F: Array, W: Array) -> Array:
     X = summed(F, W)
     if not np.isfinite(X).all():
         raise UnstableError(
-            "the sum Σ F^k W F'^k overflows: F is stable, but its powers grow too large first; scale the states"
+            "the sum Σ F^k W F'^k overflows: F is stable, but its powers first grow too large; scale the states"
         )
     spread = np.sqrt(np.maximum(np.diag(X), 0.0))
     unit = np.exp2(np.round(np.log2(np.where(spread > 0, spread, 1.0))))
@@ -363,15 +363,15 @@ def stationary(F: Array, W: Array) -> Array:
     doubt = float(np.mean(np.diag(error)[seen] / np.diag(X_here)[seen])) if seen.any() else 0.0
     if not doubt <= TOLERANCE:
         raise UnstableError(
-            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has "
-            f"an eigenvalue {1 - radius(F):.1e} inside the unit circle, and its powers decay too slowly or first grow "
-            "too large; expected a larger stability margin"
+            f"the sum Σ F^k W F'^k has a relative error of up to {doubt:.1e} ({TOLERANCE:.0e} is allowed): F has an "
+            f"eigenvalue at a distance of {1 - radius(F):.1e} inside the unit circle, and the powers of F decay too "
+            "slowly, or grow too large before they decay; expected a larger stability margin"
         )
     return X
 
 
 def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
-    """Return a diagonal matrix that bounds ± the residual of an equation, including the rounding of its terms.
+    """Return a diagonal matrix D with −D ⪯ residual ⪯ D for an equation, including the rounding of its terms.
 
     Rounding errors of sums are treated as independent, so they add as roots of sums of squares.
 

@@ -125,7 +125,7 @@ class Painter:
         return self._renderer.render()
 
     def light(self, share: float) -> None:
-        """Set the brightness of all lights to a share of their brightness in the scene."""
+        """Set the brightness of all lights as a fraction of their brightness in the scene."""
         self._model.vis.headlight.ambient[:] = share * self._head[0]
         self._model.vis.headlight.diffuse[:] = share * self._head[1]
         self._model.light_diffuse[:] = share * self._lights

@@ -226,7 +226,7 @@ def sharing(found: Sharing) -> None:
 
 
 def certificates(found: Certificates) -> None:
-    """Print the certificates of a loop, with those of sending every sample."""
+    """Print the certificates of a loop, next to those for sending every sample."""
     ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
     more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
     table = [
@@ -248,7 +248,7 @@ def _shown(value: float | None) -> str:
 
 
 def reproduction(found: Reproduction) -> None:
-    """Print published numbers next to computed ones."""
+    """Print published numbers next to computed numbers."""
     for table in found.tables:
         typer.echo(f"\n{table.name}")
         _print_table(*_columns(table), len(table.rows[0].setting))

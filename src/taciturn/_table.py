@@ -48,7 +48,7 @@ def check_table(path: Path, formats: Sequence[str] = (".csv", ".parquet")) -> No
 
 
 def save_table(frame: pandas.DataFrame, path: Path, origin: Mapping[str, object] | None = None) -> None:
-    """Write a table as CSV or parquet; only parquet stores its attributes and origin.
+    """Write a table as CSV or parquet; only a parquet file also contains the attributes and the origin of the table.
 
     Raises:
         ProblemError: the file cannot be written.

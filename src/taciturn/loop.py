@@ -70,8 +70,8 @@ class Loop(Displayed):
             )
         if self.precision == "float32" and self.problem.cost.discount < 1:
             raise ProblemError(
-                f"precision is 'float32', but rounding errors accumulate in the weights of the discount "
-                f"{self.problem.cost.discount:g}; expected precision 'float64', or a cost without discount"
+                f"precision is 'float32', but with the discount {self.problem.cost.discount:g}, rounding errors "
+                "accumulate in the weights; expected precision 'float64', or a cost without discount"
             )
 
     @property
@@ -150,7 +150,7 @@ class Loop(Displayed):
         """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
-            raise ProblemError("the loop has no innovations form; expected its designed plant, network and horizon")
+            raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
         tick = self._tick({DRAWN: spread.shape[1]})
         tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
@@ -165,7 +165,7 @@ class Loop(Displayed):
         return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
-        """Return the initial states of a program for paths with numbers from ``first``, (states, paths)."""
+        """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
         plant = self.problem.plant
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(first,)))
         spread = factor(plant.covariance)
@@ -344,8 +344,8 @@ def _check_plants(problem: Discrete, policy: Policy) -> None:
     }
     for name in (name for name, unused in ignored.items() if unused):
         raise ProblemError(
-            f"plant.{name} is given, but plant.actual, which is simulated instead, has another {name} or none; "
-            f"expected the same plant.actual.{name}, or no plant.{name}, which the design does not use"
+            f"plant.{name} is given, but the simulated plant, plant.actual, has a different {name} or none; expected "
+            f"plant.actual.{name} with the same value, or no plant.{name}, which the design does not use"
         )
 
 

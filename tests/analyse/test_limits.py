@@ -32,10 +32,11 @@ def excess(actuation: str = "model") -> Policy:
     [
         (
             excess("hold"),
-            "a lower bound requires that a send resets the error that causes cost, and a send of excess does not; ",
+            "a lower bound requires that a send resets the error that determines the cost, but a send of excess does "
+            "not reset it; ",
         ),
-        (design.lqg(PLANT, COST, theta=0.3), "and a send of lqg does not; "),
-        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "and a send of remote-lqg does not; "),
+        (design.lqg(PLANT, COST, theta=0.3), "but a send of lqg does not reset it; "),
+        (design.remote_lqg(PLANT, COST, theta=0.3, zeta=1.0), "but a send of remote-lqg does not reset it; "),
     ],
 )
 def test_a_loop_whose_sends_reset_no_error_has_no_bound(policy: Policy, words: str) -> None:
@@ -48,9 +49,11 @@ def test_a_loop_whose_sends_reset_no_error_has_no_bound(policy: Policy, words: s
 def test_a_loop_that_departs_from_its_design_has_no_bound() -> None:
     """Another plant, or links that lose."""
     other = Plant(0.9 * PLANT.A, PLANT.B, PLANT.W)
-    with pytest.raises(ProblemError, match="the plant is not the one of the design; expected the loop of the design"):
+    with pytest.raises(
+        ProblemError, match="the plant is not the one of the design; expected the plant, network and cost of the design"
+    ):
         bound_below(close(other, excess()), 0.3)
-    with pytest.raises(ProblemError, match="the network is not the one of the design; expected the loop"):
+    with pytest.raises(ProblemError, match="the network is not the one of the design; expected the plant, network"):
         bound_below(close(PLANT, excess(), Network("tcp", 0.1)), 0.3)
 
 
@@ -68,7 +71,7 @@ def test_noise_in_jumps_has_no_bound() -> None:
         (0.3, 1.0, "confidence is 1; expected 0 < confidence < 1"),
         (0.3, 1.5, "confidence is 1.5"),
         (0.3, 0.0, "confidence is 0"),
-        (1.2, 0.9, "rate is 1.2; expected a number of at most 1"),
+        (1.2, 0.9, "rate is 1.2; expected at most 1"),
         (0.0, 0.9, "rate is 0"),
         (float("nan"), 0.9, "rate is nan"),
     ],

@@ -144,11 +144,11 @@ def test_only_loops_that_one_error_decides_are_chains() -> None:
     assert chain.delta == pytest.approx(2.891818, abs=5e-7)
     assert chain.Gamma == pytest.approx(chain.Psi / 0.5)
     other = ContinuousPlant([[0.0, 1.1], [0.0, 0.0]], [[0.0], [1.0]], PLANT.W)
-    with pytest.raises(NoQuadratureError, match="the plant is not the one of the design; expected the loop of the"):
+    with pytest.raises(NoQuadratureError, match="the plant is not the one of the design; expected the plant, network"):
         chain_of(close(other, policy))
     with pytest.raises(NoQuadratureError, match="the network is not the one of the design"):
         chain_of(close(PLANT, policy, Network("tcp", sensor_loss=0.1)))
-    with pytest.raises(NoQuadratureError, match="lqg has no closed form for this problem, and its decision"):
+    with pytest.raises(NoQuadratureError, match="lqg has no closed form for this problem, and its trigger"):
         chain_of(close(PLANT, design.lqg(PLANT, COST, theta=0.1, period=0.5)))
     with pytest.raises(NoQuadratureError, match="the threshold is 0; expected a threshold above 0"):
         chain_of(close(PLANT, design.consistent(PLANT, COST, period=0.5, delta=0.0)))

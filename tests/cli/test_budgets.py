@@ -77,7 +77,7 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--rate", "0.05"], "it reaches rates from 0.20"),
+        (["--rate", "0.05"], "the rate ranges from 0.20"),
         (["--cost", "0.1"], "expected at least 0.733"),
         ([], "expected one of them"),
         (["--rate", "0.3", "--cost", "1"], "expected one of them"),
@@ -89,11 +89,14 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
             "Invalid value for '--rate': rate is '+5%'; expected a number, or a percentage such as 50%",
         ),
         (["--cost", "5%"], "Invalid value for '--cost': cost is '5%'; expected a number, or a percentage such as +5%"),
-        (["--rate", "5%", "--least-period", "0.1"], "expected a number for --rate, and no --cost"),
+        (["--rate", "5%", "--least-period", "0.1"], "expected --rate with a number, and no --cost"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),
         (["--rate", "0.3", "--least-period", "0.1"], "lqg has no period to tune here"),
-        (["--cost", "1", "--least-period", "0.1"], "--least-period is given; expected a number for --rate"),
+        (
+            ["--cost", "1", "--least-period", "0.1"],
+            "--least-period is given without a number for --rate, or with --cost; expected --rate",
+        ),
     ],
 )
 def test_a_budget_that_cannot_be_is_one_sentence(run: Run, arguments: list[str], words: str) -> None:

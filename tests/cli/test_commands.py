@@ -143,7 +143,7 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
         ),
         (
             ("evaluate", "two-mass-lqg", "--method", "exact"),
-            "method is 'exact', but lqg has no closed form for this problem, and its decision does not depend only",
+            "method is 'exact', but lqg has no closed form for this problem, and its trigger depends on more than",
         ),
         (
             ("evaluate", "two-mass", "--precision", "half"),

@@ -59,7 +59,7 @@ def ask(run: Run, tmp_path: Path) -> Run:
         (PLANT + COST + REMOTE + 'controller = "sensor"\n', "zeta is given with controller = 'sensor'"),
         (PLANT + COST + UDP + LOSSY.replace("0.1", "-0.1"), "price is -0.1; expected 0 ≤ price"),
         (PLANT + COST + "N = [[0.1]]\n" + UDP + LOSSY, "cost.N is not zero, which lossy-lqg does not support"),
-        (PLANT + "C = [[1.0]]\nV = [[0.1]]\n" + COST + UDP + LOSSY, "C or V is given, and lossy-lqg measures"),
+        (PLANT + "C = [[1.0]]\nV = [[0.1]]\n" + COST + UDP + LOSSY, "C or V is given, but lossy-lqg measures"),
         (PLANT.replace("1.1", "2.0") + COST + UDP.replace("0.1", "0.6") + LOSSY, "losses below 0.0769231 at this"),
         (PLANT + COST + UDP + REFERENCE + LOSSY, "a reference is given without cost.horizon"),
         (

@@ -185,7 +185,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "-1"), "Q has the eigenvalue -1; expected a positive semidefinite matrix"),
         ((*WALK, "1", "1", "0"), "R has the eigenvalue 0; expected a positive definite matrix"),
         ((*WALK, "1", "1", "1", "wifi"), "the network is 'wifi'; expected ideal, tcp or udp"),
-        ((*WALK, "1", "1", "1", "udp"), "the network is udp, but its policy, lossy-lqg, needs a discrete-time model"),
+        ((*WALK, "1", "1", "1", "udp"), "the network is udp, but the policy for this network, lossy-lqg, requires"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
         ((*STEP, "", "9"), "the goal is 9; expected a number from 1 to 6, or a policy kind"),
         ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
@@ -194,7 +194,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*STEP, "", "periodic", "1.5"), "policy.every is 1.5; expected a whole number"),
         (
             (*STEP, "", "consistent"),
-            "the plant is discrete in time, and consistent predicts in continuous time; expected",
+            "the plant is discrete in time, but consistent predicts in continuous time; expected",
         ),
         (
             (*WALK, "1", "1", "1", "", "lossy-lqg"),
@@ -253,7 +253,7 @@ def test_at_a_terminal_it_is_asked_again(ask: Ask) -> None:
 def test_a_kind_that_is_not_for_the_plant_is_told_before_its_parameters_are_asked(ask: Ask) -> None:
     """From a pipe that is the end, at a terminal another one is asked for."""
     told = ask(STEP, "--kind", "integral")
-    assert told.err.startswith("taciturn: the plant is discrete in time, and integral predicts in continuous time; ex")
+    assert told.err.startswith("taciturn: the plant is discrete in time, but integral predicts in continuous time; ex")
     assert ask((*STEP, "", "1", ""), "--kind", "integral", patient=True).code == 0
     assert taciturn.load("new.toml").kind == "excess"
 

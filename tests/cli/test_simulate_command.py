@@ -49,7 +49,7 @@ def test_keys_are_changed_without_a_file(run: Run) -> None:
     ("arguments", "sentence"),
     [
         (("--set", "theta"), "--set 'theta' is malformed; expected NAME=VALUE, such as theta=0.1"),
-        (("--set", "theta=1,2"), "--set theta has 2 values; expected one value; a list is written [v1,v2]"),
+        (("--set", "theta=1,2"), "--set theta has 2 values; expected one value; write a list as [v1,v2]"),
         (("--set", "theta=1", "--set", "policy.theta=2"), "--set policy.theta is given twice; expected it only once"),
         (("--set", "plant.A=[[nan]]"), "nan"),
         (("--set", "network.actuator_burst={to_bad=2}"), "network.actuator_burst"),

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
         (["twin", "rover", "--wheels", "square"], "square"),
         (
             ["twin", "omni", "--namespaces", "--fault", "actuator@1"],
-            "the fault actuator needs a relay, and namespaces have none",
+            "the fault actuator is given with namespaces, but only relays cause this fault",
         ),
         (["twin", "rover", "--video", "out.avi"], "the video 'out.avi' ends in '.avi'; expected one of .webp"),
         (["twin", "rover", "--record", "out.csv"], "the record 'out.csv' ends in '.csv'; expected one of .nc"),

@@ -305,12 +305,12 @@ def test_a_loop_that_leaves_the_range_of_numbers_is_refused() -> None:
 def test_what_a_device_cannot_hold_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     """A node with more numbers than the core's data can say."""
     monkeypatch.setitem(node.MOST, "memory", 3)
-    with pytest.raises(ProblemError, match="has 5 numbers in its memory; expected at most 3 on a device"):
+    with pytest.raises(ProblemError, match="has 5 entries; expected at most 3 on a device"):
         print_folder(two_mass(), "two_mass")
     system = make_system(3, 2, 1, 256, False)
     wide = taciturn.close(system.plant, design.lqg(system.plant, system.cost, theta=0.2))
     monkeypatch.undo()
-    with pytest.raises(ProblemError, match="has 256 numbers in its packets; expected at most 255 on a device"):
+    with pytest.raises(ProblemError, match="has 256 entries; expected at most 255 on a device"):
         print_folder(wide, "wide")
 
 

@@ -133,10 +133,10 @@ Q, R = np.eye(2), [[1.0]]
         ({"delta": -1.0}, "delta is -1; expected 0 ≤ delta"),
         ({"cost": Cost(Q, R, horizon=9)}, "cost.horizon is 9, which consistent does not use"),
         ({"cost": Cost(Q, R, discount=0.9)}, "cost.discount is 0.9, which consistent does not use"),
-        ({"plant": Plant(Q, Q, Q)}, "the plant is discrete in time, and consistent predicts in continuous time; "),
+        ({"plant": Plant(Q, Q, Q)}, "the plant is discrete in time, but consistent predicts in continuous time; "),
         (
             {"plant": ContinuousPlant(*SEEN)},
-            "C or V is given, and consistent measures the full state; expected neither",
+            "C or V is given, but consistent measures the full state; expected neither",
         ),
     ],
 )

@@ -195,7 +195,7 @@ REFUSED = [
     ({"slope": 5.0, "saturation": 0.0}, "saturation is 0; expected 0 < saturation"),
     ({"slope": 5.0, "alpha": 0.0}, "alpha is 0; expected 0 < alpha"),
     ({"slope": 5.0, "alpha": 0.3, "period": -1.0}, "period is -1; expected 0 < period"),
-    ({"slope": 1.0, "alpha": 0.3, "period": 0.5}, "period is 0.5, in which the noise alone costs "),
+    ({"slope": 1.0, "alpha": 0.3, "period": 0.5}, "period is 0.5, and the noise alone adds a cost of "),
     ({"slope": 5.0, "alpha": 0.3, "period": 3.0}, "period is 3 and h_max is 2; expected period ≤ h_max"),
     (
         {"slope": 5.0, "alpha": 0.3, "period": 0.01, "h_max": 1e4},

@@ -161,7 +161,9 @@ def test_holding_a_sampled_plant_with_its_state_measured_is_sampling_it_more_slo
 
 def test_a_period_that_hides_an_unstable_mode_is_refused():
     """Held for two steps, an input cannot move an eigenvalue −1: its two effects cancel."""
-    with pytest.raises(UnstableError, match=r"holding the input for 2 steps.*eigenvalue 1, which B cannot move"):
+    with pytest.raises(
+        UnstableError, match=r"holding the input for 2 steps.*eigenvalue 1, which is uncontrollable through B"
+    ):
         Held([[-1.0]], [[1.0]], [[1.0]], [[1.0]], [[0.0]], [[1.0]]).solve((2,))
 
 

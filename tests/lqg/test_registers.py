@@ -320,7 +320,9 @@ def test_a_continuous_plant_may_have_an_oscillator_that_nothing_drives_or_weighs
     gain = regulate_continuous(A, B, Q, [[0.1]], np.zeros((4, 1))).L
     assert not gain[:, 2:].any()
     A[1, 2] = 1.0
-    with pytest.raises(UnstableError, match=r"0[+-]2i, which B cannot move; this mode lies on the imaginary axis"):
+    with pytest.raises(
+        UnstableError, match=r"0[+-]2i, which is uncontrollable through B; this mode lies on the imaginary axis"
+    ):
         regulate_continuous(A, B, Q, [[0.1]], np.zeros((4, 1)))
 
 

@@ -148,7 +148,7 @@ def test_an_unstable_mode_beyond_reach_is_named():
         lambda: regulate_continuous(A, B, Q, R, N),
         lambda: regulate_discounted(A, B, Q, R, N, 0.9),
     ):
-        with pytest.raises(UnstableError, match=r"A has the eigenvalue 1\.25, which B cannot move"):
+        with pytest.raises(UnstableError, match=r"A has the eigenvalue 1\.25, which is uncontrollable through B"):
             attempt()
 
 

@@ -134,7 +134,7 @@ def test_what_is_no_function_of_a_plant_is_refused_in_a_sentence(function: Any, 
 def test_a_function_that_draws_is_refused() -> None:
     """Recorded once, its draw would be the same at every step; the noise of a plant is w."""
     draws = np.random.default_rng(1)
-    with pytest.raises(ProblemError, match="two results for the same x, u and w"):
+    with pytest.raises(ProblemError, match="two different results for the same x, u and w"):
         Plant([[0.5]], [[1.0]], [[1.0]], function=lambda x, u, w: 0.5 * x + u + w + draws.normal() * x**2)
 
 

@@ -69,8 +69,16 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
         "the weight of y in command has shape (1, 1); expected 2",
     ),
     ((DECIDE, SEND, INPUT), {}, "the signal 'command' is never assigned; expected one of ['input', 'one', 'y']"),
-    ((COMMAND, SEND, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
-    ((COMMAND, SEND, DECIDE, INPUT), {}, "the condition 'send' is used before it is decided; expected one of []"),
+    (
+        (COMMAND, SEND, INPUT),
+        {},
+        "the condition 'send' is used before it is decided; expected one of the earlier decisions []",
+    ),
+    (
+        (COMMAND, SEND, DECIDE, INPUT),
+        {},
+        "the condition 'send' is used before it is decided; expected one of the earlier decisions []",
+    ),
     (
         (COMMAND, Assign("controller", "held", ({"held": ONE},) * 3, "send"), DECIDE),
         {},
@@ -186,14 +194,17 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
 @pytest.mark.parametrize(
     ("action", "sentence"),
     [
-        (lambda: Assign("controller", "u", ()), "u has 0 branches on None; expected one branch without a condition"),
+        (
+            lambda: Assign("controller", "u", ()),
+            "u has 0 branches and the condition None; expected one branch without a condition",
+        ),
         (
             lambda: Assign("controller", "u", ({"y": L}, {"y": L})),
-            "u has 2 branches on None; expected one branch without a condition, or several branches",
+            "u has 2 branches and the condition None; expected one branch without a condition, or several branches",
         ),
         (
             lambda: Assign("controller", "u", {"y": L}, Received("sensor")),
-            "u has 1 branches on Received(link='sensor'); expected one branch without a condition, or several branches",
+            "u has 1 branches and the condition Received(link='sensor'); expected one branch without a condition, or",
         ),
         (
             lambda: Assign("controller", "u", {"y": L, "x": np.eye(2)}),
@@ -207,11 +218,11 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (
             lambda: Evaluate("controller", "s", (Form(), Form())),
-            "s has 2 forms on None; expected one form without a condition, or several forms",
+            "s has 2 forms and the condition None; expected one form without a condition, or several forms",
         ),
         (
             lambda: Evaluate("controller", "s", (Form(),), "send"),
-            "s has 1 forms on send; expected one form without a condition, or several forms",
+            "s has 1 forms and the condition send; expected one form without a condition, or several forms",
         ),
         (lambda: Trigger({}), "a trigger has the options []; expected at least two"),
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
@@ -246,19 +257,19 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Scheduled("clock", [[1.0], [1.0, 2.0]]), "the table indexed by 'clock' is not an array of numbers ("),
         (
             lambda: Location("clock", np.array([1, 2])),
-            "location clock has entries from 1 to 2; expected integers from",
+            "the table of location clock has entries from 1 to 2; expected integers that",
         ),
         (
             lambda: Location("clock", np.array([-1, 0])),
-            "location clock has entries from -1 to 0; expected integers",
+            "the table of location clock has entries from -1 to 0; expected integers",
         ),
         (
             lambda: Location("clock", np.array([0.5, 0])),
-            "location clock has entries from 0 to 0.5; expected integers",
+            "the table of location clock has entries from 0 to 0.5; expected integers",
         ),
         (
             lambda: Location("clock", np.array([])),
-            "location clock has no entries; expected integers from 0, all below 0",
+            "the table of location clock has no entries; expected integers that are at least 0 and below 0",
         ),
         (
             lambda: Location("clock", np.array(0)),
@@ -271,11 +282,11 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         ),
         (
             lambda: Location("clock", np.array([0]), initial=1),
-            "location clock starts at 1; expected an integer from 0, below 1",
+            "location clock starts at 1; expected an integer that is at least 0 and below 1",
         ),
         (
             lambda: Location("mode", np.zeros((2, 2)), on="send"),
-            "location mode depends on send but has no node; expected the node at which it changes",
+            "location mode depends on send but has no node; expected the node at which the location changes",
         ),
     ],
     ids=lambda value: value[:50] if isinstance(value, str) else "",

@@ -145,7 +145,10 @@ def test_a_reference_without_an_end_is_refused() -> None:
     """An average has no last step."""
     endless = Cost(COST.Q, COST.R)
     told = refusal(lambda: design.lossy_lqg(plant(), endless, price=1, reference=motion(1)))
-    assert told == "a reference is given without cost.horizon; expected both, since the reference is finite"
+    assert (
+        told
+        == "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
+    )
 
 
 def tracked(reference: Reference | None, network: Network, off: np.ndarray, price: float = 0.5) -> Loop:

@@ -110,5 +110,5 @@ def test_what_single_precision_cannot_do_is_refused() -> None:
     plant, average = Plant([[1.2]], [[1.0]], [[0.1]]), Cost([[1.0]], [[1.0]])
     policy = taciturn.design.all_time(plant, average)
     loop = taciturn.close(plant, policy, cost=Cost([[1.0]], [[1.0]], discount=0.9))
-    with pytest.raises(ProblemError, match=r"weights of the discount 0\.9"):
+    with pytest.raises(ProblemError, match=r"with the discount 0\.9, rounding errors accumulate"):
         replace(loop, precision="float32")

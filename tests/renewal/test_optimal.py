@@ -294,7 +294,7 @@ def test_a_region_with_a_gap_is_refused():
     """A strongly sheared neutral chain keeps errors on either side of some that it sends."""
     F = np.array([[2.27, 2.91], [-0.557, -0.273]])
     Gamma = np.diag([0.0014, 0.0107])
-    with pytest.raises(NoQuadratureError, match=r"errors that should not be sent has gaps.*near-optimal"):
+    with pytest.raises(NoQuadratureError, match=r"region of errors without a send has gaps.*near-optimal"):
         solve_optimal(F, UNIT, Gamma, 1.0, 1e-3)
 
 

@@ -210,9 +210,9 @@ def test_links_have_knobs_of_their_own() -> None:
 @pytest.mark.parametrize(
     ("problem", "budget", "words"),
     [
-        (MASSES, {"rate": 0.05}, "it reaches rates from 0.20"),
+        (MASSES, {"rate": 0.05}, "the rate ranges from 0.20"),
         (MASSES, {"cost": 10.0}, "expected a cost within this range"),
-        (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "it reaches rates from 0.58"),
+        (MASSES.changed({"trigger": "separate"}), {"rate": 0.3}, "the rate ranges from 0.58"),
         (MASSES, {}, "expected one of them"),
         (MASSES, {"rate": 0.3, "cost": 1.0}, "expected one of them"),
         (MASSES, {"rate": -0.3}, "rate is -0.3"),

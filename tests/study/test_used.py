@@ -103,14 +103,14 @@ def test_a_packet_that_nobody_receives_cannot_be_lost() -> None:
     with pytest.raises(ProblemError, match="no node of mine receives a packet on the sensor link; expected"):
         close(SCALAR, deaf, lossy, weights)
     assert close(SCALAR, hearing, lossy, weights).violated_assumptions
-    with pytest.raises(ProblemError, match="receivers of all packets of mine already have"):
+    with pytest.raises(ProblemError, match="each receiver of mine already has"):
         close(SCALAR, hearing, Network(payload="float32"), weights)
 
 
 def test_a_range_has_an_entry_for_each_number_of_its_packet() -> None:
     """Or one for all; it is looked at when the loop is closed, and not when it runs."""
     policy = design.excess(FULL, COST, theta=0.3)
-    with pytest.raises(ProblemError, match="the range of a packet has 2 entries; expected 1 or 1, one per entry"):
+    with pytest.raises(ProblemError, match="its range has 2 numbers; expected one number for all entries"):
         close(FULL, policy, Network(payload="int16", actuator_range=(1.0, 2.0)), COST)
     with pytest.raises(ProblemError, match=r"network.actuator_range is missing, but network.payload is 'int16'"):
         close(FULL, policy, Network(payload="int16"), COST)
@@ -133,7 +133,7 @@ def test_a_limit_of_the_design_alone_is_refused_and_the_same_limit_in_both_is_us
     policy = design.lqg(limited[0], COST, theta=0.3)
     for plant in (FULL, limited[1]):
         with pytest.raises(
-            ProblemError, match=r"plant.input_limit is given, but plant.actual, which is simulated instead"
+            ProblemError, match=r"plant.input_limit is given, but the simulated plant, plant.actual, has"
         ):
             close(plant, policy, None, COST)
     assert close(other, policy, None, COST).problem.plant.input_limit == [1.0]
@@ -144,7 +144,7 @@ def test_a_limit_of_the_design_alone_is_refused_and_the_same_limit_in_both_is_us
 def test_a_function_of_the_design_alone_is_refused() -> None:
     """Another plant that is linear is simulated, and the function would be forgotten."""
     bent = Plant(FULL.A, FULL.B, FULL.W, function=lambda x, u, w: FULL.A @ x + FULL.B @ u + w)
-    with pytest.raises(ProblemError, match=r"plant.function is given, but plant.actual, which is simulated instead"):
+    with pytest.raises(ProblemError, match=r"plant.function is given, but the simulated plant, plant.actual, has"):
         close(FULL, design.lqg(bent, COST, theta=0.3), None, COST)
 
 

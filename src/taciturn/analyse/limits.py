@@ -82,7 +82,7 @@ def bound_below(
     rate, confidence = number("rate", rate, 0.0), number("confidence", confidence, 0.0, 1.0)
     count("seed", seed, 0)
     if rate > 1 + 1e-9:
-        raise ProblemError(f"rate is {rate:g}; expected a number of at most 1")
+        raise ProblemError(f"rate is {rate:g}; expected at most 1")
     base = loop.policy.cost_all_time
     if rate >= EASY or not reset.weight.any():
         return LowerBound(base, confidence, rate, 0.0)
@@ -148,12 +148,15 @@ def resets(loop: Loop) -> Reset:
     """
     instance("loop", loop, Loop)
     if loop.violated_assumptions:
-        raise ProblemError(f"{loop.violated_assumptions[0]}; expected the loop of the design for a lower bound")
+        raise ProblemError(
+            f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
+            "requires"
+        )
     if loop.policy.reset is None or loop.horizon is not None:
         raise ProblemError(
-            f"a lower bound requires that a send resets the error that causes cost, and a send of {loop.policy.kind} "
-            "does not; "
-            "expected a policy with actuation = 'model', or consistent or near-optimal"
+            "a lower bound requires that a send resets the error that determines the cost, but a send of "
+            f"{loop.policy.kind} does not reset it; expected a policy with actuation = 'model', or the policy "
+            "consistent or near-optimal"
         )
     if loop.problem.jumps is not None:
         raise ProblemError(

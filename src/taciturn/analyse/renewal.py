@@ -215,7 +215,9 @@ def bound_sends(loop: Loop, ticks: int, confidence: float = 0.999) -> WindowBoun
 
     count("ticks", ticks)
     if ticks > LONGEST_WINDOW:
-        raise ProblemError(f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: add the bounds of shorter windows")
+        raise ProblemError(
+            f"ticks is {ticks}; expected at most {LONGEST_WINDOW}: for a longer window, add the bounds of shorter ones"
+        )
     return sends_in_window(chain_of(loop), ticks, confidence)
 
 
@@ -242,13 +244,14 @@ def chain_of(loop: Loop) -> Chain:
     policy, problem = loop.policy, loop.problem
     if loop.violated_assumptions:
         raise NoQuadratureError(
-            f"{loop.violated_assumptions[0]}; expected the loop of the design, or method 'auto' or 'simulation'"
+            f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, or method 'auto' or "
+            "'simulation'"
         )
     weights = _weights(policy)
     if weights is None or loop.horizon is not None:
         raise NoQuadratureError(
-            f"{policy.kind} has no closed form for this problem, and its decision does not depend only on an error "
-            "that a send resets; expected method 'auto' or 'simulation'"
+            f"{policy.kind} has no closed form for this problem, and its trigger depends on more than an error that a "
+            "send resets; expected method 'auto' or 'simulation'"
         )
     Psi, delta, Gamma = weights
     if delta <= 0:

@@ -164,7 +164,7 @@ def switched_innovations(loop: Loop) -> Switched:
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
-            "expected the loop of the design; for any other loop use switched()"
+            "expected those of the design; for any other loop, use switched()"
         )
     spread = factor(innovations.covariance)
     reading = Reading(loop, {}, spread.shape[1])

@@ -101,7 +101,7 @@ def show(
     as_json: Json = False,
     plot: Plot = None,
     wire: Annotated[
-        bool, typer.Option("--wire", help="Print packets and computations of the nodes as JSON, for other languages.")
+        bool, typer.Option("--wire", help="Print packets and computations of the nodes as JSON, for other programs.")
     ] = False,
 ) -> None:
     """Show plant, gains, guarantee, triggers and node diagram of a problem, without a simulation."""
@@ -232,7 +232,10 @@ def tune(
             )
         else:
             if not isinstance(allowed, float) or spent is not None:
-                raise taciturn.ProblemError("--least-period is given; expected a number for --rate, and no --cost")
+                raise taciturn.ProblemError(
+                    "--least-period is given without a number for --rate, or with --cost; expected --rate with a "
+                    "number, and no --cost"
+                )
             found = tune_period(
                 problem,
                 rate=allowed,
@@ -283,7 +286,7 @@ def certify(file: File, settings: Settings = None, no_functions: NoFunctions = F
 @app.command(epilog="Example: taciturn bench --rounds 3")
 def bench(
     as_json: Json = False,
-    rounds: Annotated[int, typer.Option(help="Number of rounds; medians are printed.")] = 5,
+    rounds: Annotated[int, typer.Option(help="Number of measurement rounds, of which the medians are printed.")] = 5,
 ) -> None:
     """Measure the simulation speed on this machine, compared with NumPy."""
     from taciturn.study.bench import bench as measure

@@ -229,7 +229,7 @@ def refuse(sentence: str) -> None:
 
 
 def drop_output() -> None:
-    """Discard buffered output, so that Python does not complain when it exits."""
+    """Discard buffered output, so that Python reports no error when it exits."""
     with suppress(OSError):
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -25,7 +25,7 @@ def read_probability(name: str, text: str) -> float:
 
 
 def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int) -> dict[LinkName, Fate]:
-    """Return the impairments of each link: losses from --loss, and from the network for the other links."""
+    """Return the impairments of each link: the losses of --loss, or else those of the problem's network."""
     from taciturn.errors import ProblemError
     from taciturn.model.policy import Send
     from taciturn.study.network import losses

@@ -87,7 +87,8 @@ def network(
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
         raise taciturn.ProblemError(
-            "--loss is given with --namespaces, which uses no relay; expected only one of the two options"
+            "--loss is given with --namespaces, but only relays apply --loss, and namespaces have no relays; expected "
+            "only one of the two options"
         )
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:
@@ -116,7 +117,7 @@ def node(
     wait: Annotated[
         float | None,
         typer.Option(
-            help="In real time: longest wait for a packet, as a share of a step. Default: 0.3; actuator: 0.55."
+            help="In real time: longest wait for a packet, as a fraction of a step. Default: 0.3; actuator: 0.55."
         ),
     ] = None,
     heartbeat: Annotated[
@@ -130,7 +131,7 @@ def node(
         int | None,
         typer.Option(
             help="Number of steps without packets or marks after which a node is degraded and an actuator applies the "
-            f"safe input. Default in real time: {WATCHED}, and the actuator keeps the input of the policy."
+            f"safe input. Default in real time: {WATCHED}, but the actuator then still applies the input of the policy."
         ),
     ] = None,
     safe: Annotated[
@@ -152,7 +153,7 @@ def node(
     seed: Seed = 0,
     questions: Annotated[
         bool,
-        typer.Option("--questions", help="The sensor is a camera: request a picture instead of sending a measurement."),
+        typer.Option("--questions", help="For a camera as sensor: request pictures instead of sending measurements."),
     ] = False,
     eye: Annotated[
         Path | None,
@@ -337,7 +338,7 @@ def _wire(
 
 
 def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Raise an error if an option is below 1, or if the loop number of a packet cannot represent all loops."""
+    """Raise an error if an option is below 1, or if there are more loops than a packet's loop number can represent."""
     from taciturn._arrays import count, number
 
     for name, value in counts.items():

@@ -186,8 +186,8 @@ class _Interview:
                 raise ProblemError(f"the network is {text!r}; expected ideal, tcp or udp")
             if word != "ideal" and not self.draft.fits("lossy-lqg"):
                 raise ProblemError(
-                    f"the network is {word}, but its policy, lossy-lqg, needs a discrete-time model, a measurement of "
-                    "the whole state, and N = 0; expected ideal"
+                    f"the network is {word}, but the policy for this network, lossy-lqg, requires a discrete-time "
+                    "model, a measurement of the full state, and N = 0; expected ideal"
                 )
             return word
 

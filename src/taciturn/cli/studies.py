@@ -59,7 +59,8 @@ def tradeoff(
     standard_error: StandardError = None,
     confidence: Confidence = None,
     store: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for the results of all points; a second run continues.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder for the results, so that an interrupted run can continue."),
     ] = None,
     workers: Workers = 1,
 ) -> None:
@@ -113,7 +114,7 @@ def sweep(
         Path,
         typer.Option(
             metavar="DIR",
-            help="Folder for the results of all cells; a second run continues. All results: DIR/result.nc.",
+            help="Folder for the results, so that an interrupted run can continue. DIR/result.nc contains all results.",
         ),
     ],
     settings: Settings = None,
@@ -133,7 +134,7 @@ def sweep(
         float | None, typer.Option(help="Confidence level of lower bounds on the cost. Default: no lower bounds.")
     ] = None,
 ) -> None:
-    """Evaluate a grid of problems on many processors, and store each finished cell."""
+    """Evaluate a grid of problems on many processors, and store each result when it is finished."""
     import taciturn
     from taciturn._dask import dask_workers
     from taciturn._grid import parse_grid

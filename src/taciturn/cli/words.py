@@ -15,7 +15,7 @@ KINDS = (
 
 
 def complete_file(incomplete: str) -> list[str]:
-    """Return the built-in problems and TOML files with this prefix; for an empty list a shell completes folders."""
+    """Return the built-in problems and TOML files with this prefix; if there are none, the shell completes folders."""
     folder = incomplete[: incomplete.rfind("/") + 1]
     try:
         files = sorted(f"{folder}{path.name}" for path in Path(folder or ".").glob("*.toml"))

@@ -140,7 +140,7 @@ def _price(plant: ContinuousPlant, cost: Cost) -> PredictionCost:
     if price.growth(1.0) <= 0:
         raise ProblemError(
             "the noise causes no error with a cost, so nothing would ever be sent; "
-            "expected noise on states that L'RL weighs directly or through the dynamics"
+            "expected noise on states that L'RL weighs, directly or through the dynamics"
         )
     return price
 
@@ -203,8 +203,8 @@ def _looking(
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
     if process.running > allowed[1] * LATE:
         raise ProblemError(
-            f"period is {period:g}, in which the noise alone costs {process.running:.4g}, but only {allowed[1]:.4g} is "
-            "allowed; expected a shorter period, or a larger slope or alpha"
+            f"period is {period:g}, and the noise alone adds a cost of {process.running:.4g} in one period, but only "
+            f"{allowed[1]:.4g} is allowed; expected a shorter period, or a larger slope or alpha"
         )
     more = process.running - np.diff(allowed)  # growth of the margin per check in addition to e'Γe
     looks = np.arange(1, len(more))
@@ -273,7 +273,7 @@ class _Search:
         if alpha > interval.value + SURE * interval.standard_error:
             raise ProblemError(
                 f"alpha is {alpha:g}, but the resulting mean interval L(alpha) is {interval}; "
-                "expected alpha ≤ L(alpha): use a smaller alpha, or omit it for the fixed point"
+                "expected alpha ≤ L(alpha): use a smaller alpha, or omit alpha for the fixed point alpha = L(alpha)"
             )
         allowed = self.largest * (interval.value + SURE * interval.standard_error)
         if alpha * self.slope > allowed * (1 + PRINTED):

@@ -100,7 +100,9 @@ def lossy_lqg(
     if given.delay > 1:
         raise ProblemError(f"network.delay is {given.delay}; expected 0 or 1 with lossy-lqg")
     if reference is not None and cost.horizon is None:
-        raise ProblemError("a reference is given without cost.horizon; expected both, since the reference is finite")
+        raise ProblemError(
+            "a reference is given without cost.horizon; expected cost.horizon as well, because the reference is finite"
+        )
     network = given.without_bursts()
     channel = Channel(network.loss("actuator"), network.loss("sensor"), network.protocol == "tcp", network.delay == 1)
     notes: tuple[str, ...] = ()
@@ -160,7 +162,7 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
         )
     if not plant.full_state:
         raise ProblemError(
-            "C or V is given, and lossy-lqg measures the full state; expected neither C nor V: remove them"
+            "C or V is given, but lossy-lqg measures the full state; expected neither C nor V: remove them"
         )
     if cost.N.any():
         raise ProblemError("cost.N is not zero, which lossy-lqg does not support; expected no cross weight: remove it")

@@ -105,12 +105,12 @@ def refuse_what_is_not_predicted(kind: str, plant: Plant | ContinuousPlant, cost
     instance("cost", cost, Cost)
     if isinstance(plant, Plant):
         raise ProblemError(
-            f"the plant is discrete in time, and {kind} predicts in continuous time; "
+            f"the plant is discrete in time, but {kind} predicts in continuous time; "
             "expected a continuous plant: without dt (plant.dt in a file), with A, B and W per second"
         )
     if not plant.full_state:
         raise ProblemError(
-            f"C or V is given, and {kind} measures the full state; expected neither C nor V: remove them"
+            f"C or V is given, but {kind} measures the full state; expected neither C nor V: remove them"
         )
     expect_average(kind, cost)
     return plant

@@ -172,7 +172,7 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
-    """Return the sizes of the nodes on a Cortex-M, or on this machine if only its compiler is installed, else None.
+    """Return the sizes of the nodes on a Cortex-M, or on this machine if it has no Cortex-M compiler, or None.
 
     Args:
         folder: folder with the nodes, which are compiled with optimisation for size.
@@ -338,12 +338,15 @@ def _call(tool: str, arguments: Sequence[str], folder: Path, patience: float = P
             stdin=subprocess.DEVNULL,
         )
     except subprocess.TimeoutExpired:
-        raise ProblemError(f"{tool} has not finished after {patience:g} s; expected a shorter run") from None
+        raise ProblemError(
+            f"{tool} has not finished after {patience:g} s; use a self-check with fewer steps, or reduce the load on "
+            "this machine"
+        ) from None
     if done.returncode != 0:
         said = " ".join((done.stdout + done.stderr).split()) or f"code {done.returncode}"
         if "will not fit in region" in said:
             raise ProblemError("the program is larger than the board's 4 MiB; expected a self-check with fewer steps")
         if "rdimon.specs" in said:
             said = f"the C library is missing; install it with: apt install {PACKAGES['arm-none-eabi-gcc']}: {said}"
-        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); expected the program to succeed")
+        raise ProblemError(f"{tool} fails ({said[:LONGEST]}); correct the reported cause, and run again")
     return done.stdout

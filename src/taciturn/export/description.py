@@ -25,7 +25,7 @@ _STARTS = {"number": "0", "truth": "false"}  # start values of inputs
 
 @dataclass(frozen=True, repr=False)
 class Variable(Displayed):
-    """A variable of a unit.
+    """A variable of a functional mock-up unit (FMU).
 
     Args:
         name: structured name, as FMI defines it.
@@ -59,7 +59,7 @@ def may_lose(loop: Loop) -> bool:
 
 
 def list_variables(loop: Loop) -> tuple[Variable, ...]:
-    """Return the variables of the unit of a loop's policy, without the time."""
+    """Return the variables of the FMU for the policy of a loop, except the time."""
     links, first, model = used_links(loop), REFERENCES, loop.policy.model
     found = [
         Variable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")

@@ -73,7 +73,7 @@ class Fmu(Displayed):
     notes: tuple[str, ...]
 
     def document(self) -> dict[str, Any]:
-        """Return the JSON document of the unit."""
+        """Return the JSON document of the FMU."""
         return {
             "policy": self.kind,
             "name": self.name,
@@ -95,7 +95,7 @@ class Fmu(Displayed):
         ]
 
     def archive(self) -> bytes:
-        """Return the bytes of the archive, which depend only on its content."""
+        """Return the bytes of the FMU archive, which depend only on the content of its files."""
         buffer = BytesIO()
         with zipfile.ZipFile(buffer, "w") as held:
             for path in sorted(self.files, key=lambda path: (path != "modelDescription.xml", path)):
@@ -125,7 +125,7 @@ def check_name(path: Path) -> None:
         ProblemError: the name has another ending.
     """
     if path.suffix != ".fmu":
-        raise ProblemError(f"the file name of the unit is {path}; expected a name that ends in .fmu")
+        raise ProblemError(f"the file name of the FMU is {path}; expected a name that ends in .fmu")
 
 
 def print_fmu(
@@ -166,7 +166,7 @@ def print_fmu(
     if version not in HEADERS:
         raise ProblemError(f"the version of FMI is {version!r}; expected '3.0' or '2.0'")
     if not (name.isidentifier() and name.isascii()):
-        raise ProblemError(f"the name of the unit is {name!r}; expected a C identifier such as two_mass")
+        raise ProblemError(f"the name of the FMU is {name!r}; expected a C identifier such as two_mass")
     folder = print_folder(loop, name, seed=seed)
     own = [file for node in folder.nodes for file in (f"{node.name}.h", f"{node.name}.c")]
     texts = {file: folder.files[file] for file in (*CORE, *EXCHANGE, "taciturn_config.h", *own)}

@@ -78,7 +78,7 @@ def print_node(
     precision: Precision = "float64",
     seed: int = 0,
 ) -> CNode:
-    """Return a node of a policy as C99, to be compiled with the core.
+    """Return a node of a policy as C99, to be compiled with the common core sources.
 
     Args:
         policy: policy that contains the node.
@@ -132,7 +132,8 @@ def _check_size(policy: Policy, network: Network, program: NodeProgram, layout: 
     for what, size in found.items():
         if size > MOST[what]:
             raise ProblemError(
-                f"a node of {policy.kind} has {size} numbers in its {what}; expected at most {MOST[what]} on a device"
+                f"the array {what!r} of a node of {policy.kind} has {size} entries; expected at most {MOST[what]} on a "
+                "device"
             )
 
 
@@ -181,7 +182,7 @@ class _Data:
         return found
 
     def node(self, name: str) -> str:
-        """Return the data of the node, and the function that starts it."""
+        """Return the C code with the data of the node and the function that starts the node."""
         layout, program, policy = self.layout, self.program, self.policy
         states, outputs, arrivals = program.parts[0].states, program.parts[0].outputs, layout.arrivals
         generator: list[int] = [int(word) for word in seed_generators(self.seed, 1).view(np.uint64).ravel()]

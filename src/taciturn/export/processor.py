@@ -110,7 +110,7 @@ class NodeOnBoard:
                 f"step from 0 to 2^64 - 2, at most {MOST_DATAGRAMS} datagrams and at most {MOST_NUMBERS} measurements"
             )
         if any(len(one) > LARGEST for one in datagrams):
-            raise ProblemError(f"a datagram has more than {LARGEST} bytes; expected datagrams of the policy's nodes")
+            raise ProblemError(f"a datagram has {max(map(len, datagrams))} bytes; expected at most {LARGEST} bytes")
         body = struct.pack(">QB", tick, len(datagrams))
         body += b"".join(struct.pack(">H", len(one)) + one for one in datagrams)
         body += struct.pack(f">B{len(numbers)}d", len(numbers), *numbers)

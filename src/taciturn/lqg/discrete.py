@@ -119,8 +119,9 @@ def discretise(
     else:
         if plant.input_limit is not None:
             raise ProblemError(
-                f"input_limit is {plant.input_limit.tolist()}, and the input changes between steps; a clipped input "
-                "that changes has no exact discretisation; expected no input_limit, or a policy that holds its input"
+                f"input_limit is {plant.input_limit.tolist()}, but the input changes between steps, and a clipped "
+                "input that changes has no exact discretisation; expected no input_limit, or a policy that holds its "
+                "input"
             )
         sampled = sample_prediction(
             plant.A, plant.B, cost.Q, cost.R, cost.N, plant.W, prediction.L, period, prediction.dynamics

@@ -217,8 +217,7 @@ def expect_known_start(plant: Plant, seen: Bits) -> None:
         raise UnstableError(
             f"initial.covariance is {plant.covariance[unknown[0], unknown[0]]:.3g} in state {unknown[0] + 1}, which no "
             "noise drives and no measurement shows, so that its initial error remains and causes a cost forever; "
-            "expected 0 "
-            "there (a known initial state, initial.mean), or a measurement of this state"
+            "expected 0 for this state (its initial value is then initial.mean), or a measurement of it"
         )
 
 
@@ -334,7 +333,7 @@ def _refuse_unseen(A: Array, C: Array) -> None:
         raise UnstableError(
             f"A has the eigenvalue {mode_text(complex(unseen[0]))}, which C does not observe{on_edge}; expected (A, C) "
             "detectable: every eigenvalue on or outside the unit circle must be observable; add a sensor, or remove "
-            "that state from the problem"
+            "the state of this mode from the problem"
         )
 
 

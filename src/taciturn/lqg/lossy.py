@@ -200,8 +200,8 @@ def _fixed_point(given: Quadratic, channel: Channel) -> LossyRegulator:
         previous, L = change, following[2]
     raise UnstableError(
         "the lossy Riccati recursion did not converge: the last iteration had a relative change of "
-        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected losses further from the critical "
-        "ones"
+        f"{previous / gap if np.isfinite(gap) else 1.0:.1e} (at most 1e-13); expected loss probabilities further from "
+        "their critical values"
     )
 
 
@@ -299,7 +299,7 @@ def slowest_growth(A: Array, B: Array, channel: Channel) -> tuple[float, Array]:
     A, B = A / scale[:, None] * scale, B / scale[:, None]
     lost = lost_modes(A, B, False)
     if lost.size:
-        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which B cannot move")
+        raise UnstableError(f"A has the eigenvalue {mode_text(complex(lost[0]))}, which is uncontrollable through B")
     A_u, V = _scipy.unstable_part(A, 1 - SCATTER)
     B_u, count = V @ B, len(V)
     if count == 0:

@@ -248,9 +248,9 @@ def refuse_uncertain(cost: float, doubt: float) -> None:
     """
     if not doubt <= TOLERANCE * abs(cost):
         raise UnstableError(
-            f"the cost of sending every sample is {cost:.6g} and uncertain by {doubt:.1e}; expected at most "
-            f"{TOLERANCE:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its rounding "
-            "error dominates; give these modes noise W, or remove them from the plant"
+            f"the cost of sending every sample is {cost:.6g}, with an error of up to {doubt:.1e}; expected an error of "
+            f"at most {TOLERANCE:.0e} of the cost: modes with hardly any noise have such a large cost-to-go that its "
+            "rounding error dominates; give these modes noise W, or remove them from the plant"
         )
 
 
@@ -299,16 +299,16 @@ def _refuse_unmoved(modes: Modes, region: str, on_edge: Bits, edge: str) -> None
     """Reject uncontrollable modes; for a marginally stable one, the message adds that it affects the cost."""
     if not modes.size:
         return
-    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which B cannot move"
+    named = f"A has the eigenvalue {mode_text(complex(modes[0]))}, which is uncontrollable through B"
     if on_edge[0]:
         raise UnstableError(
             f"{named}; this mode lies on {edge} and affects the cost, so that the cost is infinite or depends on exact "
-            "cancellation; expected (A, B) stabilisable, or no weight in Q and N on that state and on the states that "
-            "it affects; make the mode stable, or remove it from the problem"
+            "cancellation; expected (A, B) stabilisable, or no weight in Q and N on the state of this mode and on the "
+            "states that it affects; make the mode stable, or remove it from the problem"
         )
     raise UnstableError(
         f"{named}; expected (A, B) stabilisable: every eigenvalue outside {region} must be controllable; add an "
-        "actuator or remove that state from the problem"
+        "actuator, or remove the state of this mode from the problem"
     )
 
 

@@ -110,8 +110,8 @@ class Dynamics(Displayed):
         probe = np.full(n, 1e-3), np.full(m, 1e-3), np.zeros(n)
         if not np.array_equal(self(*probe), self(*probe), equal_nan=True):
             raise ProblemError(
-                "function gives two results for the same x, u and w; expected a deterministic function, with noise "
-                "from w only"
+                "function gives two different results for the same x, u and w; expected a deterministic function, "
+                "with noise from w only"
             )
 
     def derivatives(self, states: int, inputs: int) -> tuple[Array, Array, Array]:
@@ -310,7 +310,7 @@ def _derivative(f: Callable[[float], Array], step: float, name: str) -> Array:
     if best is None:
         raise ProblemError(
             f"function gives no finite values when {name} changes by {step:.1g}; expected a function that is "
-            "differentiable there"
+            "differentiable at the given point"
         )
     return best
 

@@ -51,8 +51,8 @@ def check_network(policy: Policy, network: Network) -> None:
     carrying = links_of(policy)
     if network.payload != "float64" and not any(told_by(policy, link) for link in carrying):
         raise ProblemError(
-            f"network.payload is {network.payload!r}, but the receivers of all packets of {policy.kind} already have "
-            "the signals sent, so rounding has no effect; expected payload = 'float64', the default"
+            f"network.payload is {network.payload!r}, but each receiver of {policy.kind} already has the signals in "
+            "its packets, so rounding has no effect; expected payload = 'float64', the default"
         )
     for link in ENDS:
         given = [name for name in network.given(link) if link not in carrying]
@@ -65,7 +65,7 @@ def check_network(policy: Policy, network: Network) -> None:
 
 
 def links_of(policy: Policy) -> tuple[LinkName, ...]:
-    """Return the links in use: packets are sent on the link, and their arrival is a condition of a policy step."""
+    """Return the links on which packets are sent and whose arrivals are a condition of a policy step."""
     sent: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
     heard = {on.link for on in _conditions(policy) if isinstance(on, Received | Acknowledged)}
     return tuple([link for link in sent if link in heard])

@@ -1,4 +1,4 @@
-"""Finite discrete states ("locations") that evolve by tables, and the common period of those independent of data."""
+"""Finite discrete states ("locations") that evolve by tables, and the common period of data-independent ones."""
 
 from __future__ import annotations
 
@@ -43,14 +43,19 @@ class Location(Displayed):
         size = table.shape[0]
         if not table.size or table.min() < 0 or table.max() >= size or (table != np.floor(table)).any():
             extremes = f"entries from {table.min():g} to {table.max():g}" if table.size else "no entries"
-            raise ProblemError(f"location {self.name} has {extremes}; expected integers from 0, all below {size}")
+            raise ProblemError(
+                f"the table of location {self.name} has {extremes}; expected integers that are at least 0 and below "
+                f"{size}"
+            )
         if not 0 <= self.initial < size:
             raise ProblemError(
-                f"location {self.name} starts at {self.initial}; expected an integer from 0, below {size}"
+                f"location {self.name} starts at {self.initial}; expected an integer that is at least 0 and below "
+                f"{size}"
             )
         if self.on is not None and self.at is None:
             raise ProblemError(
-                f"location {self.name} depends on {self.on} but has no node; expected the node at which it changes (at)"
+                f"location {self.name} depends on {self.on} but has no node; expected the node at which the location "
+                "changes (at)"
             )
         indices = table.astype(np.int64)
         indices.setflags(write=False)
@@ -58,7 +63,7 @@ class Location(Displayed):
 
     @property
     def period(self) -> int:
-        """Steps after which the location repeats if it is independent of decisions and packets; otherwise 1."""
+        """Steps after which the location repeats; 1 if the location depends on decisions or packets."""
         return joint_cycle([self], {})
 
 

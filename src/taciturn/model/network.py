@@ -44,7 +44,7 @@ class Burst(Displayed):
 
     @property
     def share_bad(self) -> float:
-        """Stationary probability of the bad state; 0 for a link that never changes its state, which starts as good."""
+        """Stationary probability of the bad state; 0 for a link that remains in its initial good state."""
         turns = self.to_bad + self.to_good
         return 0.0 if turns == 0 else self.to_bad / turns
 

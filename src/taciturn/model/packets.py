@@ -50,7 +50,7 @@ def told_by(policy: Policy, link: str) -> tuple[str, ...]:
 
 
 def fingerprint(policy: Policy, network: Network) -> int:
-    """Return a 64-bit fingerprint of the steps, locations and initial values of a policy, to six digits per matrix.
+    """Return a 64-bit fingerprint of a policy's steps, locations and initial values, with six digits of each matrix.
 
     Two machines whose linear algebra rounds differently compute the same fingerprint. A function is identified by its
     values at a few points, not by its source code.

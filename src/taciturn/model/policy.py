@@ -114,7 +114,8 @@ class Policy(Displayed):
         self._check_costs()
         if self.cost is None and (self.identity or self.guarantee or self.closed_form):
             raise ProblemError(
-                f"{self.kind} has an identity, a guarantee or a closed form but no cost; expected its cost"
+                f"{self.kind} has an identity, a guarantee or a closed form, but no cost; expected the cost to which "
+                "they refer"
             )
         self._check_theory()
         sizes: dict[str, int] = {ONE: 1, "y": self.model.outputs}
@@ -136,7 +137,10 @@ class Policy(Displayed):
             if isinstance(step, Decide):
                 decided.append(step.decision)
             elif not isinstance(step, Apply | Draw) and isinstance(step.on, str) and step.on not in decided:
-                raise ProblemError(f"the condition {step.on!r} is used before it is decided; expected one of {decided}")
+                raise ProblemError(
+                    f"the condition {step.on!r} is used before it is decided; expected one of the earlier decisions "
+                    f"{decided}"
+                )
             self._check(step)
         links = [step.link for step in self.steps if isinstance(step, Send)]
         for link in set(links):

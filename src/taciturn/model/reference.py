@@ -63,7 +63,7 @@ class Reference(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Tracking(Displayed):
-    """The signals of a policy that contain its reference; the cost weighs the deviations of state and input from them.
+    """The reference signals of a policy; the cost penalises the deviations of state and input from these signals.
 
     Args:
         state: name of the signal with the reference state r_k.

@@ -52,7 +52,7 @@ class Schedule(Tabular):
 
     @property
     def rate(self) -> float:
-        """Queries per step: mean over the repeating part or the horizon; discounted: (1−α)Σα^k over query steps k."""
+        """Mean queries per step over the repeating part or the horizon; if discounted, (1−α)Σα^k over query steps k."""
         if self.discount == 1 or self.start is None:
             return float(self.queries[self.start or 0 :].mean())
         weights = self.discount ** np.arange(len(self.queries)) * self.queries

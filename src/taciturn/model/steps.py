@@ -67,8 +67,8 @@ class Assign(Displayed):
         )
         if (on is None) != (len(checked) == 1):
             raise ProblemError(
-                f"{signal} has {len(checked)} branches on {on}; expected one branch without a condition, or several "
-                "branches that depend on a condition"
+                f"{signal} has {len(checked)} branches and the condition {on}; expected one branch without a "
+                "condition, or several branches that depend on a condition"
             )
         rows = {shape_of(value)[0] for terms in checked for value in terms.values()}
         if len(rows) != 1:
@@ -97,7 +97,7 @@ class Evaluate(Displayed):
         """Check the number of forms."""
         if (self.on is None) != (len(self.forms) == 1):
             raise ProblemError(
-                f"{self.signal} has {len(self.forms)} forms on {self.on}; "
+                f"{self.signal} has {len(self.forms)} forms and the condition {self.on}; "
                 "expected one form without a condition, or several forms that depend on a condition"
             )
 

@@ -29,7 +29,7 @@ class Guarantee(Displayed):
     per_silence: float = 0.0
 
     def at_rate(self, rate: float) -> float | None:
-        """Return the bound base + per_silence·(1 − rate) for a rate in sends per step, or None if there is none."""
+        """Return the bound base + per_silence·(1 − rate) at a rate in sends per step, or None if it does not exist."""
         return None if self.base is None else self.base + self.per_silence * (1 - rate)
 
 

@@ -93,7 +93,10 @@ class Encoding(Displayed):
         choice("the encoding", self.name, CODES)
         if (self.name == "int16") != bool(self.full_scale):
             got = "without" if self.name == "int16" else "with"
-            raise ProblemError(f"the encoding {self.name} is given {got} a range; expected a range with int16 only")
+            raise ProblemError(
+                f"the encoding {self.name} is given {got} a range; expected a range for int16, and none for other "
+                "encodings"
+            )
         scale = array("the range of an encoding", self.full_scale, (None,))
         if not (scale > 0).all():
             raise ProblemError(f"the range of an encoding is {scale.min():g}; expected positive numbers")
@@ -110,7 +113,8 @@ class Encoding(Displayed):
             return [self] * len(sizes)
         if len(self.full_scale) not in (1, entries):
             raise ProblemError(
-                f"the range of a packet has {len(self.full_scale)} entries; expected 1 or {entries}, one per entry"
+                f"the packet has {entries} entries, but its range has {len(self.full_scale)} numbers; expected one "
+                "number for all entries, or one for each"
             )
         each = self.full_scale * (entries // len(self.full_scale))
         ends = list(accumulate(sizes, initial=0))
@@ -128,5 +132,5 @@ class Encoding(Displayed):
 
 
 def read_place(datagram: bytes) -> tuple[int, int, int, int]:
-    """Return sequence, kind, loop and step from a datagram without checks; it must be at least as long as a header."""
+    """Return sequence, kind, loop and step without checks from a datagram that is at least as long as a header."""
     return _PLACE.unpack_from(datagram)

@@ -96,8 +96,8 @@ def check_separable(policy: Policy) -> None:
             continue
         if ENDS[step.link] in policy.site(step.at):
             raise ProblemError(
-                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at one site; "
-                "expected its ends at two sites, or no packets on this link"
+                f"the nodes of {policy.kind} cannot be separated: the {step.link} link begins and ends at the same "
+                "site; expected different sites at its two ends, or no packets on this link"
             )
         places[step.link] = place
     for place, step in enumerate(policy.steps):
@@ -113,8 +113,8 @@ def check_separable(policy: Policy) -> None:
         for name in told_by(policy, on.link):
             if any(name in assigned(policy.steps[i]) for i in between):
                 raise ProblemError(
-                    f"the nodes of {policy.kind} cannot be separated: {name} changes after the packet that carries it "
-                    f"and before {step.signal} reads it; expected the Send after the change"
+                    f"the nodes of {policy.kind} cannot be separated: {name} changes between its Send and the step "
+                    f"that computes {step.signal} from the packet; expected the Send after the change"
                 )
 
 

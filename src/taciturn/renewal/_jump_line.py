@@ -54,8 +54,8 @@ class Line:
         count = 2 * int(fineness * (6 + 1.5 * min(self.bound, self.bound * abs(self.F) + distance) / narrow))
         if max(count, fineness * distance / narrow) > MOST_NODES:
             raise NoQuadratureError(
-                f"unsent errors spread over {self.bound / narrow:.3g} standard deviations of the smallest jump, more "
-                "than this quadrature supports; check less often, or simulate"
+                f"between sends, the error spreads over {self.bound / narrow:.3g} standard deviations of the smallest "
+                "jump, more than this quadrature supports; check less often, or simulate"
             )
         # Fourier series on [−distance, distance] of the density of at least one jump: its characteristic function is
         # e^{−λτ} (exp(λ ∫ e^{−(wave·size)²/2} dt) − 1)

@@ -78,9 +78,9 @@ class Plane:
         """
         if grid.along * grid.across > 2 * MOST_NODES:
             raise NoQuadratureError(
-                f"unsent errors spread over a set that needs {grid.along} × {grid.across} nodes, more than this "
-                "quadrature supports; the threshold is large compared with the noise of a period: check less often, or "
-                "simulate"
+                f"between sends, the error spreads over a region that needs {grid.along} × {grid.across} quadrature "
+                "nodes, more than are supported; the threshold is large compared with the noise in one period: check "
+                "less often, or simulate"
             )
         return _Operator(self, grid).sums()
 

@@ -172,15 +172,15 @@ def follow(walk: Walk, paths: int, draws: np.random.Generator, negligible: float
             return Course(np.array(survival), np.array(cost), _later(survival), _later(cost), work)
         if mean < LOST or not np.isfinite(cost[-1]):
             raise NoQuadratureError(
-                "the cost of unsent errors grows without bound in a direction that Γ weighs and Ψ does not; expected a "
-                "Ψ that weighs every growing direction of the error; simulate instead"
+                "without sends, the cost of the error grows without bound in a direction that Γ weighs and Ψ does "
+                "not; expected a Ψ that weighs every growing direction of the error; simulate instead"
             )
         if mean**2 * count < DEGENERATE * float(weights @ weights):
             heirs = _heirs(weights, _left(paths, count, mean), float(draws.random()))
             errors, weights = errors[heirs], np.full(len(heirs), mean)
     raise NoQuadratureError(
-        f"after {MOST_CHECKS} checks one of {1 / survival[-1]:.3g} errors is not sent yet; expected shorter intervals, "
-        "with a smaller threshold δ or more noise; simulate instead"
+        f"the probability of no send in {MOST_CHECKS} checks is {survival[-1]:.3g}, which is too large; expected "
+        "shorter intervals between sends: use a smaller threshold δ or more noise, or simulate instead"
     )
 
 

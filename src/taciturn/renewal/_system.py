@@ -180,8 +180,8 @@ def climb(
         density, factor = density * FINER, factor * WIDER
     if best is None:
         raise NoQuadratureError(
-            f"unsent errors spread over too many standard deviations of the noise for {MOST_NODES} nodes, or errors "
-            f"are hardly ever sent; expected {less} or more noise for a quadrature; {instead}"
+            f"between sends, the error spreads over too many standard deviations of the noise for {MOST_NODES} "
+            f"quadrature nodes, or sends are too rare; expected {less} or more noise for a quadrature; {instead}"
         )
     if best.off > USELESS:
         raise NoQuadratureError(

@@ -84,7 +84,7 @@ def reduced(chain: Chain) -> Data:
     if not data.Psi.any():
         raise NoQuadratureError(
             "nothing would ever be sent: the noise reaches no direction of the error that Ψ weighs; expected at least "
-            "one; give the plant noise, or weigh the states that the noise reaches"
+            "one such direction; give the plant noise, or weigh the states that the noise reaches"
         )
     return data
 
@@ -109,14 +109,14 @@ def whiten(chain: Chain, otherwise: str = "simulate instead") -> White:
     n = len(data.F)
     if n > MOST_STATES:
         raise NoQuadratureError(
-            f"{n} directions of the error are reached by noise and affect trigger or cost, and the quadrature supports "
+            f"{n} directions of the error are reached by noise and affect trigger or cost, but the quadrature supports "
             f"at most {MOST_STATES}; {otherwise}"
         )
     half = root(data.noise)
     if half.shape[1] < n:
         raise NoQuadratureError(
-            f"the noise of one check excites {half.shape[1]} of the {n} directions of the error that affect trigger or "
-            f"cost, and the quadrature needs noise in all of them; {otherwise}"
+            f"the noise between two checks excites {half.shape[1]} of the {n} directions of the error that affect "
+            f"trigger or cost, but the quadrature needs noise in all of them; {otherwise}"
         )
     m, turn = np.linalg.eigh(symmetrised(half.T @ data.Psi @ half))
     inverse: Array = np.asarray(np.linalg.inv(half @ turn), dtype=np.float64)
@@ -162,8 +162,8 @@ def spread(white: White) -> Array:
         else:
             return total / shares
     raise NoQuadratureError(
-        "unsent errors grow without bound in a direction that Ψ does not weigh; expected a Ψ that weighs every growing "
-        "direction of the error; simulate instead"
+        "without sends, the error grows without bound in a direction that Ψ does not weigh; expected a Ψ that weighs "
+        "every growing direction of the error; simulate instead"
     )
 
 

@@ -79,7 +79,7 @@ class Intervals(Displayed):
         given = np.asarray(checks)
         checks = np.asarray(given, dtype=np.float64) if given.dtype.kind in "iuf" else np.array(np.nan)
         if not (np.isfinite(checks) & (checks >= 0) & (checks == np.floor(checks))).all():
-            raise ProblemError("checks has an entry that is not a number of checks; expected non-negative integers")
+            raise ProblemError("checks has an entry that is not a non-negative integer; expected numbers of checks")
         last = len(self.survival) - 1
         inside = np.minimum(checks, last).astype(int)
         return self.survival[inside] * np.power(self.decay, np.maximum(checks - last, 0))

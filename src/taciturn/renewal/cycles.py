@@ -258,8 +258,8 @@ class _Counting:
             raise _endless(self.ticks)
         if self.ticks * self.paths > BUDGET:
             raise ProblemError(
-                f"{BUDGET} attempts completed only {self.sums[CYCLES].sum():.0f} cycles; expected a request of fewer "
-                "cycles, or a larger standard error"
+                f"{BUDGET} attempts completed only {self.sums[CYCLES].sum():.0f} cycles; expected fewer cycles, or a "
+                "larger standard error"
             )
         return max(FIRST_TICKS, int(self.ticks * min(factor - 1, 100.0) * 1.02) + 1)
 

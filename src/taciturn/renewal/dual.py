@@ -345,7 +345,7 @@ def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random
             saved = max(SAFETY * float(more.mean()), 1.1 * saved)
         looks *= 2
     raise ProblemError(
-        f"an error may stay unsent for more than {LONGEST} checks before the cost of not sending certainly exceeds "
+        f"more than {LONGEST} checks may pass without a send before the cost of not sending certainly exceeds "
         "the price of a send; "
         "expected a lower price, or a higher rate, for a lower bound"
     )

@@ -117,7 +117,7 @@ class Fitting:
         if not any((np.linalg.matrix_power(F, k) @ half).T.dot(Gamma).any() for k in range(len(F))):
             raise ProblemError(
                 "nothing would ever be sent: the noise reaches no direction of the error that Γ weighs; expected at "
-                "least one; give the plant noise, or weigh the states that the noise reaches"
+                "least one such direction; give the plant noise, or weigh the states that the noise reaches"
             )
         # all prices within half an octave use the same errors, so that the result changes smoothly with the price
         scale = float(np.sum(Gamma * noise)) or price
@@ -203,7 +203,7 @@ def _stand(about: float, F: Array, noise: Array, Gamma: Array, seed: int, points
     into = (right[seen] / deviations[seen, None]) / units
     if len(into) > DIRECTIONS:
         raise ProblemError(
-            f"the error has {len(into)} directions, and its value function is fitted in at most {DIRECTIONS}; "
+            f"the error has {len(into)} dimensions, but its value function can be fitted in at most {DIRECTIONS}; "
             "expected a plant with fewer states, or policy 'excess'"
         )
     draws = np.random.default_rng(seed)

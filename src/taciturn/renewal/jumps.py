@@ -55,7 +55,9 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     number("accuracy", accuracy, 0.0)
     noise = chain.noise
     if not isinstance(noise, JumpNoise):
-        raise NoQuadratureError("the noise does not consist of jumps, and this quadrature supports jumps only")
+        raise NoQuadratureError(
+            "the noise does not consist of jumps; expected jump noise, the only noise that this quadrature supports"
+        )
     if noise.jumps.distribution != "normal":
         raise NoQuadratureError(
             f"jumps with the distribution '{noise.jumps.distribution}' have no smooth density; expected 'normal'; "
@@ -64,11 +66,12 @@ def solve_jumps(chain: Chain, accuracy: float = 1e-7, progress: Progress | None 
     A, G, F, Psi, Gamma = _reduced(noise.A, root(noise.jumps.covariance), chain)
     if not Psi.size or not (np.abs(Psi) > 0).any():
         raise NoQuadratureError(
-            "Ψ weighs no direction of the error that the jumps reach, so nothing would ever be sent"
+            "nothing would ever be sent: the jumps reach no direction of the error that Ψ weighs; expected at least "
+            "one such direction; weigh the states that the jumps reach"
         )
     if len(A) > 2:
         raise NoQuadratureError(
-            f"the jumps move the error in {len(A)} dimensions that Ψ or Γ weighs, and this quadrature supports at most "
+            f"the jumps move the error in {len(A)} dimensions that Ψ or Γ weighs, but this quadrature supports at most "
             "two; simulate instead"
         )
     rate, period, told = noise.jumps.rate, noise.period, Stages(progress)
@@ -113,7 +116,7 @@ def _planes(plane: Plane, checks: int) -> Iterator[Sums]:
             break
         cut *= 1.5
     else:
-        raise NoQuadratureError("unsent errors spread too far for this quadrature; simulate instead")
+        raise NoQuadratureError("between sends, the error spreads too far for this quadrature; simulate instead")
     yield coarse
     for level in range(1, len(FINENESS)):
         yield plane.sums(grid(level, cut * (1 + 0.15 * level)))

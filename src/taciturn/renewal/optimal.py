@@ -241,9 +241,9 @@ def _gaps(solved: Solved, negligible: float) -> tuple[float, float, float]:
     gaps = holes(solved, negligible)
     if gaps[2] > SPLIT * (solved.excess + solved.rate):
         raise NoQuadratureError(
-            f"the set of errors that should not be sent has gaps, and ignoring them costs {gaps[2]:.1g} times the "
+            f"the region of errors without a send has gaps, and ignoring these gaps costs {gaps[2]:.1g} times the "
             "price of "
-            f"a send per check; expected a set without gaps along every axis; {OTHERWISE}"
+            f"a send per check; expected a region without gaps along every axis; {OTHERWISE}"
         )
     return gaps
 

@@ -1,4 +1,4 @@
-"""The handling of packets that arrive at a node: every case is defined, and counted once.
+"""Handling of packets that arrive at a node, with a counter for each way in which a packet can be handled.
 
 | packet | counter and handling |
 |---|---|
@@ -84,7 +84,7 @@ class Inbox:
 
     @property
     def waiting(self) -> int:
-        """Number of packets that wait for their step."""
+        """Number of packets that are waiting for their step."""
         return sum(len(stream.waiting) for stream in self.streams.values())
 
     def take(self, packet: Packet, past: int) -> Handling:

@@ -168,7 +168,7 @@ class Namespaces:
 
     @contextmanager
     def visit(self, place: str) -> Generator[None]:
-        """Enter the namespace of a node or of the plant with this thread; sockets of the block remain in the namespace.
+        """Enter the namespace of a node or of the plant with this thread; sockets opened in the block stay there.
 
         Raises:
             ProblemError: the namespace cannot be entered.

@@ -267,7 +267,7 @@ class Node:
             raise
         except (KeyError, TypeError, ValueError, IndexError) as error:
             raise ProblemError(
-                f"this is no saved state of a node ({error!r}); expected the result of Node.save"
+                f"the given data are not a saved state of a node ({error!r}); expected the result of Node.save"
             ) from None
 
     def _measured(self, measurement: Sequence[float] | None) -> Values:

@@ -74,7 +74,7 @@ class StepFunction:
 
 
 class Nodes:
-    """All nodes of a policy and the links between them, in memory: each step takes y and returns u.
+    """All nodes of a policy and their links, in memory: each step takes the measurement y and returns the input u.
 
     The results are bit-identical to those of separate nodes and of the closed loop.
 

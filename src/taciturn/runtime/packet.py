@@ -122,8 +122,8 @@ class Wire:
         shape = self._shapes.get((kind, link))
         if shape is None or len(packet.values) != shape.entries or not all(map(math.isfinite, packet.values)):
             raise ProblemError(
-                f"a packet of kind {packet.kind} on the {packet.link} link holds {packet.values}; "
-                f"expected {'no such packet' if shape is None else f'{shape.entries} finite numbers'}"
+                f"a packet of kind {packet.kind} on the {packet.link} link contains {packet.values}; expected "
+                f"{'a kind and a link that the policy uses' if shape is None else f'{shape.entries} finite numbers'}"
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
 

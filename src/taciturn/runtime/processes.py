@@ -82,14 +82,21 @@ class Process:
             if not self.alive:
                 raise ProblemError(self.sentence())
             if time.monotonic() > end:
-                raise ProblemError(f"{self._name} does not listen after {PATIENCE:g} s; expected a faster start")
+                raise ProblemError(
+                    f"{self._name} has not started within {PATIENCE:g} s; reduce the load on this machine, and run "
+                    "again"
+                )
 
     def sentence(self) -> str:
         """Return the last message of the process."""
         if not self.alive:
             self._reader.join(1.0)
         said = [line.removeprefix("taciturn: ") for line in self._errors if LISTENS not in line and ENDED not in line]
-        return said[-1] if said else f"{self._name} has ended with code {self._process.poll()}; expected it running"
+        return (
+            said[-1]
+            if said
+            else f"{self._name} has ended with code {self._process.poll()}; expected it to keep running"
+        )
 
     def kill(self) -> None:
         """End the process immediately (SIGKILL)."""
@@ -122,7 +129,10 @@ class Process:
             return json.loads(self._process.stdout.read().splitlines()[-1])  # one line, which fits a pipe's buffer
         except subprocess.TimeoutExpired:
             self._process.kill()
-            raise ProblemError(f"{self._name} has not ended after {PATIENCE:g} s; expected a faster end") from None
+            raise ProblemError(
+                f"{self._name} has not ended within {PATIENCE:g} s and was killed; reduce the load on this machine, "
+                "and run again"
+            ) from None
         except (ValueError, IndexError):
             raise ProblemError(self.sentence()) from None
         finally:
@@ -259,7 +269,7 @@ class Processes:
         return role_at(self.policy, ENDS[link])
 
     def peer(self, role: NodeName) -> str | None:
-        """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
+        """Return the receiver of a node's packets: a relay, the next node, or the sender of acknowledged packets."""
         site = place_of(self.policy, role)
         for step in self.policy.steps:
             if isinstance(step, Send) and step.at in site:

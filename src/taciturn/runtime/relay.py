@@ -124,7 +124,7 @@ class EmulatedLink:
 
     @property
     def due(self) -> float | None:
-        """The time at which the next datagram is due, or None if no datagram waits."""
+        """The time at which the next datagram is due, or None if no datagram is waiting."""
         return min(self._waiting)[0] if self._waiting else None
 
     @property

@@ -74,9 +74,14 @@ class NodeServer:
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         if (first.measures or first.actuates) and plant is None:
-            raise ProblemError(f"--plant is missing, and the {first.role} uses the plant; expected its HOST:PORT")
+            raise ProblemError(
+                f"--plant is missing, but the {first.role} exchanges packets with the plant; expected HOST:PORT of the "
+                "plant"
+            )
         if first.talks and peer is None:
-            raise ProblemError(f"--peer is missing, and the {first.role} sends packets; expected HOST:PORT")
+            raise ProblemError(
+                f"--peer is missing, but the {first.role} sends packets; expected HOST:PORT of their receiver"
+            )
         if first.program.sends and first.acknowledges:
             raise ProblemError(
                 f"the {first.role} sends packets on one link and acknowledges packets of another link, but a node has "

@@ -39,7 +39,7 @@ def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | Non
 
 
 def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
-    """Receive datagrams until stopped, and then the datagrams that were already sent."""
+    """Receive datagrams until stopped, and then those that were sent before the stop."""
     while not stopped():
         take(endpoint.receive(time.monotonic() + IDLE))
     while found := endpoint.receive(time.monotonic() + QUIET):

@@ -66,7 +66,7 @@ class Bank:
             if loop.horizon is not None:
                 cost = loop.problem.cost
                 mission = f"discount {cost.discount:g}" if cost.discount < 1 else f"horizon {cost.horizon}"
-                raise ProblemError(f"the cost of a loop of {loop.policy.kind} has {mission}; expected an average cost")
+                raise ProblemError(f"a loop of {loop.policy.kind} has a cost with {mission}; expected an average cost")
         loops = self.loops
         self._ticks = np.array([loop.problem.tick for loop in loops])
         self._noise = np.array([loop.problem.noise_cost for loop in loops]) / self._ticks

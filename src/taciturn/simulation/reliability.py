@@ -32,13 +32,14 @@ def expect_arrivals(loop: Loop) -> None:
         if outage == 1:
             raise UnstableError(
                 f"the loop of {loop.policy.kind} diverges: the {link} link drops every packet, and the plant is not "
-                "stable by itself; expected a loss below 1"
+                "stable in open loop; expected a loss below 1"
             )
         if outage * growth**2 >= 1:
             raise UnstableError(
                 f"the loop of {loop.policy.kind} diverges: an outage of the {link} link lasts another step with "
                 f"probability {outage:.4g}, and in this step the mean square error grows by a factor of "
-                f"{growth**2:.4g}; expected a product below 1: fewer losses, or shorter bursts"
+                f"{growth**2:.4g}; expected a probability and a factor whose product is below 1: fewer losses, or "
+                "shorter bursts"
             )
     found = outcomes(loop)
     if found is not None and not found.decides and (growth := found.growth(2)) >= 1:

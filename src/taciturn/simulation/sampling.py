@@ -173,7 +173,7 @@ class Sampling:
         budget, width = steps or BUDGET, len(self.parts)
         if FEWEST_MISSIONS * horizon * width > budget:
             raise ProblemError(
-                f"the horizon is {horizon}, so {budget} steps are fewer than {FEWEST_MISSIONS} runs; "
+                f"the horizon is {horizon}, so {budget} steps contain fewer than {FEWEST_MISSIONS} runs; "
                 "expected more steps, a shorter horizon, or a discount further from 1"
             )
         paths, discount = min(PATHS, budget // horizon // width), self.parts[0].loop.problem.cost.discount

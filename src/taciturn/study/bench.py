@@ -90,7 +90,8 @@ def bench(rounds: int = 5, progress: Progress | None = None) -> Bench:
     number("rounds", rounds, high=MOST_ROUNDS)
     if not machine.available():
         raise ProblemError(
-            "llvmlite is not installed, so there is no compiled engine to measure; expected llvmlite to be installed"
+            "llvmlite is not installed, but the compiled engine, which bench measures, requires it: pip install "
+            "llvmlite"
         )
     loop = masses()
     speeds = {name: statistics.median(found) for name, found in race(contestants(loop), rounds, progress).items()}
@@ -208,7 +209,7 @@ def gain_of_threads(loop: Loop, rounds: int) -> float:
 
 
 def compile_times(loop: Loop) -> dict[str, float]:
-    """Return the compile times in seconds, without and with the cache on disk, as medians of five."""
+    """Return the compile times in seconds, without and with the cache on disk, as medians of five repetitions."""
     program, cold, cached = loop.reduced_program().keep(SUMS), list[float](), list[float]()
     before = os.environ.get("XDG_CACHE_HOME")
     try:

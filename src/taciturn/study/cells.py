@@ -49,14 +49,14 @@ class Cell(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Refusal(Displayed):
-    """The error that explains why a cell has no answer."""
+    """The error that explains why a cell of a grid has no result."""
 
     error: TaciturnError
 
 
 @dataclass(frozen=True, repr=False)
 class Effort(Displayed):
-    """Requested accuracy of every cell.
+    """Requested accuracy of the evaluation in every cell of a grid.
 
     Args:
         standard_error: absolute standard error of the cost; None for 1e-4 of the cost, or if ``steps`` is given.

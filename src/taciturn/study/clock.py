@@ -84,7 +84,7 @@ class Clock(ABC):
 
     @abstractmethod
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the cycle with at most this rate and the cycle with at least this rate that share the time."""
+        """Return the two cycles that share the time: one with at most this rate, and one with at least this rate."""
 
     @abstractmethod
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
@@ -116,13 +116,13 @@ class Timed(Clock):
         self.words, self._cost_of = words, cost_of
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the cost of the period with this rate, twice, because one period reaches every rate."""
+        """Return the point of the period with this rate twice, because a single period suffices for any rate."""
         cost = self._cost_of(1 / rate)
         point = None if cost is None else ClockPoint(rate, cost)
         return None if point is None else (point, point)
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return rate and cost of stable loops with periods between those of two rates."""
+        """Return rate and cost of stable loops for several periods between those of two rates."""
         periods = np.geomspace(1 / fastest, 1.05 * max(1 / slowest, 1 / fastest), CURVE_POINTS).tolist()
         found = [(1 / period, self._cost_of(period)) for period in periods]
         return tuple(ClockPoint(rate, cost) for rate, cost in found if cost is not None)
@@ -163,7 +163,7 @@ class Ticked(Clock):
         return (found[0], found[1]) if found else None
 
     def around_cost(self, cost: float) -> tuple[ClockPoint, ClockPoint] | None:
-        """Return the two corners of the lower hull next to a cost, the larger cost first; None if out of reach."""
+        """Return the two corners of the lower hull that enclose a cost, larger cost first, or None."""
         last = REACH
         while last <= LONGEST:
             corners = self._exact((1, last, last // 2), lambda corners: corners)
@@ -175,7 +175,7 @@ class Ticked(Clock):
         return None
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
-        """Return the corners of the lower hull between two rates and the next slower one, the highest rate first."""
+        """Return the corners of the lower hull between two rates and the next lower corner, the highest rate first."""
         first, last = (max(1, round(1 / (rate * self._tick))) for rate in (fastest, slowest))
         corners = self._exact((first, last + REACH, last), lambda corners: corners)
         beyond = sum(corner.rate < slowest * (1 - SAME) for corner in corners)

@@ -266,7 +266,7 @@ def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
         for what in ("plant", "actual", "cost", "network", "reference"):
             if not _same(getattr(first, what), getattr(second, what)):
                 where = "[plant.actual]" if what == "actual" else f"[{what}]"
-                raise ProblemError(f"{one} and {other} differ in {where}; expected the same in all problems")
+                raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
         if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
             raise ProblemError(
                 f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "

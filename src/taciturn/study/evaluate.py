@@ -114,7 +114,7 @@ class Evaluation(Tabular):
 
     @property
     def drawn(self) -> bool:
-        """True if any number of the result depends on the seed."""
+        """True if any number in the result depends on the seed."""
         return self.method in ("simulation", CONDITIONAL) or self.lower_bound is not None
 
     @property
@@ -241,7 +241,7 @@ def evaluate(
         )
     except OutOfTime:
         raise ProblemError(
-            f"time_limit is {time_limit:g}, and no answer was found within {time_limit:g} s; expected a longer "
+            f"time_limit is {time_limit:g}, and no result was available within {time_limit:g} s; expected a longer "
             "time_limit"
         ) from None
 

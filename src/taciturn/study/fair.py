@@ -59,11 +59,11 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     period = nodes.tick if continuous else None
     if problem.cost.mission:
         raise NoClockError(
-            "the horizon is finite or the cost is discounted, and periodic control is computed for average costs only"
+            "the horizon is finite or the cost is discounted, but periodic control is computed for average costs only"
         )
     if any(problem.network.loss(link) for link in ENDS):
         raise NoClockError(
-            "the links drop packets, and periodic control is computed for links that deliver every packet"
+            "the links drop packets, but periodic control is computed for links that deliver every packet"
         )
     try:
         certainty = design_certainty("periodic", discretise(problem.plant, problem.cost, period))
@@ -78,7 +78,9 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     if abs(always - nodes.cost_all_time) > ALIKE * abs(always):
         raise NoClockError("the policy uses its measurements later than periodic control would")
     if len(nodes.scheduled) > 1:
-        raise NoClockError("the policy schedules two links, and one rate does not determine the rate of each link")
+        raise NoClockError(
+            "the policy decides on two links, and a single rate does not determine the rate of each link"
+        )
     if nodes.scheduled == ("sensor",):
         return _asking(certainty)
     p = certainty.problem

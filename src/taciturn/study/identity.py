@@ -25,7 +25,7 @@ PATIENCE = 5.0  # seconds in which workers must report their version after a tas
 
 @dataclass(frozen=True, repr=False)
 class Code(Displayed):
-    """The version of taciturn and the digest of its sources that a process runs.
+    """The version of taciturn that a process runs, and the digest of its sources.
 
     Args:
         version: version of taciturn.

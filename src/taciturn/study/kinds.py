@@ -27,7 +27,7 @@ LONGEST = 10_000  # largest number of steps after which the checks of all loops 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Kind(Displayed):
-    """The loops of one problem, with its plant, its cost and a certainty-equivalent controller whose actuator predicts.
+    """The loops of one problem, with plant, cost, and a certainty-equivalent controller that predicts at the actuator.
 
     The error is e⁺ = F e (1−σ) + w. A check without a send costs e'Γe beyond sending every sample, in the units of the
     cost times steps; so a loop that checks at every other step has twice the weight.
@@ -108,7 +108,8 @@ def _kind(name: str, problem: Problem, number: int, every: int) -> Kind:
         loop = close(problem.actual or problem.plant, policy)
         if loop.violated_assumptions:
             raise ProblemError(
-                f"{loop.violated_assumptions[0]}; expected plant and cost of the design on a shared channel"
+                f"{loop.violated_assumptions[0]}; expected the plant and cost of the design for loops on a shared "
+                "channel"
             )
         if loop.problem.jumps is not None:
             raise ProblemError("plant.jumps is given; expected Gaussian noise (plant.W) in loops that share a channel")

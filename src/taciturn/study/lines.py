@@ -29,7 +29,7 @@ def evaluation_text(found: Evaluation) -> str:
 
 
 def evaluation_records(found: Evaluation) -> list[dict[str, object]]:
-    """Return costs and rates of this policy, periodic control at its rate, sending every sample, and the bounds.
+    """Return rows of costs and rates: the policy, periodic control at its rate, sending every sample, and the bounds.
 
     A policy that sends every sample is not compared with itself.
     """
@@ -181,12 +181,12 @@ def outward(value: float, digits: int, up: int) -> float:
 
 
 def least_cost(found: Evaluation) -> float | None:
-    """Return the lower bound on the cost of any schedule rounded down to six digits, or None if there is none."""
+    """Return the lower bound on the cost of any schedule, rounded down to six digits, or None without a bound."""
     return None if found.lower_bound is None else outward(found.lower_bound.cost, 6, -1)
 
 
 def proved(bound: float | None) -> float | None:
-    """Return an upper bound rounded up to six digits, or None if there is none."""
+    """Return an upper bound, rounded up to six digits, or None without a bound."""
     return None if bound is None else outward(bound, 6, 1)
 
 

@@ -55,7 +55,7 @@ class ThresholdPoint(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Losses(Tabular):
-    """Thresholds of one weight, in ascending order.
+    """Results for several thresholds with the same weight, in ascending order of the threshold.
 
     Args:
         points: one point for each level.

@@ -34,7 +34,8 @@ def expect_bound(problem: Problem) -> None:
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         raise ProblemError(
-            f"a lower bound is requested, but {policy.kind} without a period has none; expected no confidence level"
+            f"a lower bound is requested, but none is available for {policy.kind} without a period; expected no "
+            "confidence level"
         )
     resets(problem.close(policy.looked_at if isinstance(policy, OptimalPolicy) else policy))
 

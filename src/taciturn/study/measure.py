@@ -72,7 +72,7 @@ class Request(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Measured(Displayed):
-    """Result of a method.
+    """Cost and rates of a loop, as computed by one method.
 
     Args:
         averages: cost and rates.
@@ -192,7 +192,7 @@ def measure_optimum(loop: Loop, price: float, request: Request, progress: Progre
 def candidates_of(
     loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
-    """Return the requested methods that apply to a loop, and the reason why another one does not."""
+    """Return the requested methods that apply to a loop, and the reason why another method does not apply."""
     found, refused = list[Candidate](), None
     if request.method == "exact" or (request.method == "auto" and request.steps is None):
         try:

@@ -184,7 +184,10 @@ def run_network(
     key = read_key() if key is None else key
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
-        raise ProblemError("fates and namespaces are both given, but no relay runs in namespaces; expected one of them")
+        raise ProblemError(
+            "fates and namespaces are both given, but only relays apply fates, and namespaces have no relays; "
+            "expected one of them"
+        )
     if fates is not None:
         _check_fates(fates, policy)
     drops = kernel_losses(problem.network, seed) if namespaces else {}
@@ -296,7 +299,9 @@ def kernel_losses(network: Network, seed: int) -> dict[LinkName, KernelLoss]:
     found: dict[LinkName, KernelLoss] = {}
     for link, fate in losses(network, seed).items():
         if fate.burst is not None:
-            raise ProblemError(f"{link}_burst is given, but the kernel cannot drop in bursts; expected {link}_loss")
+            raise ProblemError(
+                f"{link}_burst is given, but the kernel cannot drop packets in bursts; expected {link}_loss"
+            )
         permille = round(1000 * fate.loss)
         if abs(permille - 1000 * fate.loss) > 1e-9:
             raise ProblemError(f"{link}_loss is {fate.loss:g}; expected a multiple of 0.001, the kernel's resolution")

@@ -121,7 +121,7 @@ class DualBound(Displayed):
 
 
 class Curves:
-    """Rates of nearly optimal schedules of some kinds as functions of the price per send, tabulated on demand.
+    """Rates of nearly optimal schedules of several kinds of loops over the price per send, tabulated on demand.
 
     Prices of the table are half an octave apart; in between, log rate is interpolated linearly in log price. Kinds with
     equal matrices are computed once. The estimates of a kind depend only on its matrices and the seed, and the draws of
@@ -151,7 +151,7 @@ class Curves:
         self.table: dict[int, Array] = {}
 
     def rates(self, price: float) -> Array:
-        """Return the sends per check of each kind at a price."""
+        """Return the sends per check of each kind of loops at a price per send."""
         place = PER_OCTAVE * np.log2(price)
         below = int(np.floor(place))
         share = float(place - below)
@@ -161,11 +161,11 @@ class Curves:
         return np.where(np.minimum(low, high) > 0, power, (1 - share) * low + share * high)[self._which]
 
     def load(self, price: float) -> float:
-        """Return the sends per step of all loops at a price, if no loop has to wait."""
+        """Return the sends per step of all loops at a price per send, if no loop has to wait."""
         return float(self._looks @ self.rates(price))
 
     def settle(self, price: float, confidence: float = 0.0) -> list[Settled]:
-        """Return each kind's schedule at a price and, if a confidence is given, its lower bound.
+        """Return the schedule of each kind of loops at a price per send and, if a confidence is given, its lower bound.
 
         Args:
             price: price per send.
@@ -346,7 +346,7 @@ def _lowest(places: Array, values: Array) -> float:
 
 
 def clock_cost(kind: Kind, price: float) -> float:
-    """Return the cost per check of the best periodic control, including sends at their price."""
+    """Return the cost per check of the best periodic control, including the price of its sends."""
     interval = kind.clocked.interval(price)
     return kind.clocked.cost(1 / interval) + price / interval
 

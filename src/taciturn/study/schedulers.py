@@ -41,7 +41,7 @@ RISES = 3  # consecutive increases of the cost that end these trials
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Plan(Displayed):
-    """The rules of a scheduler: the urgency of each kind, and a function that creates the access rule."""
+    """The rules of a scheduler: the urgency of each kind of loops, and a function that creates the access rule."""
 
     urgencies: Sequence[Form]
     access: Callable[[], Access]
@@ -98,7 +98,7 @@ class Game:
         self.refuse_lost(every * best.costs, best.rates)
 
     def priced(self, price: float) -> tuple[list[Form], Estimate]:
-        """Return the urgency of each kind at a common price, and the load if no loop has to wait."""
+        """Return the urgency of each kind of loops at a common price per send, and the load if no loop has to wait."""
         if not price:  # every loop that gains anything from a send requests it
             load = sum(kind.looks for kind in self.kinds if kind.clocked.forever)
             return [Form((ERROR,), kind.Gamma) for kind in self.kinds], Estimate(load, 0.0, "exact")
@@ -142,7 +142,7 @@ class Game:
         return -(-longest // self.cycle) * self.cycle
 
     def refuse_uncontrolled(self, stretch: Stretch) -> None:
-        """Raise an error if loops were not stabilised in a simulated stretch."""
+        """Raise an error if loops were not stabilised in a simulated interval."""
         self.refuse_lost(stretch.cost.mean(axis=0) / self.looks, stretch.sends.mean(axis=0) / self.looks)
 
     def refuse_lost(self, cost: Array, rates: Array) -> None:
@@ -222,7 +222,7 @@ SCHEDULERS: Mapping[str, Callable[[Game], Plan]] = {
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Measured(Displayed):
-    """Results of a simulated scheduler, with one row per interval: excess costs, sends by kind, busy and waiting."""
+    """Results of a simulated scheduler per interval: excess costs, sends by loop kind, channel use, waiting loops."""
 
     costs: Array
     sends: Array

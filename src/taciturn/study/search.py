@@ -131,7 +131,7 @@ class Search:
             found = self._look(value, LONGER * EFFORT)
         if not found.evaluation.reached:
             given = f"{self.problem.kind} with {self.tuning.name} = {value:g}"
-            raise UnstableError(f"{given} does not settle within {LONGER * EFFORT} steps")
+            raise UnstableError(f"the mean cost of {given} does not settle within {LONGER * EFFORT} steps")
         return found
 
     def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
@@ -184,7 +184,7 @@ class Search:
         return None
 
     def close_in(self, low: Look, high: Look) -> tuple[Look, Look]:
-        """Return the trials on both sides of a jump, or twice the same trial if it equals the budget."""
+        """Return the trials on both sides of a jump, or the same trial twice if it meets the budget exactly."""
         ends = [low, high]
 
         def above(place: float) -> float:
@@ -332,8 +332,9 @@ class Search:
         values = sorted(look.value for look in looks)
         failed = next((str(error) for error in self._seen.values() if isinstance(error, TaciturnError)), None)
         raise ProblemError(
-            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: from "
-            f"{values[0]:.4g} to {values[-1]:.4g} it reaches {self.goal.name}s from {found[0]:.5g} to {found[-1]:.5g}"
+            f"no {self.tuning.name} gives {self.problem.kind} the {self.goal.name} {self.goal.budget:g}: for "
+            f"values from {values[0]:.4g} to {values[-1]:.4g}, the {self.goal.name} ranges from {found[0]:.5g} to "
+            f"{found[-1]:.5g}"
             + (f" (beyond: {failed})" if failed else "")
             + f"; expected a {self.goal.name} within this range"
         )

@@ -51,7 +51,7 @@ class Store:
             ) from None
 
     def count(self) -> int:
-        """Return the number of stored answers, of any problem and version."""
+        """Return the number of stored answers, for all problems and versions."""
         return sum(path.suffix != PART for path in self.folder.glob("cells/*/*"))
 
     def holds(self, key: str) -> bool:

@@ -371,7 +371,7 @@ class SweepTable(Tabular):
         self.result = result
 
     def summary(self) -> Mapping[str, object]:
-        """Return the names of the grid and their numbers of values."""
+        """Return the number of values for each name of the grid."""
         return {str(name): size for name, size in self.result.sizes.items()}
 
     def about(self) -> dict[str, object]:

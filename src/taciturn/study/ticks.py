@@ -46,7 +46,7 @@ def _in_units(loop: Loop, found: Estimate) -> Estimate:
 
 
 def plant_cost(problem: Problem, loop: Loop, costs: Sequence[Sequence[float]], final: float) -> dict[str, Any]:
-    """Return the report of a plant on its cost, from the costs of each step, (loops, steps), and of the final state."""
+    """Return a plant's report on its cost, from the costs of all steps, (loops, steps), and of the final state."""
     per_tick = np.mean(costs, axis=0)
     if not per_tick.size:
         return {"cost": None, "unit": cost_unit(problem), "notes": []}

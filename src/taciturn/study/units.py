@@ -22,5 +22,5 @@ def cost_unit(problem: Problem) -> Unit:
 
 
 def rate_unit(unit: Unit) -> TimeUnit:
-    """Return the unit of time of a rate for a given unit of the cost; a finite-horizon run counts in steps."""
+    """Return the unit of time of a rate for a given unit of the cost; rates of a finite-horizon run are per step."""
     return "step" if unit == "mission" else unit

@@ -1,4 +1,4 @@
-"""Access control of a live page: every user who has the token, or, without a token, users on this machine only.
+"""Access control of a live page: users with the token are admitted or, without a token, users on this machine only.
 
 Any web page open in a browser on this machine can send requests to the loopback. However, a page cannot forge the
 headers Host and Origin, and cannot send JSON to another origin without permission of that server. These two rules block

@@ -54,7 +54,7 @@ class Baseline:
         return self._trial.done() and self._trial.exception() is not None
 
     def permit(self, step: int, pushes: int) -> None:
-        """Permit the loop to begin a step, before which the robot receives ``pushes`` pushes of users."""
+        """Permit the loop to begin a step, after the robot has received ``pushes`` pushes that users requested."""
         with self._turn:
             self._permitted, self._pushes[step] = step, pushes
             self._turn.notify_all()
@@ -71,7 +71,7 @@ class Baseline:
             )
 
     def end(self, complete: bool) -> Trial | None:
-        """End the loop, after its last step if the watched loop is complete, and return its trial if it is complete.
+        """End the loop; if the watched loop is complete, wait for the last step of this loop, and return its trial.
 
         Raises:
             ProblemError: the loop failed before this call, or after the watched loop was complete.

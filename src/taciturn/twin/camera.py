@@ -48,7 +48,10 @@ class Optics:
             coded = write_jpeg(noisy, quality)
             if len(coded) <= LARGEST:
                 return coded
-        raise ProblemError(f"the picture has more than {LARGEST} bytes; expected fewer: reduce the noise of the lens")
+        raise ProblemError(
+            f"the picture has more than {LARGEST} bytes at every quality tried; expected at most {LARGEST} bytes: "
+            "reduce the sensor noise (Lens.noise)"
+        )
 
 
 class Camera:

@@ -37,7 +37,7 @@ class News(NamedTuple):
 
 
 class Feed:
-    """A thread-safe store of the events of a round, the newest picture, and the requests that wait for the run.
+    """A thread-safe store of the events of a round, the newest picture, and the requests that are waiting for the run.
 
     Example:
         >>> feed = Feed()
@@ -98,13 +98,15 @@ class Feed:
         choice("ask", ask, ASKS)
         with self._turn:
             if self._parameter is None:
-                raise ProblemError("no round has begun; expected a request during a round: try again")
+                raise ProblemError("no round has begun; expected a request during a round: try again later")
             name, least, largest = self._parameter
             known = number(name, value, least, largest, closed=True) if ask == "value" else number("value", value)
             if ask != "value" and known not in (0.0, 1.0):
                 raise ProblemError(f"value of {ask!r} is {known:g}; expected 0 or 1")
             if len(self._asked) >= WAITING:
-                raise ProblemError(f"{WAITING} requests wait for the run; expected fewer: has the run stopped?")
+                raise ProblemError(
+                    f"{WAITING} requests are waiting for the run; expected fewer: check whether the run has stopped"
+                )
             self._asked.append((ask, known))
             self._paused = known == 1.0 if ask == "pause" else self._paused
             self._append("asked", encode(ask, {"ask": ask, "value": known}))

@@ -94,7 +94,8 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
     W = symmetrised(residuals.T @ residuals / (len(residuals) - B.shape[1]) - 2 * V)
     if np.linalg.eigvalsh(W)[0] <= 0.0:
         raise ProblemError(
-            "the residuals are smaller than the measurement noise alone would cause; expected a robot with disturbances"
+            "the residuals are smaller than those that measurement noise alone would cause; expected a robot with "
+            "disturbances"
         )
     left = np.concatenate([step - u @ B.T for _, u, step in kept])
     return Identification(
@@ -140,7 +141,10 @@ def _rest(robot: Robot, watch: _Watch, random: np.random.Generator) -> Array:
             off.extend(turned - turned.mean(axis=0))
             places += 1
     if len(off) < places + len(robot.states) + 1:
-        raise ProblemError("the marker is rarely seen at rest; expected it in most pictures: calibrate the camera")
+        raise ProblemError(
+            "the marker is visible in too few pictures of the robot at rest; expected it in most of them: calibrate "
+            "the camera"
+        )
     spread = np.array(off)
     return symmetrised(spread.T @ spread / (len(spread) - places))
 

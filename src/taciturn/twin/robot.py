@@ -42,7 +42,7 @@ class Lens(Displayed):
 
 @dataclass(frozen=True, repr=False)
 class Disc(Displayed):
-    """A round marker of one colour, with radius and height above the ground in metres, and the range of its y."""
+    """A round marker of one colour: radius and height above the ground in metres, and range of the y coordinate."""
 
     colour: Colour
     radius: float

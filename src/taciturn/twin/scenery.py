@@ -34,6 +34,6 @@ def placed_sheet(name: str, place: tuple[float, float, float]) -> str:
 
 
 def tag_picture(number: int) -> bytes:
-    """Return an ArUco tag as PNG, with a white border of one cell, so that it is 8/6 as wide as its black square."""
+    """Return an ArUco tag as PNG with a white border of one cell: the picture is 8/6 as wide as the black square."""
     rimmed: Pixels = np.pad(draw_tag(number, 6 * CELL), CELL, constant_values=255)
     return write_png(rimmed)

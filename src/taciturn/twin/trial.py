@@ -69,7 +69,10 @@ class Setup(Displayed):
         """
         choice("variant", self.variant or robot.variants[0], robot.variants)
         if window(self.faults, "actuator", robot.tick) is not None and self.namespaces:
-            raise ProblemError("the fault actuator needs a relay, and namespaces have none; expected only one of them")
+            raise ProblemError(
+                "the fault actuator is given with namespaces, but only relays cause this fault, and namespaces have "
+                "no relays; expected only one of the two"
+            )
         for fault in self.faults:
             if fault.ticks(robot.tick)[0] >= horizon:
                 end = horizon * robot.tick

@@ -22,7 +22,7 @@ Seen: TypeAlias = Callable[[Packet, bytes, Sequence[float] | None], None]
 
 
 class QuestionWire(Wire):
-    """An encoder of the requests of a control unit, and decoder of its time steps.
+    """An encoder of the requests of a control unit, and a decoder of the time steps that it receives.
 
     Args:
         policy: policy with a camera as sensor.
@@ -35,13 +35,13 @@ class QuestionWire(Wire):
         super().__init__(policy, network, key, {("data", "sensor"): 0})
 
     def encode(self, packet: Packet) -> bytes:
-        """Return a packet as a datagram, without its measurement."""
+        """Return a packet as a datagram, without the measurement in the packet."""
         asks = packet.kind == "data" and packet.link == "sensor"
         return super().encode(packet._replace(values=()) if asks else packet)
 
 
 class CameraWire(Wire):
-    """A decoder of requests and poses, and encoder of pictures.
+    """A decoder of requests and poses, and an encoder of pictures.
 
     Args:
         policy: policy with a camera as sensor.
@@ -60,7 +60,7 @@ class CameraWire(Wire):
 
 
 class PictureWire(Wire):
-    """Reads pictures as measurements.
+    """A decoder that converts pictures to measurements.
 
     Args:
         policy: policy with a camera as sensor.

@@ -70,7 +70,7 @@ class TwinPlant:
         return float(pose @ cost.Q @ pose + given @ cost.R @ given + 2 * pose @ cost.N @ given)
 
     def final_cost(self) -> float:
-        """Return the terminal cost of the current pose."""
+        """Return the terminal cost for the current pose of the robot."""
         cost, reference = self.problem.cost, self.problem.reference
         off = self.state - (0.0 if reference is None else reference.states[-1])
         return 0.0 if cost.terminal is None else float(off @ cost.terminal @ off)
