@@ -23,7 +23,7 @@ from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
 from taciturn._dask import dask_workers
 from taciturn.model.network import Network
 from taciturn.study.store import save_whole
-from taciturn.study.sweep import SweepTable
+from taciturn.study.sweep_table import SweepTable
 
 MASSES = load("two-mass-lqg")
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}

@@ -140,7 +140,7 @@ def sweep(
     from taciturn._grid import parse_grid
     from taciturn._table import check_table, save_table
     from taciturn.study.store import save_whole
-    from taciturn.study.sweep import SweepTable
+    from taciturn.study.sweep_table import SweepTable
     from taciturn.study.workers import processes
 
     check_effort(standard_error, steps)

@@ -20,8 +20,6 @@ from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
 from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
-from taciturn.model.estimate import Estimate
-from taciturn.model.table import Columns, Tabular
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
@@ -30,7 +28,6 @@ from taciturn.study.record import digest, encode, fingerprint, origin
 from taciturn.study.store import Store
 
 if TYPE_CHECKING:
-    import pandas
     import xarray
 
 LARGEST = 2**63  # limit of the integers that a file can hold
@@ -357,45 +354,3 @@ class _Table:
         units = {name: {"units": unit} for name, unit in self.units.items() if unit}
         whole = {name: (tuple(axes), held[name].reshape(self.shape), units.get(name, {})) for name in ordered}
         return xarray.Dataset(whole, coords=dict(axes), attrs=dict(attributes))
-
-
-class SweepTable(Tabular):
-    """The result of a sweep as a table, with one row per cell and one column per name.
-
-    Args:
-        result: the labelled arrays that ``sweep`` returned, or that were read from its file.
-    """
-
-    def __init__(self, result: xarray.Dataset) -> None:
-        """Store the result."""
-        self.result = result
-
-    def summary(self) -> Mapping[str, object]:
-        """Return the number of values for each name of the grid."""
-        return {str(name): size for name, size in self.result.sizes.items()}
-
-    def about(self) -> dict[str, object]:
-        """Return the attributes of the result: version, seed, digest of the problem, units."""
-        units = {name: array.attrs["units"] for name, array in self.result.items() if "units" in array.attrs}
-        return {**self.result.attrs, "units": "; ".join(f"{name}: {unit}" for name, unit in units.items())}
-
-    def columns(self) -> Columns:
-        """Return the columns; a value and its standard error are one estimate, and missing values are None."""
-        frame: Any = self.to_pandas()  # pandas' types are incomplete
-        found: dict[str, list[Any]] = {
-            name: [None if one != one else one for one in frame[name].tolist()] for name in frame
-        }
-        for name in [name for name in found if f"{name}_standard_error" in found]:
-            parts = zip(found[name], found.pop(f"{name}_standard_error"), found["cost_method"], strict=True)
-            found[name] = [None if value is None else Estimate(value, error, how) for value, error, how in parts]
-        return found
-
-    def to_pandas(self) -> pandas.DataFrame:
-        """Return a data frame; its ``attrs`` are the attributes of the result.
-
-        Raises:
-            ProblemError: pandas is not installed.
-        """
-        frame = self.result.to_dataframe().reset_index()
-        frame.attrs.update(self.result.attrs)
-        return frame
