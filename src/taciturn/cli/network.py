@@ -161,7 +161,7 @@ def node(
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import NodeServer
-    from taciturn.runtime.service import logged, say, say_where
+    from taciturn.runtime.service import FileStorage, logged, say, say_where
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
     check_counts(
@@ -201,7 +201,8 @@ def node(
     ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
-            heartbeat=heartbeat or max(1, (limit or 1) // BEATS), keep=state, told=told, say=say,
+            heartbeat=heartbeat or max(1, (limit or 1) // BEATS),
+            keep=None if state is None else FileStorage(state), told=told, say=say,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:

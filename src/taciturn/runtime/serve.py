@@ -12,19 +12,17 @@ import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.runtime.clock import Phase
 from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement, take_until
-from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.service import IDLE, QUIET, Port, Say, Storage, Told, Turns, disagreement, drive, take_until
+from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
@@ -46,9 +44,10 @@ class NodeServer:
         tick: real seconds per step; default: lockstep.
         wait: fraction of a step for which a node waits for a packet of the step, in real time.
         heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
-        keep: file to which the state is saved after every step; for a single node only.
+        keep: storage to which the state is saved after every step; for a single node only.
         told: function called with the log line of each step.
         say: function called once with a message if packets of another policy or key are rejected.
+        clock: function that returns the time in seconds, from any origin.
 
     Raises:
         ProblemError: a peer or a plant is missing, or the saved state is not valid for this node.
@@ -58,18 +57,19 @@ class NodeServer:
         self,
         nodes: Sequence[Node],
         wire: Wire,
-        endpoint: Endpoint,
+        endpoint: Port,
         *,
         peer: Address | None = None,
         plant: Address | None = None,
         tick: float | None = None,
         wait: float = 0.5,
         heartbeat: int = 1,
-        keep: Path | None = None,
+        keep: Storage | None = None,
         told: Told | None = None,
         say: Say | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Check that all addresses are given, and continue from a saved state if the file exists."""
+        """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         if (first.measures or first.actuates) and plant is None:
@@ -92,25 +92,30 @@ class NodeServer:
         self._outbox: list[list[Packet]] = [[] for _ in nodes]
         self._answered = [0.0 for _ in nodes]  # time of the last retransmission
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
-        self._began, self._cpu = time.monotonic(), time.process_time()
+        self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
         self._physical = 0
-        if keep is not None and not keep.parent.is_dir():
-            raise ProblemError(
-                f"the state cannot be saved in {keep.parent}, which is not a folder; expected an existing folder"
-            )
-        if keep is not None and keep.exists():
-            self._take_up(keep)
+        self.measured = 0  # measurements that were stored for their step
+        kept = None if keep is None else keep.read()
+        if kept is not None:
+            self._take_up(kept)
 
     def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
-        while not stopped() and not (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes)):
-            touched = self._take(self.endpoint.receive(self._until()))
-            now = time.monotonic()
+        drive(
+            self.endpoint,
+            self.turns(lambda: stopped() or (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes))),
+        )
+        return self.report()
+
+    def turns(self, ended: Callable[[], bool]) -> Turns:
+        """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
+        while not ended():
+            touched = self._take((yield self._until()))
+            now = self._clock()
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
-        return self.report()
 
     def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Receive packets until stopped, without executing further steps, and return the report."""
@@ -132,9 +137,10 @@ class NodeServer:
             "waiting": sum(node.inbox.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "physical": self._physical,
+            "measurements": self.measured,
             "datagrams": self.endpoint.counted,
             "degraded": dict(reasons),
-            "seconds": round(time.monotonic() - self._began, 3),
+            "seconds": round(self._clock() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
         }
         if self._lateness:
@@ -146,7 +152,7 @@ class NodeServer:
 
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Store received packets, and return the numbers of their loops."""
-        now, touched = time.monotonic(), set[int]()
+        now, touched = self._clock(), set[int]()
         for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
@@ -174,6 +180,7 @@ class NodeServer:
                 self._answer_again(loop, now, news == "duplicate")
             elif self._begins(packet, now) and len(self._measurements[loop]) < PATIENT:
                 self._measurements[loop][packet.tick] = packet.values
+                self.measured += 1
             else:
                 self.refused["ahead"] += 1
             return
@@ -219,13 +226,13 @@ class NodeServer:
             if self._keep is not None:
                 outbox = [list(packet) for packet in out]
                 kept = {"node": node.save(), "measured": self._measured[loop].save(), "outbox": outbox}
-                write_whole(self._keep, json.dumps(kept).encode())
+                self._keep.write(json.dumps(kept).encode())
             self._send(out)
             if self._tick is not None and self.phase.known:
-                self._lateness.append(time.monotonic() - self.phase.begins(tick))
+                self._lateness.append(self._clock() - self.phase.begins(tick))
             if self._told is not None:
                 self._told(self._line(node, measurement, packets, given))
-            now = time.monotonic()
+            now = self._clock()
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -275,13 +282,13 @@ class NodeServer:
 
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
-        idle = time.monotonic() + IDLE
+        idle = self._clock() + IDLE
         if self._tick is not None and self.nodes[0].watchdog is not None and not self.phase.known:
             return min(idle, self._expires)
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
         behind = min(node.tick for node in self.nodes)
-        tick = self.phase.now(time.monotonic()) if behind < 0 else behind + 1
+        tick = self.phase.now(self._clock()) if behind < 0 else behind + 1
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
     def _send(self, packets: Sequence[Packet]) -> None:
@@ -290,16 +297,18 @@ class NodeServer:
             assert to is not None
             self.endpoint.send(self.wire.encode(packet), to)
 
-    def _take_up(self, path: Path) -> None:
+    def _take_up(self, state: bytes) -> None:
         try:
-            kept = json.loads(path.read_bytes())
+            kept = json.loads(state)
             self.nodes[0].restore(kept["node"])
             self._measured[0].restore(kept["measured"])
             self._outbox[0] = [packet_of(entry) for entry in kept["outbox"]]
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
-            raise ProblemError(f"the saved state {path} cannot be read ({error}); expected one of this node") from None
+            raise ProblemError(
+                f"the saved state {self._keep} cannot be read ({error}); expected one of this node"
+            ) from None
         if self._tick is None:
             self._send(self._outbox[0])  # the process may have ended after saving and before sending
 
