@@ -43,12 +43,6 @@ Log = Annotated[
     typer.Option(metavar="OUT", help="Log a JSON line per step to a file, - (standard output), or udp://HOST:PORT."),
 ]
 Loops = Annotated[int, typer.Option(help="Number of identical loops that this process runs.")]
-
-
-WAIT = {
-    "controller": 0.3,
-    "actuator": 0.55,
-}  # the actuator waits for the packet that the controller sends at its own deadline
 WATCHED = 100  # steps without a usable packet after which a node in real time is degraded by default
 BEATS = 3  # marks that a silent sender sends within this limit
 
@@ -160,7 +154,7 @@ def node(
     from taciturn.model.places import links_to
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
-    from taciturn.runtime.serve import NodeServer
+    from taciturn.runtime.serve import WAIT, NodeServer
     from taciturn.runtime.service import FileStorage, logged, say, say_where
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 

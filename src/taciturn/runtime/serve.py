@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.runtime.clock import Phase
+from taciturn.runtime.clock import JUMPED, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
@@ -29,6 +29,8 @@ LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
+# default fraction of a step for which a node waits; the controller sends its packet to the actuator before its deadline
+WAIT = {"controller": 0.3, "actuator": 0.55}
 SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
 
@@ -94,6 +96,7 @@ class NodeServer:
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
+        self._turned, self._unsure = self._began, float("nan")  # time of the last turn; time of an unexplained gap
         self._physical = 0
         self.measured = 0  # measurements that were stored for their step
         kept = None if keep is None else keep.read()
@@ -113,6 +116,7 @@ class NodeServer:
         while not ended():
             touched = self._take((yield self._until()))
             now = self._clock()
+            self._notice(now)
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
@@ -134,7 +138,7 @@ class NodeServer:
             "tick": max(node.tick for node in self.nodes),
             "counters": dict(counters),
             "arrived": dict(self.arrived),
-            "waiting": sum(node.inbox.waiting for node in self.nodes),
+            "waiting": sum(node.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "physical": self._physical,
             "measurements": self.measured,
@@ -234,6 +238,24 @@ class NodeServer:
                 self._told(self._line(node, measurement, packets, given))
             now = self._clock()
 
+    def _notice(self, now: float) -> None:
+        """Notice that many steps have passed at once: the process was suspended, or the clock has jumped.
+
+        Only the packets of other nodes show which. The node does not begin steps before one of them confirms the phase,
+        or the time of the watchdog has passed.
+        """
+        if self._tick is None or self.nodes[0].measures:
+            return
+        if now - self._turned > JUMPED * self._tick:
+            self._unsure = now
+        if self.phase.confirmed >= self._unsure or now >= self._unsure + self._patience():
+            self._unsure = float("nan")
+        self._turned = now
+
+    def _patience(self) -> float:
+        """Return the seconds for which a node waits for the confirmation of its phase."""
+        return (self.nodes[0].watchdog or int(JUMPED)) * (self._tick or 0.0)
+
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
         tick, loop = node.tick + 1, node.loop
@@ -245,7 +267,7 @@ class NodeServer:
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None
-        if not self.phase.known:
+        if not self.phase.known or self._unsure == self._unsure:
             return None
         present = self.phase.now(now)
         tick = present if tick < present - LEFT_BEHIND or node.tick < 0 else tick
@@ -287,6 +309,8 @@ class NodeServer:
             return min(idle, self._expires)
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
+        if self._unsure == self._unsure:
+            return min(idle, self._unsure + self._patience())
         behind = min(node.tick for node in self.nodes)
         tick = self.phase.now(self._clock()) if behind < 0 else behind + 1
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
@@ -332,4 +356,4 @@ class NodeServer:
         line["memory"] = node.memory
         if given is not None:
             line["u"] = list(given)
-        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.inbox.waiting}
+        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.waiting}
