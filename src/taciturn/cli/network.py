@@ -16,6 +16,7 @@ from taciturn import _print
 from taciturn._ending import until_stopped
 from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
 from taciturn.cli.links import read_burst, read_fates, read_outage, read_probability
+from taciturn.cli.worlds import run_world
 
 if TYPE_CHECKING:
     from taciturn.model.network import Network
@@ -64,6 +65,10 @@ def network(
     namespaces: Annotated[
         bool, typer.Option("--namespaces", help="Use network namespaces, where the kernel drops packets; needs root.")
     ] = False,
+    world: Annotated[
+        int | None,
+        typer.Option("--world", metavar="SEED", help="Instead of processes, run the world of faults of a seed."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
@@ -74,6 +79,17 @@ def network(
 
     check_counts({"--ticks": ticks})
     problem = load_changed(file, settings, no_functions)
+    if world is not None:
+        others = {
+            "--ticks": ticks,
+            "--real-time": real_time,
+            "--tick": tick,
+            "--loss": loss,
+            "--namespaces": namespaces,
+        }
+        others |= {"--seed": seed, "--key": key}
+        run_world(problem, world, [name for name, value in others.items() if value], as_json)
+        return
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:

@@ -186,7 +186,7 @@ class NodeServer:
                 self._measurements[loop][packet.tick] = packet.values
                 self.measured += 1
             else:
-                self.refused["ahead"] += 1
+                self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
         handling = node.sort_in(packet)
