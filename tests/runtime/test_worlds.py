@@ -120,6 +120,7 @@ def shortest(faults: Sequence[Fault], broken: Callable[[Sequence[Fault]], bool])
     return find(lists, broken, settings=how)
 
 
+@pytest.mark.evidence
 def test_a_failing_seed_shrinks_to_a_shortest_list_of_faults() -> None:
     """Of four faults, only the jump of the actuator's clock matters for a defect of its correction; it lasts a step."""
     defect, chosen = DEFECTS["a clock that is some steps fast is not corrected"], problem("remote-scalar")

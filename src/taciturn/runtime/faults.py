@@ -7,7 +7,7 @@ on its own seed and the number of the datagram alone, so a fault acts alike if o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -254,7 +254,7 @@ class Skew(Fault):
 
 
 def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: int) -> tuple[Fault, ...]:
-    """Return one to five random faults.
+    """Return one to five random faults. Half of the replays begin when a process starts again, if one does.
 
     Args:
         seed: seed of the choice.
@@ -263,7 +263,15 @@ def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: 
         within: number of steps in which faults begin.
     """
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
-    return tuple(_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6)))
+    found = [_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6))]
+    starts = [fault.first + fault.steps for fault in found if isinstance(fault, Crash)]
+    moved = [bool(draws.integers(2)) for _ in found]
+    return tuple(
+        replace(fault, first=starts[0] - 1, steps=fault.steps + 1)
+        if starts and isinstance(fault, Replay) and move
+        else fault
+        for fault, move in zip(found, moved, strict=True)
+    )
 
 
 def _draw(draws: np.random.Generator, paths: Sequence[Path], roles: Sequence[str], within: int) -> Fault:
@@ -284,9 +292,9 @@ def _draw(draws: np.random.Generator, paths: Sequence[Path], roles: Sequence[str
     if choice == 4:
         return Loss(first, long, path, share, own)
     if choice == 5:
-        return Replay(first, short, path, int(draws.integers(1, within)))
+        return Replay(first + 2, short, path, int(draws.integers(1, first + 2)))
     if choice == 6:
-        return Crash(first, long, role, bool(draws.integers(2)))
+        return Crash(first, int(draws.choice([long, 4 * long])), role, bool(draws.integers(2)))
     if choice == 7:
         return Pause(first, int(draws.choice([short, long, 4 * long])), role)
     if choice == 8:

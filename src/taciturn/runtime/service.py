@@ -102,7 +102,12 @@ class FileStorage:
 
     def read(self) -> bytes | None:
         """Return the content of the file, or None if it does not exist."""
-        return self._path.read_bytes() if self._path.exists() else None
+        try:
+            return self._path.read_bytes() if self._path.exists() else None
+        except OSError as error:
+            raise ProblemError(
+                f"the saved state {self._path} cannot be read ({error}); expected one of this node"
+            ) from None
 
     def write(self, state: bytes) -> None:
         """Write the file atomically."""

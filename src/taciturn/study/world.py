@@ -8,7 +8,7 @@ from typing import Any, TypeAlias, cast
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
-from taciturn.model.policy import NodeName, Send
+from taciturn.model.policy import LinkName, NodeName, Send
 from taciturn.runtime.clock import AGREED, JUMPED
 from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
 from taciturn.runtime.node import Node
@@ -72,7 +72,7 @@ class World:
         self.wire = Wire(policy, loop.network)
         self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4)
         self.roles = roles(policy)
-        self.links = [step.link for step in policy.steps if isinstance(step, Send)]
+        self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.lag = {
             link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
         }
@@ -82,7 +82,8 @@ class World:
         self.end = max((fault.end for fault in self.faults), default=0.0)
         self.recovery: int | None = None
         self.promised: int | None = None
-        self._down, self._held = dict.fromkeys(self.roles, 0), dict.fromkeys(self.roles, 0)
+        self._down: dict[str, int] = dict.fromkeys(self.roles, 0)
+        self._held: dict[str, int] = dict.fromkeys(self.roles, 0)
         self._storage = {
             role: _Memory() for role in self.roles if Crash in {type(f) for f in self.faults if _role(f) == role}
         }
@@ -217,8 +218,9 @@ class World:
             if fault.path == path and fault.first <= now < fault.first + fault.steps:
                 flights = fault.act(flights, len(known))
         known.append((now, datagram))
-        for delay, _ in flights if to[0] != PLANT and sender[0] != PLANT else ():
-            self._at(now + delay, lambda: self.monitor.heard(to[0]))
+        for delay, copy in flights if to[0] != PLANT and sender[0] != PLANT else ():
+            if copy == datagram:
+                self._at(now + delay, lambda: self.monitor.heard(to[0]))
         return [(delay * TICK, copy) for delay, copy in flights]
 
     def _at(self, step: float, event: Callable[[], None]) -> None:
