@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from taciturn.study.periods import TunedPeriod
     from taciturn.study.reproduction import Reproduction, Table
     from taciturn.study.tradeoff import Tradeoff
+    from taciturn.study.worlds import WorldRun
 
 COLUMNS, FIRST, LAST = 6, 20, 10  # of a printed path: columns next to the time, first and last steps
 RATES = ("rate_actuator", "rate_sensor")
@@ -46,6 +47,22 @@ def network(found: NetworkRun) -> None:
             shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
             lines.append(("lateness, ms", f"{name}: {shown}"))
     lines += [("note", note) for note in found.notes]
+    pairs(lines)
+
+
+def world(found: WorldRun) -> None:
+    """Print the faults, the counters and the recovery of a world."""
+    lines = [("world", f"{found.seed}, {found.steps} steps, {found.ticks} steps of nodes in {found.seconds:.2f} s")]
+    lines.append(("nodes in C", ", ".join(found.devices) or "none"))
+    lines += [("fault", fault.text()) for fault in found.faults]
+    for name, counted in found.counters.items():
+        shown = ", ".join(f"{number} {what}" for what, number in counted.items() if number)
+        lines.append((name, shown or "no packets"))
+    if found.recovery is not None:
+        lines.append(
+            ("recovery", f"{found.recovery} steps after the last fault; at most {found.promised} are promised")
+        )
+    lines += [("broken", found.broken or "no invariant"), *(("note", note) for note in found.notes)]
     pairs(lines)
 
 

@@ -67,6 +67,12 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         ),
         (["network", "two-mass-lqg", "--loss", "0.2", "--loss", "0.3"], "--loss is given twice for all links"),
         (["network", "two-mass-lqg", "--loss", "0.2", "--namespaces"], "--loss is given with --namespaces"),
+        (
+            ["network", "two-mass", "--world", "1", "--loss", "0.2"],
+            "--world is given with --loss, which it does not use",
+        ),
+        (["network", "two-mass", "--world", "-1"], "seed is -1"),
+        (["network", "lossy-double-integrator", "--world", "1"], "is for a horizon of 100 steps"),
         (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
         (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),
     ],
@@ -90,7 +96,10 @@ def test_keys_that_are_none_are_refused(run: Run, tmp_path: Path, monkeypatch: p
     key.chmod(0o600)
     assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass-lqg", "--key", str(key)).sentence
     monkeypatch.setenv("TACITURN_KEY", "secret")
-    assert "TACITURN_KEY holds no hexadecimal digits; expected 32 to 64" in run("network", "two-mass-lqg").sentence
+    assert (
+        "TACITURN_KEY contains characters other than hexadecimal digits; expected 32 to 64"
+        in run("network", "two-mass-lqg").sentence
+    )
 
 
 def test_a_port_in_use_and_a_foreign_state_are_refused(run: Run, tmp_path: Path) -> None:
@@ -118,6 +127,21 @@ def test_the_network_answers_as_evaluate_does(run: Run) -> None:
     text = run("network", "lossy-double-integrator", "--seed", "1").out
     assert f"{document['datagrams']['sensor']['lost']} lost" in text
     assert "one finite-horizon run" in text
+
+
+def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Faults, counters and recovery, for people and as JSON; with a broken invariant also one sentence and code 2."""
+    text = run("network", "remote-scalar", "--world", "2").out
+    document = json.loads(run("network", "remote-scalar", "--world", "2", "--json").out)
+    assert len(re.findall("^fault ", text, re.MULTILINE)) == len(document["faults"]) >= 1
+    assert document["broken"] is None
+    assert 0 <= document["recovery"] <= document["promised"]
+    assert f"{document['recovery']} steps after the last fault" in re.sub(r"\s+", " ", text)
+    monkeypatch.setattr("taciturn.study.world.World.run", lambda world, copies: "step 7: a packet is missing")
+    answer = run("network", "remote-scalar", "--world", "2")
+    assert answer.code == 2
+    assert "world 2 breaks an invariant at step 7: a packet is missing" in answer.err
+    assert re.search("^broken +step 7", answer.out, re.MULTILINE)
 
 
 @pytest.mark.evidence

@@ -52,3 +52,20 @@ def test_a_tick_that_cannot_have_begun_is_not_believed() -> None:
         assert not phase.hear(10_000 * k, 0.001 * k)
     assert phase.jumps == 0
     assert phase.begins(1) == TICK
+
+
+def test_a_small_jump_forward_is_followed_after_a_row_of_late_packets() -> None:
+    """A clock that is some steps fast recovers after a row of packets, not after thousands; one on time ends a row."""
+    for off in (0.4, 6.0):
+        phase = Phase(TICK)
+        for k in range(10):
+            phase.hear(k, k * TICK)
+        for k in range(10, 10 + AGREED - 1):
+            phase.hear(k, (k + off) * TICK)
+        assert phase.begins(30) - 30 * TICK < 0.1 * TICK
+        phase.hear(17, 17 * TICK)
+        for k in range(18, 18 + AGREED):
+            assert phase.begins(30) - 30 * TICK < 0.1 * TICK
+            phase.hear(k, (k + off) * TICK)
+        assert abs(phase.begins(30) - (30 + off) * TICK) < 0.1 * TICK
+        assert phase.jumps == (off >= 1.0)

@@ -268,7 +268,7 @@ def test_seats_are_limited_and_become_free(page: Page, monkeypatch: pytest.Monke
     [
         ({"state": [1.0, 2.0]}, r"state of the row of a step has 2 numbers; expected 1: x \[m\]"),
         ({"estimate": []}, "estimate of the row of a step has 0 numbers; expected 1"),
-        ({"sent": {"sensor": 1}}, "sent of the row of a step lacks the link 'actuator'"),
+        ({"sent": {"sensor": 1}}, "the row of a step has no sent for the link 'actuator'"),
         ({"cost": float("nan")}, "the row of step 0 holds a number that is not finite; expected None"),
         ({"input": np.array([np.inf])}, "holds a number that is not finite"),
         ({"cost": 1j}, r"cannot be sent \(a value has the type complex\)"),

@@ -1,8 +1,8 @@
-"""Options of links: packet dropouts, bursts and outages."""
+"""Options of links and of processes: packet dropouts, bursts and outages; numbers of steps; the length of a step."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -71,3 +71,25 @@ def read_outage(text: str | None) -> tuple[int, int] | None:
     except ValueError:
         raise ProblemError(f"--outage is {text!r}; expected two steps, such as 20,40") from None
     return first, end
+
+
+def check_counts(counts: Mapping[str, int | None]) -> None:
+    """Raise an error if an option is below 1, or if there are more loops than a packet's loop number can represent."""
+    from taciturn._arrays import count, number
+
+    for name, value in counts.items():
+        if value is not None:
+            count(name, value)
+    number("--loops", counts.get("--loops") or 1, high=65535, closed=True)
+
+
+def tick_length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
+    """Return the seconds per step in real time, or None in virtual time."""
+    from taciturn._arrays import number
+    from taciturn.errors import ProblemError
+
+    if asked is not None and not real_time:
+        raise ProblemError("--tick is given without --real-time; expected both options, or neither of them")
+    if not real_time:
+        return None
+    return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)

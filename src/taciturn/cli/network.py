@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
@@ -15,7 +15,8 @@ import typer
 from taciturn import _print
 from taciturn._ending import until_stopped
 from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
-from taciturn.cli.links import read_burst, read_fates, read_outage, read_probability
+from taciturn.cli.links import check_counts, read_burst, read_fates, read_outage, read_probability, tick_length
+from taciturn.cli.worlds import run_world
 
 if TYPE_CHECKING:
     from taciturn.model.network import Network
@@ -43,12 +44,6 @@ Log = Annotated[
     typer.Option(metavar="OUT", help="Log a JSON line per step to a file, - (standard output), or udp://HOST:PORT."),
 ]
 Loops = Annotated[int, typer.Option(help="Number of identical loops that this process runs.")]
-
-
-WAIT = {
-    "controller": 0.3,
-    "actuator": 0.55,
-}  # the actuator waits for the packet that the controller sends at its own deadline
 WATCHED = 100  # steps without a usable packet after which a node in real time is degraded by default
 BEATS = 3  # marks that a silent sender sends within this limit
 
@@ -73,6 +68,10 @@ def network(
             "--namespaces", help="Run nodes in network namespaces, where the kernel drops packets; needs root."
         ),
     ] = False,
+    world: Annotated[
+        int | None,
+        typer.Option("--world", metavar="SEED", help="Instead of processes, run the world of faults of a seed."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
@@ -83,6 +82,17 @@ def network(
 
     check_counts({"--ticks": ticks})
     problem = load_changed(file, settings, no_functions)
+    if world is not None:
+        others = {
+            "--ticks": ticks,
+            "--real-time": real_time,
+            "--tick": tick,
+            "--loss": loss,
+            "--namespaces": namespaces,
+        }
+        others |= {"--seed": seed, "--key": key}
+        run_world(problem, world, [name for name, value in others.items() if value], as_json)
+        return
     policy = problem.design()
     length = tick_length(policy.model.dt, real_time, tick)
     if loss is not None and namespaces:
@@ -172,8 +182,8 @@ def node(
     from taciturn.model.places import links_to
     from taciturn.runtime.node import Node
     from taciturn.runtime.packet import read_key
-    from taciturn.runtime.serve import NodeServer
-    from taciturn.runtime.service import logged, say, say_where
+    from taciturn.runtime.serve import WAIT, NodeServer
+    from taciturn.runtime.service import FileStorage, logged, say, say_where
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
 
     check_counts(
@@ -214,7 +224,8 @@ def node(
     ):
         server = NodeServer(
             nodes, wire, endpoint, peer=to, plant=world, tick=length, wait=share,
-            heartbeat=heartbeat or max(1, (limit or 1) // BEATS), keep=state, told=told, say=say,
+            heartbeat=heartbeat or max(1, (limit or 1) // BEATS),
+            keep=None if state is None else FileStorage(state), told=told, say=say,
         )  # fmt: skip
         say_where(role, server.endpoint.address)
         with _counters(server) as shown:
@@ -335,28 +346,6 @@ def _wire(
             yield wire
     else:
         yield Wire(policy, network, key)
-
-
-def check_counts(counts: Mapping[str, int | None]) -> None:
-    """Raise an error if an option is below 1, or if there are more loops than a packet's loop number can represent."""
-    from taciturn._arrays import count, number
-
-    for name, value in counts.items():
-        if value is not None:
-            count(name, value)
-    number("--loops", counts.get("--loops") or 1, high=65535, closed=True)
-
-
-def tick_length(of_problem: float | None, real_time: bool, asked: float | None) -> float | None:
-    """Return the seconds per step in real time, or None in virtual time."""
-    from taciturn._arrays import number
-    from taciturn.errors import ProblemError
-
-    if asked is not None and not real_time:
-        raise ProblemError("--tick is given without --real-time; expected both options, or neither of them")
-    if not real_time:
-        return None
-    return of_problem or 1.0 if asked is None else number("--tick", asked, 1e-4, 3600.0, closed=True)
 
 
 def _safe(text: str) -> Any:

@@ -10,7 +10,8 @@ import typer
 
 from taciturn._ending import until_stopped
 from taciturn.cli.frame import File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
-from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength, check_counts, tick_length
+from taciturn.cli.links import check_counts, tick_length
+from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping

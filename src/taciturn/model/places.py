@@ -7,7 +7,7 @@ from taciturn.model.policy import ENDS, NODES, LinkName, NodeName, Policy, Send
 
 
 def place_of(policy: Policy, role: NodeName) -> frozenset[NodeName]:
-    """Return the nodes at the same site as a role.
+    """Return the roles that are at the same site as the given role.
 
     Raises:
         ProblemError: if there is no such role, or the node belongs to the process of the controller.
@@ -34,3 +34,31 @@ def links_to(policy: Policy, role: NodeName) -> tuple[LinkName, ...]:
 def role_at(policy: Policy, node: str) -> NodeName:
     """Return the role of the process that runs a node."""
     return next(role for role in roles(policy) if node in policy.site(role))
+
+
+def sender_of(policy: Policy, link: LinkName) -> NodeName:
+    """Return the role of the process that sends data on a link."""
+    return role_at(policy, next(step.at for step in policy.steps if isinstance(step, Send) and step.link == link))
+
+
+def receiver_of(policy: Policy, link: LinkName) -> NodeName:
+    """Return the role of the process that receives data on a link."""
+    return role_at(policy, ENDS[link])
+
+
+def link_of(policy: Policy, role: NodeName) -> LinkName | None:
+    """Return the link on which a process sends data, or else the one on which it may acknowledge data."""
+    site = place_of(policy, role)
+    sends: tuple[LinkName, ...] = tuple(
+        step.link for step in policy.steps if isinstance(step, Send) and step.at in site
+    )
+    return next(iter(sends + links_to(policy, role)), None)
+
+
+def peer_of(policy: Policy, role: NodeName) -> NodeName | None:
+    """Return the process that receives a process's packets: the next node, or the sender that it acknowledges."""
+    link = link_of(policy, role)
+    if link is None:
+        return None
+    sender = sender_of(policy, link)
+    return receiver_of(policy, link) if sender == role else sender

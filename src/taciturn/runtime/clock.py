@@ -10,14 +10,16 @@ from __future__ import annotations
 DRIFT = 1e-3  # largest relative difference in speed of two wall clocks
 JUMPED = 16.0  # offset in steps beyond which a wall clock has jumped
 AGREED = 8  # consecutive packets that must show a jump before it is accepted
+LATE = 0.25  # offset in steps beyond which a packet is later than the drift of the clocks explains
 
 
 class Phase:
     """An estimate of the time at which step 0 began, from the arrival times of packets.
 
     A packet may be late but not early, so the earliest packet bounds the beginning of its step. A later packet moves
-    the phase by at most the possible drift. An offset of many steps is a jump. The estimate follows a jump after
-    several consecutive packets agree. Until then, a packet of a step that cannot have begun is ignored.
+    the phase by at most the possible drift, unless several consecutive packets are late: then the estimate follows the
+    earliest of them. An offset of many steps is a jump. The estimate follows a jump after several consecutive packets
+    agree. Until then, a packet of a step that cannot have begun is ignored.
 
     Args:
         tick: seconds per step.
@@ -34,7 +36,9 @@ class Phase:
         """Start without packets."""
         self.tick, self.zero = tick, float("nan")
         self._last, self._jump, self._agreed = 0, float("nan"), 0
+        self._behind, self._least = 0, float("inf")  # consecutive late packets, and their smallest offset
         self.jumps = 0
+        self.confirmed = float("nan")  # time of the last packet that agreed with the estimate
 
     @property
     def known(self) -> bool:
@@ -45,7 +49,7 @@ class Phase:
         """Update the estimate with a packet of a step received now; return whether that step can have begun."""
         found = now - tick * self.tick
         if not self.known:
-            self.zero, self._last = found, tick
+            self.zero, self._last, self.confirmed = found, tick, now
             return True
         off = found - self.zero
         if abs(off) > JUMPED * self.tick:
@@ -53,16 +57,28 @@ class Phase:
             self._jump, self._agreed = found, self._agreed + 1 if agrees else 1
             if self._agreed < AGREED:
                 return off > 0
-            self.zero, self._last, self._agreed = found, tick, 0
+            self.zero, self._last, self._agreed, self.confirmed = found, tick, 0, now
             self.jumps += 1
             return True
-        self._agreed = 0
+        self._agreed, self.confirmed = 0, now
         if off < 0:
             self.zero = found
         else:
             self.zero += min(off, DRIFT * self.tick * max(tick - self._last, 0))
         self._last = max(self._last, tick)
+        self._follow(off)
         return True
+
+    def _follow(self, off: float) -> None:
+        """Move the estimate if the last packets were all late, so that it was too early for each of them."""
+        if off <= LATE * self.tick:
+            self._behind, self._least = 0, float("inf")
+            return
+        self._behind, self._least = self._behind + 1, min(self._least, off)
+        if self._behind == AGREED:
+            self.jumps += self._least >= self.tick
+            self.zero += self._least
+            self._behind, self._least = 0, float("inf")
 
     def begins(self, tick: int) -> float:
         """Return the time at which a step begins."""

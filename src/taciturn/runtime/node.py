@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from math import isfinite
 from typing import Any, Literal, NamedTuple, TypeAlias
 
@@ -21,9 +22,9 @@ from taciturn.model.packets import fingerprint
 from taciturn.model.places import place_of
 from taciturn.model.policy import NodeName, Policy
 from taciturn.program.draws import seed_generators
-from taciturn.program.layout import lay_out
-from taciturn.program.node import lower_node
-from taciturn.program.python import compile_python
+from taciturn.program.layout import Layout, lay_out
+from taciturn.program.node import NodeProgram, lower_node
+from taciturn.program.python import CompiledStep, compile_python
 from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
 from taciturn.runtime.packet import Packet
 
@@ -91,14 +92,11 @@ class Node:
         self.network = policy.network if network is None else network
         self.loop, self.epoch = count("loop", loop, 0), count("epoch", epoch, 0)
         count("seed", seed, 0)
-        self.fingerprint = fingerprint(policy, self.network)
-        self.program = program = lower_node(policy, place_of(policy, role), self.network)
-        self._parts = [compile_python(part) for part in program.parts]
-        self._draw = None if program.draws is None else compile_python(program.draws)
-        self._tables = [tuple(place.table.tolist()) for place in program.clocks]
+        compiled = _compile(policy, role, self.network)
+        self.fingerprint, self.program, self._layout, self._parts, self._draw, self._tables = compiled
+        program, layout = self.program, self._layout
         self.counters: Counter[str] = Counter()
         self.reasons: Counter[str] = Counter()
-        self._layout = layout = lay_out(policy, program)
         self._inputs = [0.0] * len(layout.inputs)
         streams = {(one.kind, one.link): Stream(one.lag, one.at, one.size, one.part) for one in layout.arrivals}
         self.inbox = Inbox(streams, self.loop, self.network.protocol == "ideal", self.counters, self._degrade)
@@ -141,6 +139,25 @@ class Node:
             if not state.word:
                 found.setdefault(state.name, []).append(value)
         return found
+
+    @property
+    def waiting(self) -> int:
+        """Number of packets that wait for their step."""
+        return self.inbox.waiting
+
+    @property
+    def readings(self) -> dict[tuple[str, str], Values | None]:
+        """The payload that the last step has read, by kind and link of the packets; None if no packet arrived."""
+        inputs = self._inputs
+        return {
+            (one.kind, one.link): tuple(inputs[one.at + 1 : one.at + 1 + one.size]) if inputs[one.at] else None
+            for one in self._layout.arrivals
+        }
+
+    @property
+    def remembers(self) -> int:
+        """Number of steps for which an event that the theory does not cover has an effect (seven time constants)."""
+        return self._layout.remembers
 
     @property
     def degraded(self) -> bool:
@@ -345,6 +362,30 @@ class Node:
         self._degraded_until = max(
             self._degraded_until, (self.tick if tick is None else tick) + 1 + self._layout.remembers
         )
+
+
+class _Compiled(NamedTuple):
+    """Properties that all nodes of one role have in common."""
+
+    fingerprint: int
+    program: NodeProgram
+    layout: Layout
+    parts: Sequence[CompiledStep]
+    draw: CompiledStep | None
+    tables: tuple[tuple[int, ...], ...]
+
+
+@lru_cache(maxsize=16)
+def _compile(policy: Policy, role: NodeName, network: Network) -> _Compiled:
+    program = lower_node(policy, place_of(policy, role), network)
+    return _Compiled(
+        fingerprint(policy, network),
+        program,
+        lay_out(policy, program),
+        tuple(compile_python(part) for part in program.parts),
+        None if program.draws is None else compile_python(program.draws),
+        tuple(tuple(place.table.tolist()) for place in program.clocks),
+    )
 
 
 def _safe_input(safe: Safe, inputs: int) -> Values | None:

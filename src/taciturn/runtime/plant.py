@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from taciturn._arrays import Array, count, instance
 from taciturn._modes import factor
 from taciturn.errors import ProblemError
 from taciturn.loop import COST, Loop
-from taciturn.program.python import compile_python
+from taciturn.program.ir import Program
+from taciturn.program.python import CompiledStep, compile_python
 
 
 class SimulatedPlant:
@@ -35,8 +37,7 @@ class SimulatedPlant:
         instance("loop", loop, Loop)
         self.loop, self.tick = loop, 0
         count("seed", seed, 0)
-        program = loop.plant_program()
-        self._turn = compile_python(program)
+        program, self._turn = _compile(loop)
         start = loop.start(program, 1, seed)[:, 0]
         self._states: Sequence[Any] = [
             int(value.view(np.uint64)) if state.word else float(value)
@@ -103,3 +104,9 @@ class SimulatedPlant:
             return 0.0
         off = self.state - (0.0 if tracking is None else tracking.final)
         return float(off @ terminal @ off)
+
+
+@lru_cache(maxsize=4)
+def _compile(loop: Loop) -> tuple[Program, CompiledStep]:
+    program = loop.plant_program()
+    return program, compile_python(program)

@@ -16,8 +16,8 @@ from typing import Any
 
 from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
-from taciturn.model.places import links_to, place_of, role_at, roles
-from taciturn.model.policy import ENDS, LinkName, NodeName, Policy, Send
+from taciturn.model.places import link_of, peer_of, place_of, receiver_of, role_at, roles, sender_of
+from taciturn.model.policy import LinkName, NodeName, Policy, Send
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import KEY
 from taciturn.runtime.relay import Fate
@@ -261,21 +261,18 @@ class Processes:
 
     def sender(self, link: LinkName) -> NodeName:
         """Return the role of the node that sends on a link."""
-        at = next(step.at for step in self.policy.steps if isinstance(step, Send) and step.link == link)
-        return role_at(self.policy, at)
+        return sender_of(self.policy, link)
 
     def receiver(self, link: LinkName) -> NodeName:
         """Return the role of the node that receives on a link."""
-        return role_at(self.policy, ENDS[link])
+        return receiver_of(self.policy, link)
 
     def peer(self, role: NodeName) -> str | None:
-        """Return the receiver of a node's packets: a relay, the next node, or the sender of acknowledged packets."""
-        site = place_of(self.policy, role)
-        for step in self.policy.steps:
-            if isinstance(step, Send) and step.at in site:
-                return f"relay {step.link}" if self._namespaces is None else self.receiver(step.link)
-        heard = links_to(self.policy, role)
-        return self.sender(heard[0]) if heard else None
+        """Return the receiver of a node's packets: a relay, the next node, or the sender that it acknowledges."""
+        link = link_of(self.policy, role)
+        if link is not None and sender_of(self.policy, link) == role and self._namespaces is None:
+            return f"relay {link}"
+        return peer_of(self.policy, role)
 
 
 def _ends_with_parent() -> dict[str, str]:

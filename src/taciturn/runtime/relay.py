@@ -72,8 +72,8 @@ class Fate(Displayed):
             raise ProblemError(f"the outage is {self.outage}; expected (first, end) with 0 <= first < end")
 
     def uniform(self, purpose: int, index: int) -> float:
-        """Return a number in [0, 1) that depends on seed, purpose and index alone (SplitMix64 [steele2014])."""
-        return _mix(_mix(self.seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
+        """Return a number in [0, 1) that depends on seed, purpose and index alone."""
+        return uniform(self.seed, purpose, index)
 
     def lost(self, sequence: int, tick: int, loop: int = 0) -> bool:
         """Return whether a packet is dropped; bursts and outages affect all loops that share the link."""
@@ -161,7 +161,7 @@ class EmulatedLink:
         sequence = of_loop(sequence, loop)
         if fate.uniform(_HARM, sequence) < fate.corrupt:
             self.counters["corrupted"] += 1
-            datagram = self._harmed(datagram, sequence)
+            datagram = flip_bits(datagram, fate.seed, sequence)
         copies = [datagram]
         if fate.uniform(_DOUBLE, sequence) < fate.duplicate:
             self.counters["duplicated"] += 1
@@ -200,12 +200,19 @@ class EmulatedLink:
         self.counters["delivered"] += len(datagrams)
         return datagrams
 
-    def _harmed(self, datagram: bytes, sequence: int) -> bytes:
-        harmed = bytearray(datagram)
-        for i in range(1 + int(3 * self.fate.uniform(_BIT, 4 * sequence))):
-            place = int(8 * len(harmed) * self.fate.uniform(_BIT, 4 * sequence + 1 + i))
-            harmed[place // 8] ^= 1 << place % 8
-        return bytes(harmed)
+
+def uniform(seed: int, purpose: int, index: int) -> float:
+    """Return a number in [0, 1) that depends on its arguments alone (SplitMix64 [steele2014])."""
+    return _mix(_mix(seed * 0xD1342543DE82EF95 + purpose) + index * 0x9E3779B97F4A7C15) / 2.0**64
+
+
+def flip_bits(datagram: bytes, seed: int, index: int) -> bytes:
+    """Return a datagram of which one to three bits are inverted."""
+    harmed = bytearray(datagram)
+    for i in range(1 + int(3 * uniform(seed, _BIT, 4 * index))):
+        place = int(8 * len(harmed) * uniform(seed, _BIT, 4 * index + 1 + i))
+        harmed[place // 8] ^= 1 << place % 8
+    return bytes(harmed)
 
 
 def of_loop(sequence: int, loop: int) -> int:

@@ -12,19 +12,17 @@ import json
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taciturn._files import write_whole
 from taciturn.errors import ProblemError
-from taciturn.runtime.clock import Phase
+from taciturn.runtime.clock import JUMPED, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement, take_until
-from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.service import IDLE, QUIET, Port, Say, Storage, Told, Turns, disagreement, drive, take_until
+from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
@@ -32,6 +30,8 @@ REPEATED = 2  # last steps whose packets a node repeats in lockstep, as it may b
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
+# default fraction of a step for which a node waits; the controller sends its packet to the actuator before its deadline
+WAIT = {"controller": 0.3, "actuator": 0.55}
 SHARES = (50.0, 95.0, 99.0, 100.0)  # reported percentiles of lateness
 
 
@@ -47,9 +47,10 @@ class NodeServer:
         tick: real seconds per step; default: lockstep.
         wait: fraction of a step for which a node waits for a packet of the step, in real time.
         heartbeat: steps without a packet on a link after which a node sends a mark, in real time.
-        keep: file to which the state is saved after every step; for a single node only.
+        keep: storage to which the state is saved after every step; for a single node only.
         told: function called with the log line of each step.
         say: function called once with a message if packets of another policy or key are rejected.
+        clock: function that returns the time in seconds, from any origin.
 
     Raises:
         ProblemError: a peer or a plant is missing, or the saved state is not valid for this node.
@@ -59,18 +60,19 @@ class NodeServer:
         self,
         nodes: Sequence[Node],
         wire: Wire,
-        endpoint: Endpoint,
+        endpoint: Port,
         *,
         peer: Address | None = None,
         plant: Address | None = None,
         tick: float | None = None,
         wait: float = 0.5,
         heartbeat: int = 1,
-        keep: Path | None = None,
+        keep: Storage | None = None,
         told: Told | None = None,
         say: Say | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Check that all addresses are given, and continue from a saved state if the file exists."""
+        """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
         self.nodes, self.wire, self.endpoint = nodes, wire, endpoint
         if (first.measures or first.actuates) and plant is None:
@@ -98,25 +100,32 @@ class NodeServer:
         self._outbox = [deque[list[Packet]](maxlen=REPEATED) for _ in nodes]  # packets of the last steps
         self._answered = [0.0 for _ in nodes]  # time of the last retransmission
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
-        self._began, self._cpu = time.monotonic(), time.process_time()
+        self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
+        self._turned, self._unsure = self._began, float("nan")  # time of the last turn; time of an unexplained gap
         self._physical = 0
-        if keep is not None and not keep.parent.is_dir():
-            raise ProblemError(
-                f"the state cannot be saved in {keep.parent}, which is not a folder; expected an existing folder"
-            )
-        if keep is not None and keep.exists():
-            self._take_up(keep)
+        self.measured = 0  # measurements that were stored for their step
+        kept = None if keep is None else keep.read()
+        if kept is not None:
+            self._take_up(kept)
 
     def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
-        while not stopped() and not (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes)):
-            touched = self._take(self.endpoint.receive(self._until()))
-            now = time.monotonic()
+        drive(
+            self.endpoint,
+            self.turns(lambda: stopped() or (ticks is not None and all(node.tick >= ticks - 1 for node in self.nodes))),
+        )
+        return self.report()
+
+    def turns(self, ended: Callable[[], bool]) -> Turns:
+        """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
+        while not ended():
+            touched = self._take((yield self._until()))
+            now = self._clock()
+            self._notice(now)
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
-        return self.report()
 
     def finish(self, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Receive packets until stopped, without executing further steps, and return the report."""
@@ -135,12 +144,13 @@ class NodeServer:
             "tick": max(node.tick for node in self.nodes),
             "counters": dict(counters),
             "arrived": dict(self.arrived),
-            "waiting": sum(node.inbox.waiting for node in self.nodes),
+            "waiting": sum(node.waiting for node in self.nodes),
             "refused": dict(self.refused),
             "physical": self._physical,
+            "measurements": self.measured,
             "datagrams": self.endpoint.counted,
             "degraded": dict(reasons),
-            "seconds": round(time.monotonic() - self._began, 3),
+            "seconds": round(self._clock() - self._began, 3),
             "cpu_seconds": round(time.process_time() - self._cpu, 3),
         }
         if self._lateness:
@@ -152,7 +162,7 @@ class NodeServer:
 
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Store received packets, and return the numbers of their loops."""
-        now, touched = time.monotonic(), set[int]()
+        now, touched = self._clock(), set[int]()
         for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
@@ -180,8 +190,9 @@ class NodeServer:
                 self._answer_again(loop, now, news == "duplicate")
             elif self._begins(packet, now) and len(self._measurements[loop]) < PATIENT:
                 self._measurements[loop][packet.tick] = packet.values
+                self.measured += 1
             else:
-                self.refused["ahead"] += 1
+                self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
         handling = node.sort_in(packet)
@@ -225,13 +236,31 @@ class NodeServer:
             if self._keep is not None:
                 outbox = [[list(packet) for packet in sent] for sent in self._outbox[loop]]
                 kept = {"node": node.save(), "measured": self._measured[loop].save(), "outbox": outbox}
-                write_whole(self._keep, json.dumps(kept).encode())
+                self._keep.write(json.dumps(kept).encode())
             self._send(out)
             if self._tick is not None and self.phase.known:
-                self._lateness.append(time.monotonic() - self.phase.begins(tick))
+                self._lateness.append(self._clock() - self.phase.begins(tick))
             if self._told is not None:
                 self._told(self._line(node, measurement, packets, given))
-            now = time.monotonic()
+            now = self._clock()
+
+    def _notice(self, now: float) -> None:
+        """Notice that many steps have passed at once: the process was suspended, or the clock has jumped.
+
+        Only the packets of other nodes show which. The node does not begin steps before one of them confirms the phase,
+        or the time of the watchdog has passed.
+        """
+        if self._tick is None or self.nodes[0].measures:
+            return
+        if now - self._turned > JUMPED * self._tick:
+            self._unsure = now
+        if self.phase.confirmed >= self._unsure or now >= self._unsure + self._patience():
+            self._unsure = float("nan")
+        self._turned = now
+
+    def _patience(self) -> float:
+        """Return the seconds for which a node waits for the confirmation of its phase."""
+        return (self.nodes[0].watchdog or int(JUMPED)) * (self._tick or 0.0)
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -244,7 +273,7 @@ class NodeServer:
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None
-        if not self.phase.known:
+        if not self.phase.known or self._unsure == self._unsure:
             return None
         present = self.phase.now(now)
         tick = present if tick < present - LEFT_BEHIND or node.tick < 0 else tick
@@ -281,13 +310,15 @@ class NodeServer:
 
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
-        idle = time.monotonic() + IDLE
+        idle = self._clock() + IDLE
         if self._tick is not None and self.nodes[0].watchdog is not None and not self.phase.known:
             return min(idle, self._expires)
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
+        if self._unsure == self._unsure:
+            return min(idle, self._unsure + self._patience())
         behind = min(node.tick for node in self.nodes)
-        tick = self.phase.now(time.monotonic()) if behind < 0 else behind + 1
+        tick = self.phase.now(self._clock()) if behind < 0 else behind + 1
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
     def _repeat(self, loop: int) -> None:
@@ -301,9 +332,9 @@ class NodeServer:
             assert to is not None
             self.endpoint.send(self.wire.encode(packet), to)
 
-    def _take_up(self, path: Path) -> None:
+    def _take_up(self, state: bytes) -> None:
         try:
-            kept = json.loads(path.read_bytes())
+            kept = json.loads(state)
             self.nodes[0].restore(kept["node"])
             self._measured[0].restore(kept["measured"])
             self._outbox[0].extend([packet_of(entry) for entry in sent] for sent in kept["outbox"])
@@ -311,7 +342,7 @@ class NodeServer:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ProblemError(
-                f"the saved state {path} cannot be read ({error}); expected a saved state of this node"
+                f"the saved state {self._keep} cannot be read ({error}); expected a saved state of this node"
             ) from None
         if self._tick is None:
             self._repeat(0)  # the process may have ended after saving and before sending
@@ -336,4 +367,4 @@ class NodeServer:
         line["memory"] = node.memory
         if given is not None:
             line["u"] = list(given)
-        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.inbox.waiting}
+        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.waiting}

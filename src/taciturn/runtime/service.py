@@ -8,10 +8,13 @@ import time
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Protocol, TypeAlias
 
+from taciturn._files import write_whole
+from taciturn.errors import ProblemError
 from taciturn.runtime.udp import Address, Endpoint, parse_address
 
+Turns: TypeAlias = Generator[float, Sequence[bytes], None]
 Told: TypeAlias = Callable[[Mapping[str, Any]], None]
 Say: TypeAlias = Callable[[str], None]
 LISTENS = "listens on"  # text of the first message of a process, for which its parent process waits
@@ -38,7 +41,90 @@ def disagreement(name: str, why: str, keyed: bool, sender: Address) -> str | Non
     return f"the {name} refuses packets {others[why]} from {sender[0]}:{sender[1]}: same problem file and --key?"
 
 
-def take_until(endpoint: Endpoint, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
+class Port(Protocol):
+    """Interface of the socket of a server: ``taciturn.runtime.udp.Endpoint``, or one in virtual time."""
+
+    received: int
+    senders: list[Address]
+
+    @property
+    def address(self) -> Address:
+        """The address that the socket listens on."""
+        ...
+
+    @property
+    def counted(self) -> dict[str, int | None]:
+        """The counters of datagrams sent and received."""
+        ...
+
+    def send(self, datagram: bytes, to: Address) -> None:
+        """Send a datagram."""
+        ...
+
+    def receive(self, until: float | None) -> list[bytes]:
+        """Return the received datagrams; wait for the first one until a time of the server's clock."""
+        ...
+
+
+class Storage(Protocol):
+    """A place that keeps the state of a node while its process does not run."""
+
+    def read(self) -> bytes | None:
+        """Return the saved state, or None if there is none."""
+        ...
+
+    def write(self, state: bytes) -> None:
+        """Replace the saved state, completely or not at all."""
+        ...
+
+
+class FileStorage:
+    """A saved state in a file.
+
+    Args:
+        path: the file.
+
+    Raises:
+        ProblemError: the folder of the file does not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Check that the folder exists."""
+        if not path.parent.is_dir():
+            raise ProblemError(
+                f"the state cannot be saved in {path.parent}, which is not a folder; expected an existing folder"
+            )
+        self._path = path
+
+    def __str__(self) -> str:
+        """Return the name of the file."""
+        return str(self._path)
+
+    def read(self) -> bytes | None:
+        """Return the content of the file, or None if it does not exist."""
+        try:
+            return self._path.read_bytes() if self._path.exists() else None
+        except OSError as error:
+            raise ProblemError(
+                f"the saved state {self._path} cannot be read ({error}); expected a saved state of this node"
+            ) from None
+
+    def write(self, state: bytes) -> None:
+        """Write the file atomically."""
+        write_whole(self._path, state)
+
+
+def drive(port: Port, turns: Turns) -> None:
+    """Run a server, which yields the time until which it waits for datagrams, and is sent those that arrive."""
+    found: Sequence[bytes] | None = None
+    try:
+        while True:
+            found = port.receive(next(turns) if found is None else turns.send(found))
+    except StopIteration:
+        return
+
+
+def take_until(endpoint: Port, take: Callable[[Sequence[bytes]], object], stopped: Callable[[], bool]) -> None:
     """Receive datagrams until stopped, and then those that were sent before the stop."""
     while not stopped():
         take(endpoint.receive(time.monotonic() + IDLE))

@@ -14,8 +14,8 @@ from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.relay import EmulatedLink
-from taciturn.runtime.service import IDLE, QUIET, Say, Told, disagreement
-from taciturn.runtime.udp import Address, Endpoint
+from taciturn.runtime.service import IDLE, QUIET, Port, Say, Told, Turns, disagreement, drive
+from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
 WAITED, WAITED_AGAIN = 2.0, 30.0  # seconds without an input before the plant's first and each further message
@@ -61,18 +61,22 @@ class PlantServer:
         told: function called with the log line of each step.
         say: function called with a message if no input arrives in lockstep, or if packets of another policy or key are
             rejected.
+        clock: function that returns the time in seconds, from any origin.
+        epoch: number that increases with every start; default: the system time in seconds.
     """
 
     def __init__(
         self,
         plants: Sequence[Physical],
         wire: Wire,
-        endpoint: Endpoint,
+        endpoint: Port,
         sensor: Address,
         *,
         tick: float | None = None,
         told: Told | None = None,
         say: Say | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        epoch: int | None = None,
     ) -> None:
         """Start before the first step."""
         self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
@@ -81,7 +85,8 @@ class PlantServer:
         self._given = [(-1, -1)] * len(plants)  # epoch and step number of the last input
         self._waiting: list[dict[int, Packet]] = [{} for _ in plants]  # inputs by step: a node may be one step ahead
         self._windows = [Window() for _ in plants]
-        self._now, self._epoch = 0, int(time.time())
+        self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
+        self.taken = 0  # inputs that were applied or stored for their step
         self.costs: list[list[float]] = [[] for _ in plants]
         self.refused: Counter[str] = Counter()
         self.largest = 0.0  # largest absolute entry of a state
@@ -90,16 +95,21 @@ class PlantServer:
 
     def run(self, ticks: int, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Execute ``ticks`` steps, or fewer if stopped, and return the report."""
-        zero = time.monotonic()
+        drive(self.endpoint, self.turns(ticks, stopped))
+        return self.report()
+
+    def turns(self, ticks: int, stopped: Callable[[], bool]) -> Turns:
+        """Execute ``ticks`` steps, or fewer if stopped, waiting for datagrams in between."""
+        zero = self._clock()
         for tick in range(ticks):
             if stopped():
                 break
             self._now = tick
             self._measure(tick)
             if self._tick is None:
-                self._await(tick, stopped)
+                yield from self._await(tick, stopped)
             else:
-                self._wait(zero + (tick + 1) * self._tick)
+                yield from self._wait(zero + (tick + 1) * self._tick)
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
                 before = plant.state.tolist()
@@ -120,7 +130,6 @@ class PlantServer:
                         "cost": self.costs[loop][-1],
                     }
                     self._told(line)
-        return self.report()
 
     def report(self) -> dict[str, Any]:
         """Return the counters so far."""
@@ -130,6 +139,7 @@ class PlantServer:
             "held": self.held,
             "largest_state": self.largest,
             "measured_again": self.again,
+            "inputs": self.taken,
             "refused": dict(self.refused),
             "datagrams": self.endpoint.counted,
         }
@@ -147,16 +157,16 @@ class PlantServer:
         if tick in self._waiting[loop]:
             self._apply(self._waiting[loop].pop(tick))
 
-    def _await(self, tick: int, stopped: Callable[[], bool]) -> None:
+    def _await(self, tick: int, stopped: Callable[[], bool]) -> Turns:
         """Wait for the inputs of a step; send the measurement again while no input arrives."""
-        remind = time.monotonic() + WAITED
+        remind = self._clock() + WAITED
         while any(tick not in waiting for waiting in self._waiting) and not stopped():
-            found = self.endpoint.receive(time.monotonic() + IDLE)
+            found = yield self._clock() + IDLE
             self._take(found)
             if not found:
                 self.again += 1
                 self._measure(tick, again=True)
-            if self._say is not None and time.monotonic() >= remind:
+            if self._say is not None and self._clock() >= remind:
                 remind += WAITED_AGAIN
                 host, port = self.sensor
                 self._say(
@@ -165,10 +175,10 @@ class PlantServer:
                     "problem file?"
                 )
 
-    def _wait(self, until: float) -> None:
+    def _wait(self, until: float) -> Turns:
         """Receive inputs until a given time."""
-        while time.monotonic() < until:
-            self._take(self.endpoint.receive(until))
+        while self._clock() < until:
+            self._take((yield until))
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
         for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
@@ -192,8 +202,10 @@ class PlantServer:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
             self._waiting[loop][packet.tick] = packet
+            self.taken += 1
         elif (packet.epoch, packet.tick) > self._given[loop]:
             self._apply(packet)
+            self.taken += 1
         else:
             self.refused["late"] += 1
 
@@ -202,7 +214,7 @@ class PlantServer:
         self.inputs[packet.loop], self._given[packet.loop] = packet.values, (packet.epoch, packet.tick)
 
 
-def relay(link: EmulatedLink, endpoint: Endpoint, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
+def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
     """Forward datagrams to a peer over an emulated link until stopped, and return the report."""
 
     def carry(until: float) -> bool:

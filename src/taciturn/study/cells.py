@@ -147,7 +147,7 @@ class _Kept:
         return found if isinstance(found, Evaluation) else None
 
     def holds(self, index: int) -> bool:
-        """Return whether the store holds an answer of a cell."""
+        """Return whether the store contains the result of a cell."""
         return self.store is not None and self.store.holds(self._key(index))
 
     def keep(self, index: int, answer: Answer) -> Answer:

@@ -234,5 +234,5 @@ def _check_links(key: str, values: Mapping[str, Any], links: tuple[str, ...]) ->
     lacking = [link for link in links if link not in values]
     if lacking:
         raise ProblemError(
-            f"{key} of the row of a step lacks the link {lacking[0]!r}; expected one entry for each link"
+            f"the row of a step has no {key} for the link {lacking[0]!r}; expected one entry for each link"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,7 +12,7 @@ from taciturn.model.plant import Plant
 from taciturn.problem import Problem
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import Told, take_until
+from taciturn.runtime.service import Told, Turns, take_until
 from taciturn.runtime.udp import Address, Endpoint
 from taciturn.runtime.world import PlantServer
 from taciturn.twin.body import Body
@@ -132,13 +131,13 @@ class World(PlantServer):
             self.endpoint.send(self._light.encode(light), self._camera)
         self._shone += 1
 
-    def _wait(self, until: float) -> None:
+    def _wait(self, until: float) -> Turns:
         """Apply inputs when they arrive, and simulate the bodies until a given time."""
         assert self._tick is not None
         begins = until - self._tick
-        while (now := time.monotonic()) < until:
-            self._take(self.endpoint.receive(min(until, now + FLOW)))
-            share = (time.monotonic() - begins) / self._tick
+        while (now := self._clock()) < until:
+            self._take((yield min(until, now + FLOW)))
+            share = (self._clock() - begins) / self._tick
             for loop, plant in enumerate(self._bodies):
                 self._adopt(loop, self._now)
                 plant.flow(self.inputs[loop], share)

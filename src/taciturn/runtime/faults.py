@@ -1,0 +1,303 @@
+"""Faults of links, processes and clocks as plain data, and their random choice for a seed.
+
+Times are steps of the plant. A fault of a link changes datagrams that are sent while it lasts. Its random draws depend
+on its own seed and the number of the datagram alone, so a fault acts alike if other faults are left out of a list.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TypeAlias
+
+import numpy as np
+
+from taciturn._display import Displayed
+from taciturn.runtime.relay import flip_bits, uniform
+
+_LOSS, _DELAY, _TIME, _COPY, _HARM = range(21, 26)
+DRIFT = 4e-4  # largest relative error of a clock's speed, so that two clocks differ by less than 0.1 %
+Path: TypeAlias = tuple[str, str]  # names of the processes that send and receive
+Flights: TypeAlias = list[tuple[float, bytes]]  # delay in steps and content of every copy of a datagram
+
+
+@dataclass(frozen=True, repr=False)
+class Fault(Displayed):
+    """A fault.
+
+    Args:
+        first: step in which it begins.
+        steps: number of steps that it lasts.
+    """
+
+    first: int
+    steps: int
+
+    @property
+    def end(self) -> float:
+        """Step from which on it has no direct effect."""
+        return self.first + self.steps
+
+    def text(self) -> str:
+        """Return the fault as a line of text."""
+        return f"steps {self.first} to {self.first + self.steps - 1}: {self.what()}"
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, repr=False)
+class LinkFault(Fault):
+    """A fault of a link in one direction.
+
+    Args:
+        path: sender and receiver.
+        share: probability that a datagram is affected.
+        seed: seed of the random draws.
+    """
+
+    path: Path
+    share: float = 1.0
+    seed: int = 0
+
+    def act(self, flights: Flights, number: int) -> Flights:
+        """Return what becomes of a datagram with this number on its path."""
+        raise NotImplementedError
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        affected = "every datagram" if self.share >= 1 else f"{self.share:.0%} of the datagrams"
+        return f"{affected} from {self.path[0]} to {self.path[1]} {self.effect()}"
+
+    def effect(self) -> str:
+        """Return the verb of the sentence."""
+        raise NotImplementedError
+
+    def _hits(self, purpose: int, number: int) -> bool:
+        return uniform(self.seed, purpose, number) < self.share
+
+
+class Loss(LinkFault):
+    """Datagrams are dropped; with share 1 the link is cut, as in a partition."""
+
+    def act(self, flights: Flights, number: int) -> Flights:
+        """Drop the datagram."""
+        return [] if self._hits(_LOSS, number) else flights
+
+    def effect(self) -> str:
+        """Return the verb of the sentence."""
+        return "is dropped" if self.share >= 1 else "are dropped"
+
+
+@dataclass(frozen=True, repr=False)
+class Delay(LinkFault):
+    """Datagrams arrive late. Some of them, or a random delay, also changes their order.
+
+    Args:
+        least: smallest delay in steps.
+        most: largest delay in steps.
+    """
+
+    least: float = 0.0
+    most: float = 1.0
+
+    @property
+    def end(self) -> float:
+        """Step from which on it has no direct effect."""
+        return self.first + self.steps + self.most
+
+    def act(self, flights: Flights, number: int) -> Flights:
+        """Delay all copies of the datagram alike."""
+        if not self._hits(_DELAY, number):
+            return flights
+        by = self.least + (self.most - self.least) * uniform(self.seed, _TIME, number)
+        return [(delay + by, datagram) for delay, datagram in flights]
+
+    def effect(self) -> str:
+        """Return the verb of the sentence."""
+        verb = "arrives" if self.share >= 1 else "arrive"
+        return f"{verb} {self.least:g} to {self.most:g} steps late"
+
+
+@dataclass(frozen=True, repr=False)
+class Duplicate(LinkFault):
+    """Datagrams arrive twice.
+
+    Args:
+        most: largest delay of the copy in steps.
+    """
+
+    most: float = 1.0
+
+    @property
+    def end(self) -> float:
+        """Step from which on it has no direct effect."""
+        return self.first + self.steps + self.most
+
+    def act(self, flights: Flights, number: int) -> Flights:
+        """Add a copy."""
+        if not self._hits(_COPY, number):
+            return flights
+        by = self.most * uniform(self.seed, _TIME, number)
+        return flights + [(delay + by, datagram) for delay, datagram in flights]
+
+    def effect(self) -> str:
+        """Return the verb of the sentence."""
+        return f"{'arrives' if self.share >= 1 else 'arrive'} twice, within {self.most:g} steps"
+
+
+class Corruption(LinkFault):
+    """One to three bits of datagrams are inverted."""
+
+    def act(self, flights: Flights, number: int) -> Flights:
+        """Invert bits of the datagram."""
+        if not self._hits(_HARM, number):
+            return flights
+        return [(delay, flip_bits(datagram, self.seed, number)) for delay, datagram in flights]
+
+    def effect(self) -> str:
+        """Return the verb of the sentence."""
+        return f"{'loses' if self.share >= 1 else 'lose'} one to three bits"
+
+
+@dataclass(frozen=True, repr=False)
+class Replay(Fault):
+    """Datagrams of the same session are sent again: in each step, those that were sent some steps earlier.
+
+    Args:
+        path: sender and receiver.
+        age: number of steps since they were sent.
+    """
+
+    path: Path
+    age: int
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        return f"datagrams from {self.path[0]} to {self.path[1]} are sent again after {self.age} steps"
+
+
+@dataclass(frozen=True, repr=False)
+class Crash(Fault):
+    """A process is killed, and started again after some steps.
+
+    Args:
+        role: name of the process.
+        kept: whether it starts from its saved state. Without it, the process is not started before the next second,
+            because its epoch is the time in seconds.
+    """
+
+    role: str
+    kept: bool
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        return f"the {self.role} does not run, and starts again {'with' if self.kept else 'without'} its state"
+
+
+@dataclass(frozen=True, repr=False)
+class Pause(Fault):
+    """A process is suspended.
+
+    Args:
+        role: name of the process.
+    """
+
+    role: str
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        return f"the {self.role} is suspended"
+
+
+@dataclass(frozen=True, repr=False)
+class Jump(Fault):
+    """The clock of a machine jumps.
+
+    Args:
+        role: name of the process on the machine.
+        by: steps by which the clock jumps, forward or (negative) back.
+    """
+
+    role: str
+    by: float
+
+    def text(self) -> str:
+        """Return the fault as a line of text."""
+        return f"step {self.first}: {self.what()}"
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        return f"the clock of the {self.role} jumps {'forward' if self.by > 0 else 'back'} by {abs(self.by):g} steps"
+
+
+@dataclass(frozen=True, repr=False)
+class Skew(Fault):
+    """The clock of a machine is fast or slow from a step on; nodes tolerate this without an end.
+
+    Args:
+        role: name of the process on the machine.
+        by: relative error of its speed.
+    """
+
+    role: str
+    by: float
+
+    def text(self) -> str:
+        """Return the fault as a line of text."""
+        return f"from step {self.first}: {self.what()}"
+
+    def what(self) -> str:
+        """Return what happens, in words."""
+        return f"the clock of the {self.role} is {abs(self.by):.2%} {'fast' if self.by > 0 else 'slow'}"
+
+
+def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: int) -> tuple[Fault, ...]:
+    """Return one to five random faults. Half of the replays begin when a process starts again, if one does.
+
+    Args:
+        seed: seed of the choice.
+        paths: senders and receivers of datagrams.
+        roles: names of the processes of the nodes.
+        within: number of steps in which faults begin.
+    """
+    draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
+    found = [_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6))]
+    starts = [fault.first + fault.steps for fault in found if isinstance(fault, Crash)]
+    moved = [bool(draws.integers(2)) for _ in found]
+    return tuple(
+        replace(fault, first=starts[0] - 1, steps=fault.steps + 1)
+        if starts and isinstance(fault, Replay) and move
+        else fault
+        for fault, move in zip(found, moved, strict=True)
+    )
+
+
+def _draw(draws: np.random.Generator, paths: Sequence[Path], roles: Sequence[str], within: int) -> Fault:
+    first, own = int(draws.integers(0, within)), int(draws.integers(2**31))
+    path, role = paths[int(draws.integers(len(paths)))], roles[int(draws.integers(len(roles)))]
+    short, long = 1 + int(draws.geometric(0.12)), 1 + int(draws.geometric(0.05))
+    share = float(draws.choice([1.0, 1.0, 0.5, 0.2]))
+    most = float(draws.choice([0.5, 2.0, 6.0, 20.0]))
+    choice = int(draws.integers(10))
+    if choice == 0:
+        return Delay(first, short, path, share, own, most * float(draws.choice([0.0, 1.0])), most)
+    if choice == 1:  # another order
+        return Delay(first, long, path, 0.5, own, 0.0, most)
+    if choice == 2:
+        return Duplicate(first, long, path, share, own, most)
+    if choice == 3:
+        return Corruption(first, long, path, share, own)
+    if choice == 4:
+        return Loss(first, long, path, share, own)
+    if choice == 5:
+        return Replay(first + 2, short, path, int(draws.integers(1, first + 2)))
+    if choice == 6:
+        return Crash(first, int(draws.choice([long, 4 * long])), role, bool(draws.integers(2)))
+    if choice == 7:
+        return Pause(first, int(draws.choice([short, long, 4 * long])), role)
+    if choice == 8:
+        by = float(draws.choice([-1, 1]) * draws.choice([0.5, 4.0, 40.0]) * draws.uniform(0.2, 2.5))
+        return Jump(first, 1, role, round(by, 2))
+    return Skew(first, 1, role, float(draws.uniform(-DRIFT, DRIFT)))

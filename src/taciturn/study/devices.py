@@ -1,0 +1,234 @@
+"""Nodes in exported C, compiled for this machine, with the interface of nodes in Python.
+
+A server of nodes can therefore run either. The C code keeps the time of its steps as the server does.
+"""
+
+from __future__ import annotations
+
+import base64
+import ctypes as c
+import shutil
+import subprocess
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, cast
+
+import taciturn.export
+from taciturn.errors import ProblemError
+from taciturn.export.node import print_node
+from taciturn.loop import Loop
+from taciturn.model.network import Network
+from taciturn.model.packets import packet_shapes
+from taciturn.model.places import roles
+from taciturn.model.policy import NodeName, Policy
+from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, TAG_SIZE
+from taciturn.runtime.inbox import Handling
+from taciturn.runtime.node import Node, Stepped, Values
+from taciturn.runtime.packet import REFUSALS, Packet, Wire
+
+CORE = Path(taciturn.export.__file__).parent / "core"
+OPTIONS = ("-std=c99", "-O1", "-shared", "-fPIC", "-ffp-contract=off")
+WAITING = 64  # steps that a packet may be early
+NO_MARKS = 0xFFFFFFFF
+COUNTERS = (
+    "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
+    *REFUSALS, "unsent", "missed", "repeated",
+)  # fmt: skip
+DROPPED: tuple[Handling, ...] = ("misdirected", "duplicate", "replayed", "ahead")
+ACCESS = """
+#include "device.h"
+size_t shim_size(void) { return sizeof(device); }
+const tac_counters *shim_counters(const tac_node *node) { return &node->counters; }
+const tac_real *shim_memory(const tac_node *node) { return node->memory; }
+const tac_real *shim_inputs(const tac_node *node) { return node->inputs; }
+unsigned shim_waiting(const tac_node *node) {
+  unsigned count = 0U;
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+      count += node->channels[i].waits[place] ? 1U : 0U;
+    }
+  }
+  return count;
+}
+"""  # what a server reads of a node, and a program on a device does not need
+
+
+class NoCompilerError(ProblemError):
+    """There is no C compiler on this machine."""
+
+
+class _Key(c.Structure):
+    _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
+
+
+class DeviceCode:
+    """The C code of a node, compiled and loaded, with the memory of one device.
+
+    Args:
+        policy: policy of the node.
+        role: role of the node.
+        network: network between the nodes.
+        core: changes of the core's source, by the text that they replace; for tests.
+
+    Raises:
+        ProblemError: there is no C compiler, or it fails.
+    """
+
+    def __init__(self, policy: Policy, role: NodeName, network: Network, core: Mapping[str, str] | None = None) -> None:
+        """Compile and load the code."""
+        compiler = shutil.which("cc")
+        if compiler is None:
+            raise NoCompilerError("there is no C compiler `cc`; expected one, to run nodes in C")
+        found = print_node(policy, role, network, "device")
+        entries = max(1, *(entries for _, entries in packet_shapes(policy, network).values()))
+        sizes = {
+            "TAC_FLOAT32": 0, "TAC_VALUES": entries, "TAC_WAITING": WAITING, "TAC_SIZED(name)": "name",
+            "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
+        }  # fmt: skip
+        texts = {name: (CORE / name).read_text() for name in ("taciturn.h", "taciturn_packet.c", "taciturn_node.c")}
+        for old, new in (core or {}).items():
+            assert any(old in text for text in texts.values()), old
+            texts = {name: text.replace(old, new) for name, text in texts.items()}
+        texts["taciturn_config.h"] = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        texts |= {"device.h": found.header, "device.c": found.source, "access.c": ACCESS}
+        with TemporaryDirectory() as folder:
+            for name, text in texts.items():
+                (Path(folder) / name).write_text(text, encoding="ascii")
+            sources = [name for name in texts if name.endswith(".c")]
+            command = [compiler, *OPTIONS, "-o", "device.so", *sources]
+            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+            if done.returncode:
+                raise ProblemError(f"the C compiler fails on the {role}: {done.stderr.strip()}; expected C99")
+            self.code: Any = c.CDLL(str(Path(folder) / "device.so"))
+        for name in ("device_start", "tac_input", "shim_counters", "shim_memory", "shim_inputs"):
+            getattr(self.code, name).restype = c.c_void_p
+        for name in ("shim_size", "tac_send"):
+            getattr(self.code, name).restype = c.c_size_t
+        for name in ("tac_receive", "tac_step", "tac_degraded"):
+            getattr(self.code, name).restype = c.c_bool
+        self.role, self.wire = role, Wire(policy, network)
+        self.datagram = c.create_string_buffer(4096)
+        self.memory = c.create_string_buffer(self.code.shim_size())
+
+    def start(self, epoch: int, loop: int) -> Any:
+        """Start the node, and return its address."""
+        key = _Key(None, 0)
+        return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), key))
+
+    def __call__(self, policy: Policy, role: NodeName, **options: Any) -> Node:
+        """Return a started node; an earlier node of the same device does not run any more."""
+        return _DeviceNode(self, policy, role, options)
+
+
+class _DeviceNode(Node):
+    """A node whose packets and steps are handled by C code; the Python node knows which packets have arrived."""
+
+    def __init__(self, device: DeviceCode, policy: Policy, role: NodeName, options: Mapping[str, Any]) -> None:
+        super().__init__(policy, role, **options)
+        self._device, self._code = device, device.code
+        self._self = device.start(self.epoch, self.loop)
+        if self.watchdog is not None:
+            self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
+            self._code.tac_watch(self._self, c.c_uint32(self.watchdog), self._safe_numbers)
+        self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
+
+    @property
+    def waiting(self) -> int:
+        """Number of packets that wait for their step."""
+        return self._code.shim_waiting(self._self)
+
+    @property
+    def degraded(self) -> bool:
+        """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
+        return self._unheard or self._code.tac_degraded(self._self)
+
+    def sort_in(self, packet: Packet) -> Handling:
+        """Give a packet to the device, and return how it was handled."""
+        datagram, before = self._device.wire.encode(packet), dict(self.counters)
+        usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
+        self._count()
+        if not usable:
+            return next(name for name in DROPPED if self.counters[name] > before.get(name, 0))
+        self._heard_at, self._unheard = self.tick + 1, False
+        if packet.kind == "mark":
+            self.inbox.marked[packet.link] = max(self.inbox.marked[packet.link], packet.tick)
+            return "marks"
+        stream = self.inbox.streams[packet.kind, packet.link]
+        if packet.tick > self.tick - stream.lag:
+            stream.waiting[packet.tick] = packet
+        return "waiting"
+
+    def step(
+        self,
+        tick: int,
+        measurement: Sequence[float] | None = None,
+        packets: Iterable[Packet] = (),
+        draws: Sequence[float] | None = None,
+    ) -> Stepped:
+        """Execute one step on the device."""
+        for packet in packets:
+            self.sort_in(packet)
+        y = self._measured(measurement)
+        given = (c.c_double * len(y))(*y) if y else None
+        if self.tick < 0:
+            self._heard_at = max(self._heard_at, tick - 1)
+        if self._code.tac_step(self._self, c.c_uint64(tick), given, None):
+            self.tick = tick
+            self._inputs = self._numbers("shim_inputs", len(self._inputs))
+            self._memory = self._numbers("shim_memory", len(self._memory))
+        for stream in self.inbox.streams.values():
+            stream.waiting = {step: packet for step, packet in stream.waiting.items() if step > tick - stream.lag}
+        self._count()
+        return Stepped(self._sent(), self._output())
+
+    def mark(self, every: int = 0) -> tuple[Packet, ...]:
+        """Return the marks of the device."""
+        self._code.tac_mark_after(self._self, c.c_uint32(every))
+        found = self._sent()
+        self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
+        return found
+
+    def save(self) -> dict[str, Any]:
+        """Return the memory of the device, which holds addresses and therefore fits the same device only."""
+        memory = base64.b64encode(self._device.memory.raw).decode()
+        return {"memory": memory, "tick": self.tick, "heard_at": self._heard_at, "epoch": self.epoch}
+
+    def restore(self, saved: Mapping[str, Any]) -> None:
+        """Continue from a saved memory."""
+        memory = base64.b64decode(saved["memory"])
+        c.memmove(self._device.memory, memory, len(memory))
+        self.tick, self._heard_at, self.epoch = saved["tick"], saved["heard_at"], saved["epoch"]
+        self._count()
+
+    def _numbers(self, function: str, count: int) -> list[float]:
+        return list((c.c_double * count).from_address(getattr(self._code, function)(self._self)))
+
+    def _sent(self) -> tuple[Packet, ...]:
+        found: list[Packet] = []
+        while size := self._code.tac_send(self._self, self._device.datagram):
+            packet = cast("Packet", self._device.wire.decode(self._device.datagram.raw[:size]))
+            self.counters[f"sent {packet.kind} {packet.link}"] += 1
+            found.append(packet)
+        return tuple(found)
+
+    def _output(self) -> Values | None:
+        if not self.actuates or self.tick < 0:
+            return super()._output()
+        found = self._code.tac_input(self._self)
+        return tuple((c.c_double * self.policy.model.inputs).from_address(found))
+
+    def _count(self) -> None:
+        found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))
+        self.counters.update({name: number - self.counters[name] for name, number in zip(COUNTERS, found, strict=True)})
+
+
+@lru_cache(maxsize=8)
+def compile_devices(loop: Loop) -> Mapping[str, DeviceCode]:
+    """Return the C code of all nodes of a loop, by role.
+
+    Raises:
+        ProblemError: there is no C compiler, or the policy cannot run on a device.
+    """
+    return {role: DeviceCode(loop.policy, role, loop.network) for role in roles(loop.policy)}

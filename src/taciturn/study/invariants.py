@@ -1,0 +1,227 @@
+"""Invariants of each step of a world of faults, which are checked from outside of the nodes.
+
+The monitor decodes every datagram that a process sends, and compares what nodes and plant use with it. It reads the
+counters and the state of the nodes, but it does not rely on their handling of packets.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+from taciturn.runtime.node import Node, Values
+from taciturn.runtime.packet import Packet
+from taciturn.runtime.serve import LEFT_BEHIND, NodeServer
+from taciturn.runtime.virtual import VirtualNetwork, VirtualPort
+from taciturn.runtime.world import PlantServer
+
+Order: TypeAlias = tuple[int, int]  # epoch and step of a packet
+Entry: TypeAlias = tuple[str, str, int]  # role, signal and index of a stored number
+BEFORE: Order = (-1, -1)
+CLOSE = 1e-9  # largest relative difference of two copies of a number
+UNCOUNTED = ("sent ", "missed", "repeated", "received")  # counters of a node that do not count handled packets
+
+
+class BrokenError(Exception):
+    """An invariant does not hold.
+
+    Args:
+        step: step of the plant.
+        sentence: what was found.
+    """
+
+    def __init__(self, step: int, sentence: str) -> None:
+        """Keep step and sentence."""
+        super().__init__(f"step {step}: {sentence}")
+
+
+class Life:
+    """A process of a node from its start to its end, as the monitor sees it.
+
+    Args:
+        server: its server.
+        port: its socket.
+        began: step in which it started.
+    """
+
+    def __init__(self, server: NodeServer, port: VirtualPort, began: float) -> None:
+        """Remember what the counters show at the start."""
+        self.server, self.port = server, port
+        self.node: Node = server.nodes[0]
+        self.counted = self.node.counters["received"]  # of an earlier life, if the state was saved
+        self.heard = began  # last step in which a datagram of a peer arrived, or which excuses silence
+        self.turn = 0  # steps since the process woke
+        self.read: dict[tuple[str, str], Order] = defaultdict(lambda: BEFORE)
+
+
+class Monitor:
+    """The invariants of a world.
+
+    Args:
+        step: function that returns the present step of the plant, with its fraction.
+        watchdog: steps without a usable packet after which a node must be silent.
+        heartbeat: steps without a packet on a link after which a mark is sent.
+        patience: steps by which a node may report its silence later.
+    """
+
+    def __init__(self, step: Callable[[], float], watchdog: int, heartbeat: int, patience: int) -> None:
+        """Start without processes."""
+        self._step, self._watchdog, self._heartbeat, self._patience = step, watchdog, heartbeat, patience
+        self.lives: dict[str, Life] = {}
+        self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
+        self._last: dict[tuple[str, int], int] = {}  # last step with a packet, by link and epoch of its sender
+        self._applied = BEFORE
+        self.data: dict[str, list[tuple[int, Values]]] = defaultdict(list)  # step and payload of the data, by link
+        self.used: dict[str, dict[Values, int]] = defaultdict(dict)  # step that has read a payload, by link
+        self.snapshots: dict[int, dict[Entry, float]] = defaultdict(dict)
+        self.ticks = 0  # steps of nodes
+
+    def fail(self, sentence: str) -> None:
+        """Report that an invariant does not hold."""
+        raise BrokenError(int(self._step()), sentence)
+
+    def born(self, role: str, life: Life, fresh: bool) -> None:
+        """Record the start of a process; with its state, it remembers what it has read."""
+        before = self.lives.get(role)
+        if before is not None and not fresh:
+            life.read = before.read
+        self.lives[role] = life
+
+    def sent(self, packet: Packet | str, role: str) -> None:
+        """Record a packet that a process sends."""
+        if isinstance(packet, str):
+            self.fail(f"the {role} has sent a datagram that is {packet}")
+            return
+        order = (packet.epoch, packet.tick)
+        if packet.kind in ("data", "input"):
+            bisect.insort(self._sent[packet.kind, packet.link, packet.values], order)
+        if packet.kind == "data":
+            self.data[packet.link].append((packet.tick, packet.values))
+        if packet.link != "plant":
+            last = self._last.get((packet.link, packet.epoch))
+            if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
+                self.fail(
+                    f"the {role} sends a mark in step {packet.tick}, but a packet in step {last}; expected a mark "
+                    f"after {self._heartbeat} steps without a packet"
+                )
+            self._last[packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
+
+    def stepped(self, role: str) -> None:
+        """Check a step of a node: no packet is older than one that was read before, and steps come in order."""
+        life, now = self.lives[role], self._step()
+        node = life.node
+        self.ticks += 1
+        life.turn += 1
+        if life.turn > LEFT_BEHIND + 2 and not node.measures:
+            self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
+        for (kind, link), values in node.readings.items():
+            if kind == "data" and values is not None:
+                order = self._next("data", link, values, life.read[kind, link])
+                if order is None:
+                    self.fail(
+                        f"the {role} reads {list(values)} from the {link} link in step {node.tick}, which is older "
+                        f"than the packet of step {life.read[kind, link][1]} that it has read"
+                    )
+                    return
+                life.read[kind, link] = order
+                self.used[link][values] = int(now)
+        snapshot = self.snapshots[node.tick]
+        for name, numbers in node.memory.items():
+            for i, number in enumerate(numbers):
+                snapshot[role, name, i] = number
+
+    def applied(self, line: Mapping[str, Any]) -> None:
+        """Check the input of a step of the plant: it is not older than one that was applied before."""
+        values = tuple(line["u"])
+        if self._applied == BEFORE and not any(values):
+            return
+        order = self._next("input", "plant", values, self._applied)
+        if order is None:
+            self.fail(f"the plant applies {list(values)}, which is older than the input of step {self._applied[1]}")
+            return
+        self._applied = order
+
+    def woken(self, role: str) -> None:
+        """Record that a process reads datagrams."""
+        self.lives[role].turn = 0
+
+    def check(self, network: VirtualNetwork, plant: PlantServer, plant_port: VirtualPort, alive: Sequence[str]) -> None:
+        """Check what must hold at each step: every datagram is accounted for, and a node that is cut says so."""
+        counted = network.counters
+        added = counted["sent"] + counted["copied"] + counted["replayed"]
+        ended = sum(counted[name] for name in ("lost", "unreachable", "discarded", "delivered"))
+        if added != ended + network.flying:
+            self.fail(f"{added} datagrams were sent, but {ended} ended and {network.flying} are on their way")
+        if plant_port.received != plant.taken + sum(plant.refused.values()):
+            self.fail(f"the plant has received {plant_port.received} datagrams, but counted {plant.report()}")
+        for role in alive:
+            self._check_life(role, self.lives[role])
+
+    def _check_life(self, role: str, life: Life) -> None:
+        server, node = life.server, life.node
+        received, refused = node.counters["received"], sum(server.refused.values())
+        if life.port.received != received - life.counted + refused + server.measured:
+            self.fail(
+                f"the {role} has received {life.port.received} datagrams, but counts {received - life.counted} "
+                f"packets, {server.measured} measurements and {refused} refused"
+            )
+        handled = sum(number for name, number in node.counters.items() if not name.startswith(UNCOUNTED))
+        if received != handled + node.waiting:
+            self.fail(f"the {role} counts {received} packets, but {dict(node.counters)} and {node.waiting} waiting")
+        silence = self._step() - life.heard
+        if (
+            node.watchdog is not None
+            and silence > self._watchdog + self._patience
+            and not (node.silent and node.degraded)
+        ):
+            self.fail(f"the {role} is cut for {silence:.0f} steps, but does not report it")
+
+    def heard(self, role: str) -> None:
+        """Record that a datagram of a peer has arrived, or an event that excuses silence."""
+        if role in self.lives:
+            self.lives[role].heard = self._step()
+
+    def _next(self, kind: str, link: str, values: Values, last: Order) -> Order | None:
+        """Return the oldest sent packet with a payload that is not older than the last one, or None."""
+        orders = self._sent.get((kind, link, values), [])
+        place = bisect.bisect_left(orders, last)
+        return orders[place] if place < len(orders) else None
+
+
+Copy: TypeAlias = tuple[Entry, Entry, int]  # two numbers, and the steps by which the second one is later
+
+
+def find_copies(snapshots: Mapping[int, Mapping[Entry, float]], first: int) -> list[Copy]:
+    """Return the numbers of different nodes that agree in all steps of a run without faults, and change.
+
+    Args:
+        snapshots: stored numbers of all nodes by step.
+        first: first step that counts.
+    """
+    steps = sorted(tick for tick in snapshots if tick >= first)[:-2]
+    names = list(snapshots[steps[0]])
+    rows = {name: [snapshots[tick][name] for tick in steps] for name in names}
+    return [
+        (one, two, late)
+        for one in names
+        for two in names
+        for late in (0, 1)
+        if one[0] != two[0] and (one < two or late) and len(set(rows[one])) > 2
+        if _agree(rows[one][: len(steps) - late], rows[two][late:])
+    ]
+
+
+def differing(snapshots: Mapping[int, Mapping[Entry, float]], step: int, copies: Sequence[Copy]) -> str | None:
+    """Return which copies differ in a step, or None."""
+    for one, two, late in copies:
+        a, b = snapshots.get(step - late, {}).get(one), snapshots.get(step, {}).get(two)
+        if a is not None and b is not None and not abs(a - b) <= CLOSE * max(1.0, abs(a)):
+            return f"{one[1]} of the {one[0]} is {a:.12g}, but its copy {two[1]} of the {two[0]} is {b:.12g}"
+    return None
+
+
+def _agree(one: Sequence[float], two: Sequence[float]) -> bool:
+    scale = max(map(abs, one))
+    return all(abs(a - b) <= 1e-12 * scale for a, b in zip(one, two, strict=True))

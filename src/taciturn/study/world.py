@@ -1,0 +1,290 @@
+"""One world of faults: the servers of nodes and plant on virtual clocks and sockets, and the events of its faults."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeAlias, cast
+
+from taciturn.errors import ProblemError
+from taciturn.loop import Loop
+from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
+from taciturn.model.policy import LinkName, NodeName, Send
+from taciturn.runtime.clock import AGREED, JUMPED
+from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
+from taciturn.runtime.node import Node
+from taciturn.runtime.packet import Wire
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.runtime.serve import WAIT, NodeServer
+from taciturn.runtime.udp import Address
+from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
+from taciturn.runtime.world import PlantServer
+from taciturn.study.invariants import BrokenError, Copy, Life, Monitor, differing
+
+TICK = 0.1  # seconds per step
+LATENCY = 0.02  # steps that a datagram takes
+WATCHDOG, HEARTBEAT = 12, 4  # steps of the watchdog and between marks
+WITHIN = 110  # steps in which faults begin
+SILENT = 300  # steps after which a policy that still sends no data is reported
+REST = 4  # steps that a world goes on after the recovery
+EPOCH = 1000  # of a process that starts at time 0
+PLANT = "plant"
+MakeNode: TypeAlias = Callable[..., Node]
+
+
+def promised_steps(heartbeat: int) -> int:
+    """Return the steps after the last fault within which all nodes use the packets of their present step again.
+
+    A clock that has jumped is corrected after ``AGREED`` packets or marks, of which one arrives in ``heartbeat`` steps.
+    By then the node may be ``JUMPED`` steps ahead, and waits.
+    """
+    return (AGREED + 1) * heartbeat + int(JUMPED)
+
+
+class _Memory:
+    """The saved state of a node, which outlives its process."""
+
+    def __init__(self) -> None:
+        self.state: bytes | None = None
+
+    def read(self) -> bytes | None:
+        return self.state
+
+    def write(self, state: bytes) -> None:
+        self.state = state
+
+
+class World:
+    """The processes of a loop in virtual time, and their faults.
+
+    Args:
+        loop: the loop.
+        seed: seed of faults and plant.
+        faults: the faults; None: those of the seed.
+        devices: makers of nodes in C by role.
+    """
+
+    def __init__(self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode]) -> None:
+        """Start all processes, and enter the faults into the queue of events."""
+        self.loop, self.seed, self.made = loop, seed, devices
+        policy = self.policy = loop.policy
+        self.time = VirtualTime()
+        self.network = VirtualNetwork(self.time, self._carry)
+        self.wire = Wire(policy, loop.network)
+        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4)
+        self.roles = roles(policy)
+        self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
+        self.lag = {
+            link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
+        }
+        self._history: dict[Path, list[tuple[float, bytes]]] = {path: [] for path in self._paths()}
+        self.faults = draw_faults(seed, self._paths(), self.roles, WITHIN) if faults is None else tuple(faults)
+        self._on_links = [fault for fault in self.faults if isinstance(fault, LinkFault)]
+        self.end = max((fault.end for fault in self.faults), default=0.0)
+        self.recovery: int | None = None
+        self.promised: int | None = None
+        self._down: dict[str, int] = dict.fromkeys(self.roles, 0)
+        self._held: dict[str, int] = dict.fromkeys(self.roles, 0)
+        self._storage = {
+            role: _Memory() for role in self.roles if Crash in {type(f) for f in self.faults if _role(f) == role}
+        }
+        self.clocks = {role: VirtualClock(self.time) for role in self.roles}
+        self.processes: dict[str, VirtualProcess] = {}
+        for role in self.roles:
+            self._start(role, fresh=True)
+        self.plant_port = VirtualPort(self.network, (PLANT, 0))
+        self.plant = PlantServer(
+            [SimulatedPlant(loop, seed)], self.wire, self.plant_port, (role_at(policy, "sensor"), 0), tick=TICK,
+            told=self.monitor.applied, clock=lambda: self.time.now, epoch=EPOCH,
+        )  # fmt: skip
+        for fault in self.faults:
+            self._enter(fault)
+        VirtualProcess(self.plant_port, VirtualClock(self.time), self.plant.turns(1 << 40, lambda: False))
+
+    def step(self) -> float:
+        """Return the present step of the plant, with its fraction."""
+        return self.time.now / TICK
+
+    def counters(self) -> dict[str, dict[str, int]]:
+        """Return the counters of the last process of each role, of the plant and of the network."""
+        found = {
+            role: dict(life.node.counters) | dict(life.server.refused) | {"measurements": life.server.measured}
+            for role, life in self.monitor.lives.items()
+        }
+        return {**found, PLANT: {"inputs": self.plant.taken} | dict(self.plant.refused), "network": self._counted()}
+
+    def run(self, copies: Sequence[Copy]) -> str | None:
+        """Run until the nodes have recovered, and return the invariant that does not hold, or None."""
+        ready = int(self.end) + 1 + promised_steps(HEARTBEAT)
+        remembers = max(life.node.remembers for life in self.monitor.lives.values())
+        settled: int | None = None
+        last, step, held = int(self.end), 0, 0
+        try:
+            while settled is None or step < settled + remembers + REST:
+                self._go_to(step)
+                trouble = self._trouble(step, copies) if step > self.end else None
+                last = step if trouble else last
+                if settled is None and step >= ready and self._has_settled(ready):
+                    settled = step
+                    self.promised = settled + remembers + 2 - int(self.end)
+                if settled is None and step > ready + SILENT:
+                    self.monitor.fail(f"no data packet was used for {SILENT} steps after the faults")
+                if settled is not None and self.plant.held > held:
+                    self.monitor.fail("the plant has received no input for its step, after all faults")
+                held = self.plant.held
+                if trouble and settled is not None and step > settled + remembers + 2:
+                    self.monitor.fail(f"{trouble}, {step - int(self.end)} steps after the last fault")
+                step += 1
+            self._check_used(ready, step - 3)
+        except BrokenError as error:
+            return str(error)
+        except ProblemError as error:
+            return f"step {step}: {error}"
+        self.recovery = last - int(self.end)
+        return None
+
+    def run_for(self, steps: int) -> str | None:
+        """Run for some steps, and return the invariant that does not hold, or None."""
+        try:
+            for step in range(steps):
+                self._go_to(step)
+        except BrokenError as error:
+            return str(error)
+        return None
+
+    def _go_to(self, step: int) -> None:
+        self.time.run((step + 0.9) * TICK)
+        alive = [role for role in self.roles if not self.processes[role].ended and not self.processes[role].paused]
+        self.monitor.check(self.network, self.plant, self.plant_port, alive)
+
+    def _trouble(self, step: int, copies: Sequence[Copy]) -> str | None:
+        for role, life in self.monitor.lives.items():
+            if life.node.degraded or life.node.silent:
+                return f"the {role} is {'silent' if life.node.silent else 'degraded'} ({dict(life.node.reasons)})"
+        return differing(self.monitor.snapshots, step - 1, copies)
+
+    def _has_settled(self, ready: int) -> bool:
+        """Return whether on each link a packet that was sent after the faults has been used."""
+        used, data = self.monitor.used, self.monitor.data
+        return all(
+            any(tick >= ready and values in used[link] for tick, values in reversed(data[link])) for link in self.links
+        )
+
+    def _check_used(self, first: int, end: int) -> None:
+        for link in self.links:
+            for tick, values in self.monitor.data[link]:
+                if first <= tick < end - self.lag[link] and values not in self.monitor.used[link]:
+                    self.monitor.fail(f"the packet of step {tick} on the {link} link was not used, after all faults")
+
+    def _paths(self) -> list[Path]:
+        found = [(PLANT, role_at(self.policy, "sensor")), (role_at(self.policy, "actuator"), PLANT)]
+        for link in self.links:
+            ends = sender_of(self.policy, link), receiver_of(self.policy, link)
+            found.append(ends)
+            found += (
+                [(ends[1], ends[0])]
+                if link in Node(self.policy, ends[1], network=self.loop.network).acknowledges
+                else []
+            )
+        return found
+
+    def _make(self, role: NodeName, epoch: int) -> Node:
+        watched = WATCHDOG if links_to(self.policy, role) else None
+        make = self.made.get(role, Node)
+        return make(
+            self.policy, role, network=self.loop.network, epoch=epoch, seed=self.seed, watchdog=watched,
+            safe="zero" if self.seed % 2 else "hold",
+        )  # fmt: skip
+
+    def _start(self, role: NodeName, fresh: bool) -> None:
+        port, peer = VirtualPort(self.network, (role, 0)), peer_of(self.policy, role)
+        node = self._make(role, EPOCH + int(self.time.now))
+        server = NodeServer(
+            [node], self.wire, port, peer=None if peer is None else (peer, 0), plant=(PLANT, 0), tick=TICK,
+            wait=WAIT.get(role, 0.0), heartbeat=HEARTBEAT, keep=self._storage.get(role),
+            told=lambda _: self.monitor.stepped(role), clock=self.clocks[role],
+        )  # fmt: skip
+        self.monitor.born(role, Life(server, port, self.step()), fresh)
+        self.processes[role] = VirtualProcess(
+            port, self.clocks[role], server.turns(lambda: False), lambda: self.monitor.woken(role)
+        )
+
+    def _carry(self, sender: Address, to: Address, datagram: bytes) -> list[tuple[float, bytes]]:
+        path, now = (sender[0], to[0]), self.step()
+        packet = self.wire.decode(datagram)
+        self.monitor.sent(packet, sender[0])
+        known = self._history[path]
+        flights: Flights = [(LATENCY, datagram)]
+        for fault in self._on_links:
+            if fault.path == path and fault.first <= now < fault.first + fault.steps:
+                flights = fault.act(flights, len(known))
+        known.append((now, datagram))
+        for delay, copy in flights if to[0] != PLANT and sender[0] != PLANT else ():
+            if copy == datagram:
+                self._at(now + delay, lambda: self.monitor.heard(to[0]))
+        return [(delay * TICK, copy) for delay, copy in flights]
+
+    def _at(self, step: float, event: Callable[[], None]) -> None:
+        self.time.at(step * TICK, event)
+
+    def _enter(self, fault: Fault) -> None:
+        """Enter the events of a fault of a process, of a clock, or of an attacker."""
+        first, end = fault.first, fault.first + fault.steps
+        if isinstance(fault, Crash):
+            self._at(first, lambda: self._crash(fault))
+            self._at(end, lambda: self._restart(fault))
+        elif isinstance(fault, Pause):
+            self._at(first, lambda: self._hold(fault.role, 1))
+            self._at(end, lambda: self._hold(fault.role, -1))
+        elif isinstance(fault, Jump):
+            self._at(first, lambda: self._jump(fault))
+        elif isinstance(fault, Skew):
+            self._at(first, lambda: self.clocks[fault.role].turn(1.0 + fault.by))
+        elif isinstance(fault, Replay):
+            for step in range(first, end):
+                self._at(step + 0.5, lambda step=step: self._replay(fault, step - fault.age))
+
+    def _crash(self, fault: Crash) -> None:
+        role = fault.role
+        self._down[role] += 1
+        self.processes[role].kill()
+        if not fault.kept:
+            self._storage[role].state = None
+
+    def _restart(self, fault: Crash) -> None:
+        role = cast("NodeName", fault.role)
+        fresh = self._storage[role].state is None
+        epoch = self.monitor.lives[role].node.epoch
+        if fresh and epoch >= EPOCH + int(self.time.now):  # not before the next second
+            self._at((epoch + 1 - EPOCH) / TICK, lambda: self._restart(fault))
+            return
+        self._down[role] -= 1
+        if self._down[role] == 0:
+            self._start(role, fresh)
+
+    def _hold(self, role: str, by: int) -> None:
+        self._held[role] += by
+        process = self.processes[role]
+        if self._held[role] and by > 0:
+            process.pause()
+        elif not self._held[role]:
+            self.monitor.heard(role)  # the process could not notice before
+            process.resume()
+
+    def _jump(self, fault: Jump) -> None:
+        self.clocks[fault.role].jump(fault.by * TICK)
+        life = self.monitor.lives[fault.role]
+        life.heard = max(life.heard, self.step()) + max(0.0, -fault.by)
+
+    def _replay(self, fault: Replay, step: int) -> None:
+        for sent, datagram in self._history.get(fault.path, []):
+            if int(sent) == step:
+                self.network.replay(datagram, (fault.path[0], 0), (fault.path[1], 0))
+                if PLANT not in fault.path:
+                    self.monitor.heard(fault.path[1])
+
+    def _counted(self) -> dict[str, int]:
+        return {name: number for name, number in self.network.counters.items() if number}
+
+
+def _role(fault: Fault) -> Any:
+    return getattr(fault, "role", None)

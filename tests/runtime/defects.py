@@ -1,0 +1,118 @@
+"""Defects that are planted in the nodes, to show that worlds of faults find them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
+from typing import Any, NamedTuple
+from unittest.mock import patch
+
+from taciturn.runtime import clock, serve, world
+from taciturn.runtime.clock import JUMPED, Phase
+from taciturn.runtime.inbox import Inbox, Stream
+from taciturn.runtime.node import Node
+from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.serve import NodeServer
+
+
+class Defect(NamedTuple):
+    """A defect: what it replaces in Python, and in the source of the C core."""
+
+    places: tuple[tuple[Any, str, Any], ...] = ()
+    core: dict[str, str] | None = None
+
+    @contextmanager
+    def planted(self) -> Generator[None]:
+        """Plant it in Python."""
+        with ExitStack() as stack:
+            for place, name, wrong in self.places:
+                stack.enter_context(patch.object(place, name, wrong))
+            yield
+
+
+def around(place: type, name: str, wrong: Callable[..., Any]) -> Defect:
+    """Return a defect that calls the true method, or not."""
+    true = getattr(place, name)
+    return Defect(((place, name, lambda *given, **named: wrong(true, *given, **named)),))
+
+
+def _ahead_is_ignored(true: Callable[..., str], node: Node, packet: Packet) -> str:
+    handling = true(node, packet)
+    return "misdirected" if handling == "ahead" else handling
+
+
+def _late_wins(inbox: Inbox, stream: Stream, packet: Packet) -> None:
+    inbox.counters["late"] += 1
+    if inbox._lossless:
+        inbox._degrade("late")
+        stream.behind = packet
+
+
+def _late_input_wins(true: Callable[..., None], server: Any, packet: Packet) -> None:
+    before = server.refused["late"]
+    true(server, packet)
+    if server.refused["late"] > before:
+        server.refused["late"], server.taken = before, server.taken + 1
+        server._apply(packet)
+
+
+def _numbers_start_again(true: Callable[..., None], node: Node, saved: Any) -> None:
+    true(node, saved)
+    if "sequences" in saved:
+        node._sequences.clear()
+
+
+def _any_sum(true: Callable[..., Any], wire: Wire, datagram: bytes) -> Any:
+    return true(wire, datagram[:-4] + zlib.crc32(datagram[:-4]).to_bytes(4, "big"))
+
+
+def _never_earlier(true: Callable[..., bool], phase: Phase, tick: int, now: float) -> bool:
+    off = now - tick * phase.tick - phase.zero
+    return True if -JUMPED * phase.tick <= off < 0 else true(phase, tick, now)
+
+
+def _marks_are_not_heard(true: Callable[..., str], node: Node, packet: Packet) -> str:
+    heard, unheard = node._heard_at, node._unheard
+    handling = true(node, packet)
+    if packet.kind == "mark":
+        node._heard_at, node._unheard = heard, unheard
+    return handling
+
+
+def _of_one_epoch(true: Callable[..., None], node: Node, *given: Any, **named: Any) -> None:
+    true(node, *given, **named | {"epoch": 1000})
+
+
+def _safe_of_the_future(true: Callable[..., None], server: NodeServer, now: float) -> None:
+    epochs = [node.epoch for node in server.nodes]
+    for node in server.nodes:
+        node.epoch += 1 << 20
+    true(server, now)
+    for node, epoch in zip(server.nodes, epochs, strict=True):
+        node.epoch = epoch
+
+
+LATE_IN_C = "channel->has_behind ? packet->tick > channel->behind.tick : packet->tick >= channel->newest"
+DEFECTS: dict[str, Defect] = {
+    "packets far ahead do not correct the clock": around(Node, "sort_in", _ahead_is_ignored),
+    "the watchdog does not run before the first step": Defect(((NodeServer, "_expire", lambda *_: None),)),
+    "a late packet replaces a newer command": Defect(((Inbox, "_miss", _late_wins),)),
+    "a late packet replaces a newer command in C": Defect(core={LATE_IN_C: "true"}),
+    "an old packet silences a fresh node": Defect(((clock, "AGREED", 1 << 30),)),
+    "steps are caught up without a limit": Defect(((serve, "LEFT_BEHIND", 1 << 30),)),
+    "marks are never sent": Defect(((Node, "mark", lambda *_: ()),)),
+    "marks are sent in every step": around(Node, "mark", lambda true, node, every: true(node, 0)),
+    "the plant applies a late input": around(world.PlantServer, "_sort", _late_input_wins),
+    "a clock that is some steps fast is not corrected": Defect(((Phase, "_follow", lambda *_: None),)),
+    "a node does not doubt its clock after a gap": Defect(((NodeServer, "_notice", lambda *_: None),)),
+    "the watchdog never expires": Defect(((Node, "silent", property(lambda node: node._unheard)),)),
+    "the watchdog never expires in C": Defect(core={"return node->watchdog > 0U &&": "return false &&"}),
+    "sequence numbers start again from a saved state": around(Node, "restore", _numbers_start_again),
+    "all starts have one epoch": around(Node, "__init__", _of_one_epoch),
+    "the checksum is not checked": around(Wire, "decode", _any_sum),
+    "a clock that is some steps slow is not corrected": around(Phase, "hear", _never_earlier),
+    "marks do not stop the watchdog": around(Node, "sort_in", _marks_are_not_heard),
+    "the safe input is of a later epoch": around(NodeServer, "_expire", _safe_of_the_future),
+    "late packets are not counted in C": Defect(core={"node->counters.late++;": ""}),
+}
