@@ -14,6 +14,7 @@ from typing import NamedTuple
 import pytest
 
 import taciturn
+from taciturn.export.folder import CORE_SOURCES
 from taciturn.export.node import print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
@@ -85,7 +86,7 @@ def compile_core(entries: int, precision: Precision) -> Path:
     """Return a folder with what all nodes have in common, compiled once for packets of so many entries."""
     folder = Path(mkdtemp())
     write_sizes(folder, entries, precision)
-    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c"]
+    sources = [CORE / name for name in CORE_SOURCES]
     options = [*STRICT, "-O1", "-fPIC", f"-I{CORE}", f"-I{folder}", "-c"]
     subprocess.run([needs_compiler(), *options, *map(str, sources)], cwd=folder, check=True)
     return folder

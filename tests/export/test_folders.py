@@ -26,7 +26,7 @@ import taciturn
 from taciturn import Cost, Network, Plant, Reference, design
 from taciturn.errors import ProblemError
 from taciturn.export import node
-from taciturn.export.folder import MARK, CFolder, print_folder
+from taciturn.export.folder import CORE_SOURCES, MARK, CFolder, print_folder
 from taciturn.export.node import identifier
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
@@ -256,7 +256,7 @@ def test_a_node_is_called_from_cpp(tmp_path: Path) -> None:
     if shutil.which("c++") is None:
         pytest.skip("NOT SHOWN: nodes called from C++; there is no `c++`")
     folder = write(tmp_path, print_folder(two_mass(), "two_mass", rows=1))
-    sources = ["taciturn_node.c", "taciturn_packet.c", "two_mass_actuator.c"]
+    sources = [*CORE_SOURCES, "two_mass_actuator.c"]
     subprocess.run([needs_compiler(), "-std=c99", "-c", *sources], cwd=folder, check=True)
     (folder / "main.cpp").write_text(
         '#include "two_mass_actuator.h"\n'

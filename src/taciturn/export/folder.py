@@ -22,7 +22,8 @@ from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
-CORE = ("taciturn.h", "taciturn_packet.c", "taciturn_node.c")
+CORE_SOURCES = ("taciturn_packet.c", "taciturn_inbox.c", "taciturn_outbox.c", "taciturn_node.c")
+CORE = ("taciturn.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
 WAITING = 4  # size of the buffer for early packets of each link, a power of two
@@ -159,7 +160,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         ),
         "selfcheck_data.c": _print_check(name, found, vector, loop),
         "CMakeLists.txt": _CMAKE.format(
-            name=name, files="\n  ".join([*CORE[1:], *(f"{node.name}.c" for node in chosen)]), flags=FLAGS,
+            name=name, files="\n  ".join([*CORE_SOURCES, *(f"{node.name}.c" for node in chosen)]), flags=FLAGS,
             check="\n  ".join([CHECK[1], EXCHANGE[1], "selfcheck_data.c", *(f"{node.name}.c" for node in peers)]),
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), loop, " ".join(sorted(sources))),
@@ -208,7 +209,8 @@ def _print_readme(
 ) -> str:
     single, horizon = loop.precision == "float32", loop.problem.cost.horizon
     return _README.format(
-        name=name, kind=loop.policy.kind, version=__version__, flags=FLAGS, rows=rows, sources=sources,
+        name=name, kind=loop.policy.kind, version=__version__,
+        core=", ".join(f"`{one}`" for one in CORE_SOURCES), flags=FLAGS, rows=rows, sources=sources,
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
         snippets="\n".join(_snippet(loop, one) for one in nodes),
         precision="single precision (float)" if single else "double precision (double)",
@@ -318,9 +320,9 @@ cc {flags} {sources} -o selfcheck && ./selfcheck
 
 ## On a device
 
-Compile `taciturn_packet.c`, `taciturn_node.c` and the `.c` file of the device's node. Keep your own files in another
-folder, because a new export replaces the files of this folder. C++ code can include the headers; compile the sources as
-C.
+Compile the core, which are {core}, and the `.c` file of the device's
+node. Keep your own files in another folder, because a new export replaces the files of this folder. C++ code can
+include the headers; compile the sources as C.
 
 {snippets}
 You write these functions: `receive` returns the size of the next received datagram, or 0. `send` sends a datagram to
