@@ -144,9 +144,8 @@ def test_a_wrong_bit_is_found(tmp_path: Path) -> None:
     folder = write(tmp_path, print_folder(two_mass(), "two_mass"))
     source = folder / "two_mass_controller.c"
     text = source.read_text()
-    gain = re.findall(r"-?0x1\.[0-9a-f]{13}p[+-]\d+", text)[0]
-    digit = gain.index("p") - 1
-    other = gain[:digit] + format(int(gain[digit], 16) ^ 1, "x") + gain[digit + 1 :]
+    gain = re.findall(r"-?\d\.\d{16}", text)[0]
+    other = repr(float(np.nextafter(float(gain), 9.0)))
     for old, new in ((gain, other), ("<=", ">")):
         assert text.count(old) >= 1
         source.write_text(text.replace(old, new, 1))

@@ -34,6 +34,7 @@ from taciturn.export.node import CNode
 from taciturn.loop import Loop
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
+from taciturn.program.c import literal
 
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
@@ -262,7 +263,7 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
     """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
-        mark=MARK, token=token, stamp=digest[:16], tick=tick_length(loop).hex(),
+        mark=MARK, token=token, stamp=digest[:16], tick=literal(tick_length(loop), "float64"),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),

@@ -322,7 +322,7 @@ cc {flags} {sources} -o selfcheck && ./selfcheck
 
 Compile the core, which are {core}, and the `.c` file of the device's
 node. Keep your own files in another folder, because a new export replaces the files of this folder. C++ code can
-include the headers; compile the sources as C.
+include the headers. Compile the sources as C99 or as C++11.
 
 {snippets}
 You write these functions: `receive` returns the size of the next received datagram, or 0. `send` sends a datagram to

@@ -139,17 +139,22 @@ typedef struct {
   uint16_t initial;
 } tac_clock_data;
 
+/* A part of the step of a node. */
+typedef void tac_part(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs);
+
 /* The data of a node; generated. */
 typedef struct {
   tac_wire wire;
   const tac_channel_data *channels;
   const tac_send_data *sends;
   const tac_clock_data *clocks;
-  void (*first)(const tac_real *inputs, tac_real *memory, tac_real *outputs);
-  void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: no second part */
-  void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: no random draws */
+  tac_part *first;
+  tac_part *second;                                   /* NULL: no second part */
+  void (*draw)(uint64_t *generator, tac_real *drawn); /* NULL: no random draws */
+  const tac_real *constants;  /* numbers that the parts of a step read */
   const tac_real *start;      /* start values of the memory */
   uint64_t generator[4];      /* state of the random number generator */
+  uint32_t constant_count;
   uint32_t remembers;         /* steps after which an event has no effect; UINT32_MAX: never */
   uint16_t input_count;       /* number of inputs of a step */
   uint16_t memory_count;

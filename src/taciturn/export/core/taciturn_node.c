@@ -103,7 +103,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   const tac_node_data *data = node->data;
   if (data->second != NULL && node->begun) {
     collect_all(node, 1U, node->tick + 1U);
-    data->second(node->inputs, node->memory, node->outputs);
+    data->second(data->constants, node->inputs, node->memory, node->outputs);
   }
   turn_clocks(node, tick);
   node->tick = tick;
@@ -119,7 +119,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
       copy(&node->inputs[data->drawn_at], drawn, data->drawn_count);
     }
   }
-  data->first(node->inputs, node->memory, node->outputs);
+  data->first(data->constants, node->inputs, node->memory, node->outputs);
   put_outputs(node);
 }
 
