@@ -257,7 +257,8 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
     lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.role}, 0U, 0U, none);" for i, node in enumerate(nodes)]
-    return "\n".join([*lines, f"  return {len(nodes)}U;", "}", ""])
+    whole = " && ".join(f"nodes[{i}] != NULL" for i in range(len(nodes)))
+    return "\n".join([*lines, f"  return ({whole}) ? {len(nodes)}U : 0U;", "}", ""])
 
 
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
@@ -305,7 +306,7 @@ typedef struct {{
 extern const bool fmu_links[]; /* whether packets are sent over each link */
 extern const bool fmu_lossy;   /* whether packets may be dropped */
 
-/* Start the nodes, and return their number. */
+/* Start the nodes, and return their number; 0: the data of a node are damaged. */
 size_t fmu_start(fmu_memory *memory, tac_node **nodes);
 
 #endif

@@ -22,7 +22,7 @@ from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
-CORE_SOURCES = ("taciturn_packet.c", "taciturn_inbox.c", "taciturn_outbox.c", "taciturn_node.c")
+CORE_SOURCES = ("taciturn_packet.c", "taciturn_inbox.c", "taciturn_outbox.c", "taciturn_node.c", "taciturn_state.c")
 CORE = ("taciturn.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
@@ -282,10 +282,11 @@ static {node} memory; /* memory of the node */
 static uint8_t datagram[TAC_DATAGRAM];
 static tac_node *node;
 
-void begin(uint32_t epoch)
+bool begin(uint32_t epoch)
 {{
   const tac_key key = {{NULL, 0}}; /* or a secret of 16 to 32 bytes */
   node = {node}_start(&memory, epoch, 0, key); /* 0: number of the loop */
+  return node != NULL; /* NULL: the constants are damaged */
 }}
 
 bool step(uint64_t tick{given})

@@ -35,6 +35,9 @@ const char *fmu_enter(fmu_unit *unit, double time) {
   if (unit->state.phase != FMU_INSTANTIATED) {
     return "the unit is initialized already; expected a reset first";
   }
+  if (unit->state.exchange.count == 0U) {
+    return "the data of the nodes are damaged; expected the exported files";
+  }
   if (!(magnitude(time) <= DBL_MAX)) {
     return "the start time is not finite; expected a number of seconds";
   }

@@ -40,6 +40,7 @@
 /* The linker names of all functions contain the sizes, so that files compiled with different sizes do not link. */
 #define tac_encode TAC_SIZED(tac_encode)
 #define tac_decode TAC_SIZED(tac_decode)
+#define tac_check TAC_SIZED(tac_check)
 #define tac_start TAC_SIZED(tac_start)
 #define tac_watch TAC_SIZED(tac_watch)
 #define tac_mark_after TAC_SIZED(tac_mark_after)
@@ -123,6 +124,7 @@ typedef struct {
 
 enum { TAC_SENDS = 2 }; /* largest number of packets that a node sends per step, which is the number of links */
 #define TAC_NO_MARKS UINT32_MAX
+#define TAC_FORMAT 1U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -144,6 +146,8 @@ typedef void tac_part(const tac_real *constants, const tac_real *inputs, tac_rea
 
 /* The data of a node; generated. */
 typedef struct {
+  uint32_t format; /* TAC_FORMAT of the program that generated the data */
+  uint32_t crc;    /* CRC-32 of all data below and of the arrays to which they point; the code is not included */
   tac_wire wire;
   const tac_channel_data *channels;
   const tac_send_data *sends;
@@ -237,6 +241,10 @@ typedef struct {
   uint8_t pending;               /* bit i: the packet of send i is not sent yet */
   bool begun;
 } tac_node;
+
+/* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
+ * starts a node calls it; a program may repeat it. It covers all constants of the policy but 0 and 1, and no code. */
+bool tac_check(const tac_node_data *data);
 
 /* Initialize a node before its first step. `epoch` must increase with each start of a device without its memory; Unix
  * time in seconds is suitable. The generated function that calls this function sets the pointers of the node. */

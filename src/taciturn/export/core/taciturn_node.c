@@ -4,10 +4,8 @@
 #include "taciturn_parts.h"
 
 #if TAC_FLOAT32
-typedef uint32_t bits_of_real;
 #define EXPONENT UINT32_C(0x7F800000)
 #else
-typedef uint64_t bits_of_real;
 #define EXPONENT UINT64_C(0x7FF0000000000000)
 #endif
 
@@ -67,9 +65,7 @@ static void copy(tac_real *to, const tac_real *from, unsigned count) {
 static bool are_finite(const tac_real *numbers, unsigned count) {
   bool found = true;
   for (unsigned i = 0U; found && i < count; i++) {
-    bits_of_real bits;
-    (void)memcpy(&bits, &numbers[i], sizeof bits);
-    found = (bits & EXPONENT) != EXPONENT;
+    found = (tac_bits(numbers[i]) & EXPONENT) != EXPONENT;
   }
   return found;
 }
