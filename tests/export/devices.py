@@ -112,10 +112,10 @@ def compile_node(
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p
-    code.tac_heard.restype = c.c_uint64
+    code.tac_heard.restype = code.tac_behind.restype = c.c_uint64
     for name in ("shim_size", "tac_encode", "tac_send"):
         getattr(code, name).restype = c.c_size_t
-    for name in ("tac_receive", "tac_step", "tac_degraded"):
+    for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent"):
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
     sizes = policy.model.outputs, policy.model.inputs, int(memory)
@@ -184,9 +184,28 @@ class Device:
         return self.code.tac_receive(self.node, datagram, c.c_size_t(len(datagram)))
 
     def step(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
-        """Go through a step."""
+        """Go through a step, in as many calls as missed steps take."""
+        while not (done := self.step_once(tick, measurement)) and self.behind(tick):
+            pass
+        return done
+
+    def step_once(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
+        """Call for a step once."""
         given = None if measurement is None else (self.library.number * len(measurement))(*measurement)
         return self.code.tac_step(self.node, c.c_uint64(tick), given, None)
+
+    def behind(self, tick: int) -> int:
+        """How many missed steps are left before a step."""
+        return self.code.tac_behind(self.node, c.c_uint64(tick))
+
+    @property
+    def silent(self) -> bool:
+        """Whether its watchdog has expired."""
+        return self.code.tac_silent(self.node)
+
+    def expire(self) -> None:
+        """Let its watchdog expire before the first step."""
+        self.code.tac_expire(self.node)
 
     def send(self) -> list[bytes]:
         """Return the datagrams that are to be sent."""

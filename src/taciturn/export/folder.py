@@ -22,7 +22,7 @@ from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
-CORE_SOURCES = ("taciturn_packet.c", "taciturn_inbox.c", "taciturn_outbox.c", "taciturn_node.c", "taciturn_state.c")
+CORE_SOURCES = tuple(f"taciturn_{part}.c" for part in ("packet", "inbox", "outbox", "node", "clock", "state"))
 CORE = ("taciturn.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
@@ -336,12 +336,15 @@ the input of the plant. Call `begin` once, and `step` in each step.
   starts with step `tac_heard(node) - 1`.
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
   or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them.
-* `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, or
-  if the measurement is not finite.
+* `{name}_..._start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
+* `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
+  the measurement is not finite, or if more missed steps are left than one call executes (`tac_behind`, `TAC_CATCH_UP`).
+* A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a
-  third of these steps, so that the watchdog does not expire while the policy is silent.
+  third of these steps, so that the watchdog does not expire while the policy is silent. `tac_silent(node)` returns
+  whether it has expired. `tac_expire(node)` lets it expire before the first step.
 {mission}
 Compile with `-ffp-contract=off`, and without `-ffast-math` or any part of it. Two policies on one device share the
 core; compile it with the larger sizes of their two `taciturn_config.h`.

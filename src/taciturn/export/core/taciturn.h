@@ -49,7 +49,20 @@
 #define tac_heard TAC_SIZED(tac_heard)
 #define tac_send TAC_SIZED(tac_send)
 #define tac_input TAC_SIZED(tac_input)
+#define tac_behind TAC_SIZED(tac_behind)
+#define tac_silent TAC_SIZED(tac_silent)
+#define tac_expire TAC_SIZED(tac_expire)
 #define tac_degraded TAC_SIZED(tac_degraded)
+#define tac_clock_start TAC_SIZED(tac_clock_start)
+#define tac_clock_hear TAC_SIZED(tac_clock_hear)
+#define tac_clock_receive TAC_SIZED(tac_clock_receive)
+#define tac_clock_due TAC_SIZED(tac_clock_due)
+#define tac_clock_offset TAC_SIZED(tac_clock_offset)
+#define tac_clock_drift TAC_SIZED(tac_clock_drift)
+
+#ifndef TAC_CATCH_UP
+#define TAC_CATCH_UP 16 /* largest number of missed steps that one call of tac_step executes */
+#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -239,7 +252,9 @@ typedef struct {
   uint16_t loop;
   tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
   uint8_t pending;               /* bit i: the packet of send i is not sent yet */
+  uint64_t dated; /* step number in the newest received data or mark, plus one, for a clock */
   bool begun;
+  bool unheard; /* whether the watchdog has expired before the first step */
 } tac_node;
 
 /* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
@@ -254,6 +269,14 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
  * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 
+/* Return whether the watchdog has expired. It then stays so until a packet is accepted. */
+bool tac_silent(const tac_node *node);
+
+/* Let the watchdog expire before the first step: for a program whose timer shows that no packet was accepted for as long
+ * as `tac_watch` tells. The node is silent and degraded, and `tac_input` returns the safe input, until a packet is
+ * accepted. After the first packet or step this changes nothing, because the steps count the silence. */
+void tac_expire(tac_node *node);
+
 /* Set the marks: after `ticks` steps without a packet on a link, `tac_send` returns a mark, so that the watchdog of the
  * receiver does not expire while the policy is silent. With 0, it returns a mark after every step, also next to data,
  * as nodes in virtual time require. With TAC_NO_MARKS, as after tac_start, it returns no marks. */
@@ -263,10 +286,15 @@ void tac_mark_after(tac_node *node, uint32_t ticks);
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
 /* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`. `drawn` replaces
- * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first.
- * Return false, without executing the step, if it is not later than the last step, or if the measurement is not finite
- * or missing. */
+ * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first, at
+ * most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false, without
+ * executing the step, if it is not later than the last step, if more missed steps are left (call again, with this step
+ * or with a later one), or if the measurement is not finite or missing. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
+
+/* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
+ * 10000 missed steps, the earlier ones are skipped, as on a host. */
+uint64_t tac_behind(const tac_node *node, uint64_t tick);
 
 /* Return the step number in the newest received packet plus one, or 0 if no packet was received. A node that starts
  * while the loop runs begins with step `tac_heard(node) - 1`, so that all nodes use the same step numbers. */
@@ -275,6 +303,46 @@ uint64_t tac_heard(const tac_node *node);
 /* Write the next datagram to send, of at most TAC_DATAGRAM bytes, and return its size, or 0 if there is none. After
  * missed steps, only the newest packet of each link is sent. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
+
+/* An estimate of the beginning of steps by the readings of a timer, from the packets of the node that sets the time. It
+ * needs no synchronised clocks: the timer may run up to 0.1 % faster or slower. A packet may be late but not early, so
+ * the earliest packets determine the estimate. */
+typedef struct {
+  uint64_t zero;     /* reading at which step 0 began, modulo 2^64 */
+  uint64_t first;    /* its first estimate */
+  uint64_t last;     /* newest step of a packet */
+  uint64_t jump;     /* reading at which step 0 began, if the time has jumped */
+  uint64_t ticks[2]; /* steps from which the drift is measured, and the estimates then */
+  uint64_t zeros[2];
+  uint32_t period; /* counts of the timer in a step */
+  uint32_t agreed; /* consecutive packets that agree on a jump */
+  uint32_t jumps;  /* jumps so far */
+  bool known;      /* whether a packet has arrived */
+} tac_clock;
+
+/* Initialize a clock. `period` is the length of a step in counts of the timer, from 1; use a timer with 1000 or more
+ * counts in a step. */
+void tac_clock_start(tac_clock *clock, uint32_t period);
+
+/* Process a datagram as `tac_receive` does, and update the clock if it contains new data or a new mark. `now` is the
+ * reading of the timer at its arrival; readings have 64 bits and do not go back. */
+bool tac_clock_receive(tac_clock *clock, tac_node *node, const uint8_t *datagram, size_t size, uint64_t now);
+
+/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than 16
+ * steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
+ * cannot have begun. */
+bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now);
+
+/* Return the number of the newest step that has begun at the reading `now`, plus one; 0: none, or unknown. For a node
+ * that waits for the packets of a step, subtract the waiting time, for example half a step, from the reading. */
+uint64_t tac_clock_due(const tac_clock *clock, uint64_t now);
+
+/* Return by how many counts the timer has advanced more than the steps have, since the first packet. */
+int64_t tac_clock_offset(const tac_clock *clock);
+
+/* Return by how many parts per million the timer is faster than the steps, over the last 8192 to 16384 steps. The error
+ * is about the jitter of the packets, divided by that time. */
+int32_t tac_clock_drift(const tac_clock *clock);
 
 /* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);

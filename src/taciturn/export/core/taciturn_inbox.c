@@ -152,6 +152,9 @@ static bool take(tac_node *node, const tac_packet *packet) {
     if (packet->tick >= node->newest && packet->tick < UINT64_MAX) {
       node->newest = packet->tick + 1U;
     }
+    if (node->data->channels[i].kind == (uint8_t)TAC_DATA && packet->tick < UINT64_MAX) {
+      node->dated = packet->tick + 1U;
+    }
     return sort_in(node, i, packet);
   }
   return false;
@@ -180,6 +183,7 @@ bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
     return false;
   }
   node->heard = tac_count_ticks(node) + 1U;
+  node->unheard = false;
   return true;
 }
 

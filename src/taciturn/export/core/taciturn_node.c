@@ -27,9 +27,25 @@ void tac_degrade(tac_node *node, uint64_t ticks) {
   }
 }
 
-static bool is_silent(const tac_node *node) {
+bool tac_silent(const tac_node *node) {
   uint64_t ticks = tac_count_ticks(node);
-  return node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog;
+  return node->unheard || (node->watchdog > 0U && ticks >= node->heard && ticks - node->heard >= node->watchdog);
+}
+
+void tac_expire(tac_node *node) {
+  if (!node->begun && node->heard == 0U && !node->unheard) {
+    node->unheard = true;
+    tac_degrade(node, 0U);
+  }
+}
+
+uint64_t tac_behind(const tac_node *node, uint64_t tick) {
+  uint64_t ticks = tac_count_ticks(node);
+  uint64_t behind = 0U;
+  if (node->begun && node->data->measurement_count == 0U && tick > ticks) {
+    behind = (tick - ticks < (uint64_t)CAUGHT_UP) ? (tick - ticks) : (uint64_t)CAUGHT_UP;
+  }
+  return behind;
 }
 
 static void collect_all(tac_node *node, uint8_t part, uint64_t tick) {
@@ -87,7 +103,7 @@ static void put_outputs(tac_node *node) {
   }
   if (!are_finite(node->memory, data->memory_count) || !are_finite(node->outputs, data->output_count)) {
     tac_degrade(node, tac_count_ticks(node));
-  } else if (data->applied >= 0 && !is_silent(node)) {
+  } else if (data->applied >= 0 && !tac_silent(node)) {
     copy(node->input, &node->outputs[data->applied], data->applied_count);
   } else {
     /* the input of the last step is held */
@@ -104,7 +120,7 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   turn_clocks(node, tick);
   node->tick = tick;
   node->begun = true;
-  if (is_silent(node)) {
+  if (tac_silent(node)) {
     tac_degrade(node, tac_count_ticks(node));
   }
   copy(node->inputs, measurement, data->measurement_count);
@@ -119,24 +135,26 @@ static void advance(tac_node *node, uint64_t tick, const tac_real *measurement, 
   put_outputs(node);
 }
 
-/* Execute missed steps with the packets already received; a node with a sensor skips the missed steps. */
-static void make_up(tac_node *node, uint64_t tick) {
+/* Execute missed steps with the packets already received, at most TAC_CATCH_UP of them; a node with a sensor skips the
+ * missed steps. Return whether none is left. */
+static bool make_up(tac_node *node, uint64_t tick) {
   uint64_t left_out = tick - tac_count_ticks(node);
+  uint64_t behind = tac_behind(node, tick);
+  uint64_t first = tick - behind;
+  uint64_t count = (behind < (uint64_t)TAC_CATCH_UP) ? behind : (uint64_t)TAC_CATCH_UP;
   if (left_out == 0U) {
-    return;
+    return true;
   }
   if (!node->begun) {
     node->heard = tick;
   } else {
-    node->counters.missed += (uint32_t)(left_out & UINT32_MAX);
-    if (node->data->measurement_count == 0U) {
-      uint64_t made_up = (left_out < (uint64_t)CAUGHT_UP) ? left_out : (uint64_t)CAUGHT_UP;
-      for (uint64_t behind = tick - made_up; behind < tick; behind++) {
-        advance(node, behind, NULL, NULL);
-      }
+    node->counters.missed += (uint32_t)((left_out - behind + count) & UINT32_MAX);
+    for (uint64_t i = 0U; i < count; i++) {
+      advance(node, first + i, NULL, NULL);
     }
   }
   tac_degrade(node, tick + 1U);
+  return count == behind;
 }
 
 static bool is_measurement(const tac_node_data *data, const tac_real *measurement) {
@@ -151,7 +169,9 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
     node->counters.repeated++;
     return false;
   }
-  make_up(node, tick);
+  if (!make_up(node, tick)) {
+    return false;
+  }
   advance(node, tick, measurement, drawn);
   return true;
 }
@@ -164,7 +184,7 @@ const tac_real *tac_input(const tac_node *node) {
   const tac_real *input = node->input;
   if (node->data->applied < 0) {
     input = NULL;
-  } else if (node->safe_input != NULL && is_silent(node)) {
+  } else if (node->safe_input != NULL && tac_silent(node)) {
     input = node->safe_input;
   } else {
     /* the last input */
@@ -195,8 +215,10 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   (void)memset(&node->counters, 0, sizeof node->counters);
   node->tick = 0U;
   node->begun = false;
+  node->unheard = false;
   node->heard = 0U;
   node->newest = 0U;
+  node->dated = 0U;
   node->degraded_until = 0U;
   node->pending = 0U;
   (void)memset(node->marks, 0, sizeof node->marks);
