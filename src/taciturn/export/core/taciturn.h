@@ -46,6 +46,7 @@
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_step TAC_SIZED(tac_step)
+#define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
 #define tac_send TAC_SIZED(tac_send)
 #define tac_input TAC_SIZED(tac_input)
@@ -205,6 +206,7 @@ typedef struct {
   tac_packet behind; /* the newest late packet */
   bool has_behind;
   uint64_t newest; /* step of the newest packet that a step has read, plus one; 0: none */
+  uint64_t marked; /* newest step that the sender has finished, plus one; 0: none */
   uint32_t missing;
   uint64_t told; /* step of the packet to acknowledge */
   bool tells;
@@ -295,6 +297,12 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
  * 10000 missed steps, the earlier ones are skipped, as on a host. */
 uint64_t tac_behind(const tac_node *node, uint64_t tick);
+
+/* Return whether a node in virtual time may begin its next step: whether every node that sends to it has finished the
+ * steps that this step needs. Before the first step of a node without a sensor, a packet must have been received, which
+ * shows that the others are running; one with a sensor also needs the measurement of the step, which the program has.
+ * In virtual time, call `tac_mark_after(node, 0)`. */
+bool tac_ready(const tac_node *node);
 
 /* Return the step number in the newest received packet plus one, or 0 if no packet was received. A node that starts
  * while the loop runs begins with step `tac_heard(node) - 1`, so that all nodes use the same step numbers. */

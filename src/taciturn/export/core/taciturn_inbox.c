@@ -123,6 +123,9 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   }
   if (mark) {
     node->counters.marks++;
+    if (packet->tick < UINT64_MAX && packet->tick >= node->channels[i].marked) {
+      node->channels[i].marked = packet->tick + 1U;
+    }
   } else if (is_late(node, packet->tick, lag)) {
     miss(node, &node->channels[i], packet);
   } else {
@@ -158,6 +161,15 @@ static bool take(tac_node *node, const tac_packet *packet) {
     return sort_in(node, i, packet);
   }
   return false;
+}
+
+bool tac_ready(const tac_node *node) {
+  uint64_t tick = tac_count_ticks(node);
+  bool ready = node->begun || node->data->measurement_count > 0U || node->counters.received > 0U;
+  for (unsigned i = 0U; ready && i < node->data->channel_count; i++) {
+    ready = node->channels[i].marked + node->data->channels[i].lag > tick;
+  }
+  return ready;
 }
 
 static void count_refusal(tac_counters *counters, tac_verdict verdict) {
