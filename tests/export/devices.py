@@ -113,9 +113,9 @@ def compile_node(
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p
     code.tac_heard.restype = code.tac_behind.restype = c.c_uint64
-    for name in ("shim_size", "tac_encode", "tac_send"):
+    for name in ("shim_size", "tac_encode", "tac_send", "tac_save"):
         getattr(code, name).restype = c.c_size_t
-    for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent"):
+    for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore"):
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
     sizes = policy.model.outputs, policy.model.inputs, int(memory)
@@ -193,6 +193,18 @@ class Device:
         """Call for a step once."""
         given = None if measurement is None else (self.library.number * len(measurement))(*measurement)
         return self.code.tac_step(self.node, c.c_uint64(tick), given, None)
+
+    def save(self, size: int | None = None) -> bytes:
+        """Return its state; empty: there is no room."""
+        room = self.code.shim_size() if size is None else size
+        found = (c.c_uint8 * room)()
+        written = self.code.tac_save(self.node, found, c.c_size_t(room))
+        return bytes(found[:written])
+
+    def restore(self, saved: bytes) -> bool:
+        """Continue from a state."""
+        given = (c.c_uint8 * len(saved)).from_buffer_copy(saved)  # memory of just its size
+        return self.code.tac_restore(self.node, given, c.c_size_t(len(saved)))
 
     def behind(self, tick: int) -> int:
         """How many missed steps are left before a step."""

@@ -95,8 +95,9 @@ static bool run(int64_t ppm, uint64_t seconds) {
       }
     }
   }
-  (void)printf("%ld %lu %lu %ld %ld %ld %ld\n", (long)ppm, (unsigned long)node->counters.missed, (unsigned long)node->tick,
-               (long)least, (long)most, (long)tac_clock_drift(&clock), (long)tac_clock_offset(&clock));
+  (void)printf("%ld %lu %lu %ld %ld %ld %ld\n", (long)ppm, (unsigned long)node->counters.missed,
+               (unsigned long)node->tick, (long)least, (long)most, (long)tac_clock_drift(&clock),
+               (long)tac_clock_offset(&clock));
   return clock.jumps == 0U;
 }
 

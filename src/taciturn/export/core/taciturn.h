@@ -53,6 +53,8 @@
 #define tac_behind TAC_SIZED(tac_behind)
 #define tac_silent TAC_SIZED(tac_silent)
 #define tac_expire TAC_SIZED(tac_expire)
+#define tac_save TAC_SIZED(tac_save)
+#define tac_restore TAC_SIZED(tac_restore)
 #define tac_degraded TAC_SIZED(tac_degraded)
 #define tac_clock_start TAC_SIZED(tac_clock_start)
 #define tac_clock_hear TAC_SIZED(tac_clock_hear)
@@ -274,8 +276,8 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 /* Return whether the watchdog has expired. It then stays so until a packet is accepted. */
 bool tac_silent(const tac_node *node);
 
-/* Let the watchdog expire before the first step: for a program whose timer shows that no packet was accepted for as long
- * as `tac_watch` tells. The node is silent and degraded, and `tac_input` returns the safe input, until a packet is
+/* Let the watchdog expire before the first step: for a program whose timer shows that no packet was accepted for the
+ * time-out of the watchdog. The node is silent and degraded, and `tac_input` returns the safe input, until a packet is
  * accepted. After the first packet or step this changes nothing, because the steps count the silence. */
 void tac_expire(tac_node *node);
 
@@ -288,10 +290,10 @@ void tac_mark_after(tac_node *node, uint32_t ticks);
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
 /* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`. `drawn` replaces
- * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first, at
- * most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false, without
- * executing the step, if it is not later than the last step, if more missed steps are left (call again, with this step
- * or with a later one), or if the measurement is not finite or missing. */
+ * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first,
+ * at most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false,
+ * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
+ * this step or with a later one), or if the measurement is not finite or missing. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 
 /* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
@@ -311,6 +313,15 @@ uint64_t tac_heard(const tac_node *node);
 /* Write the next datagram to send, of at most TAC_DATAGRAM bytes, and return its size, or 0 if there is none. After
  * missed steps, only the newest packet of each link is sent. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
+
+/* Write the state of a node as bytes, which do not depend on the processor, and return their number; 0: `size` is too
+ * small. As many bytes as the type of the node has suffice. The state includes neither the key nor what `tac_watch` and
+ * `tac_mark_after` set. */
+size_t tac_save(tac_node *node, uint8_t *bytes, size_t size);
+
+/* Continue a started node from saved bytes: it does what the saved node would have done, bit for bit. Return false,
+ * without changing the node, if the bytes are damaged, or belong to another policy, node, loop or format. */
+bool tac_restore(tac_node *node, const uint8_t *bytes, size_t size);
 
 /* An estimate of the beginning of steps by the readings of a timer, from the packets of the node that sets the time. It
  * needs no synchronised clocks: the timer may run up to 0.1 % faster or slower. A packet may be late but not early, so
@@ -336,8 +347,8 @@ void tac_clock_start(tac_clock *clock, uint32_t period);
  * reading of the timer at its arrival; readings have 64 bits and do not go back. */
 bool tac_clock_receive(tac_clock *clock, tac_node *node, const uint8_t *datagram, size_t size, uint64_t now);
 
-/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than 16
- * steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
+/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than
+ * 16 steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
  * cannot have begun. */
 bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now);
 

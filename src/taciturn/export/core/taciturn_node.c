@@ -222,6 +222,7 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->degraded_until = 0U;
   node->pending = 0U;
   (void)memset(node->marks, 0, sizeof node->marks);
+  (void)memset(node->sending, 0, sizeof node->sending);
   tac_watch(node, 0U, NULL);
   tac_mark_after(node, TAC_NO_MARKS);
   (void)memcpy(node->generator, data->generator, sizeof node->generator);
