@@ -123,9 +123,9 @@ static bool do_nothing(memory *self, const tac_real *y, tac_real *command) {
 }
 
 typedef bool (*way)(memory *self, const tac_real *y, tac_real *command);
-typedef void (*part)(const tac_real *inputs, tac_real *states, tac_real *outputs);
 
-static void do_no_part(const tac_real *inputs, tac_real *states, tac_real *outputs) {
+static void do_no_part(const tac_real *constants, const tac_real *inputs, tac_real *states, tac_real *outputs) {
+  (void)constants;
   (void)inputs;
   (void)states;
   (void)outputs;
@@ -141,10 +141,9 @@ static __attribute__((noinline)) uint32_t count_way(way step, memory *own, const
   return board_instructions(before, after);
 }
 
-static __attribute__((noinline)) uint32_t count_part(part step, const tac_real *inputs, tac_real *states,
-                                                     tac_real *outputs) {
+static __attribute__((noinline)) uint32_t count_part(tac_part *step, const tac_node *node, const tac_real *inputs) {
   uint32_t before = board_now();
-  step(inputs, states, outputs);
+  step(node->data->constants, inputs, node->memory, node->outputs);
   return board_instructions(before, board_now());
 }
 
@@ -162,7 +161,7 @@ int main(void) {
   bool sent;
   uint32_t around[2]; /* of a call that does nothing */
   board_start_timer();
-  around[0] = count_part(do_no_part, selfcheck_vector, node->memory, node->outputs);
+  around[0] = count_part(do_no_part, node, selfcheck_vector);
   around[1] = count_way(do_nothing, &memories[0], selfcheck_vector, &command, &sent);
   for (size_t tick = 0U; tick < selfcheck_rows; tick++) {
     const tac_real *row = &selfcheck_vector[tick * width];
@@ -170,7 +169,7 @@ int main(void) {
     for (size_t i = 0U; i < WAYS; i++) {
       uint32_t instructions;
       if (i == 0U) {
-        instructions = count_part(node->data->first, row, node->memory, node->outputs) - around[0];
+        instructions = count_part(node->data->first, node, row) - around[0];
         sent = node->outputs[node->data->sends[0].at] > 0;
       } else {
         instructions = count_way(ways[i], &memories[i], row, &command, &sent) - around[1];

@@ -97,7 +97,7 @@ def test_keys_that_are_none_are_refused(run: Run, tmp_path: Path, monkeypatch: p
     assert "holds 2 bytes; expected 16 to 32" in run("network", "two-mass-lqg", "--key", str(key)).sentence
     monkeypatch.setenv("TACITURN_KEY", "secret")
     assert (
-        "TACITURN_KEY contains characters other than hexadecimal digits; expected 32 to 64"
+        "TACITURN_KEY contains other characters than hexadecimal digits; expected 32 to 64"
         in run("network", "two-mass-lqg").sentence
     )
 

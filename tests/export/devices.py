@@ -14,6 +14,7 @@ from typing import NamedTuple
 import pytest
 
 import taciturn
+from taciturn.export.folder import CORE_SOURCES
 from taciturn.export.node import print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
@@ -85,7 +86,7 @@ def compile_core(entries: int, precision: Precision) -> Path:
     """Return a folder with what all nodes have in common, compiled once for packets of so many entries."""
     folder = Path(mkdtemp())
     write_sizes(folder, entries, precision)
-    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c"]
+    sources = [CORE / name for name in CORE_SOURCES]
     options = [*STRICT, "-O1", "-fPIC", f"-I{CORE}", f"-I{folder}", "-c"]
     subprocess.run([needs_compiler(), *options, *map(str, sources)], cwd=folder, check=True)
     return folder
@@ -111,10 +112,10 @@ def compile_node(
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):
         getattr(code, name).restype = c.c_void_p
-    code.tac_heard.restype = c.c_uint64
-    for name in ("shim_size", "tac_encode", "tac_send"):
+    code.tac_heard.restype = code.tac_behind.restype = c.c_uint64
+    for name in ("shim_size", "tac_encode", "tac_send", "tac_save"):
         getattr(code, name).restype = c.c_size_t
-    for name in ("tac_receive", "tac_step", "tac_degraded"):
+    for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore"):
         getattr(code, name).restype = c.c_bool
     memory = found.header.split("tac_real memory[")[1].split("]")[0]
     sizes = policy.model.outputs, policy.model.inputs, int(memory)
@@ -183,9 +184,40 @@ class Device:
         return self.code.tac_receive(self.node, datagram, c.c_size_t(len(datagram)))
 
     def step(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
-        """Go through a step."""
+        """Go through a step, in as many calls as missed steps take."""
+        while not (done := self.step_once(tick, measurement)) and self.behind(tick):
+            pass
+        return done
+
+    def step_once(self, tick: int, measurement: Sequence[float] | None = None) -> bool:
+        """Call for a step once."""
         given = None if measurement is None else (self.library.number * len(measurement))(*measurement)
         return self.code.tac_step(self.node, c.c_uint64(tick), given, None)
+
+    def save(self, size: int | None = None) -> bytes:
+        """Return its state; empty: there is no room."""
+        room = self.code.shim_size() if size is None else size
+        found = (c.c_uint8 * room)()
+        written = self.code.tac_save(self.node, found, c.c_size_t(room))
+        return bytes(found[:written])
+
+    def restore(self, saved: bytes) -> bool:
+        """Continue from a state."""
+        given = (c.c_uint8 * len(saved)).from_buffer_copy(saved)  # memory of just its size
+        return self.code.tac_restore(self.node, given, c.c_size_t(len(saved)))
+
+    def behind(self, tick: int) -> int:
+        """How many missed steps are left before a step."""
+        return self.code.tac_behind(self.node, c.c_uint64(tick))
+
+    @property
+    def silent(self) -> bool:
+        """Whether its watchdog has expired."""
+        return self.code.tac_silent(self.node)
+
+    def expire(self) -> None:
+        """Let its watchdog expire before the first step."""
+        self.code.tac_expire(self.node)
 
     def send(self) -> list[bytes]:
         """Return the datagrams that are to be sent."""

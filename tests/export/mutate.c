@@ -37,9 +37,9 @@ static tac_real draw_number(void) {
 }
 
 /* A clock, three numbers and their arrival of the sensor link, and an acknowledgement, in; two packets' worth out. */
-static void first(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+static void first(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   for (unsigned i = 0U; i < (unsigned)MEMORY; i++) {
-    memory[i] = (memory[i] + inputs[2U + i] + inputs[0]) / (tac_real)2;
+    memory[i] = (memory[i] + inputs[2U + i] + inputs[0]) * constants[0];
   }
   outputs[0] = (memory[0] > (tac_real)0) ? (tac_real)1 : (tac_real)0;
   for (unsigned i = 1U; i < (unsigned)OUTPUTS; i++) {
@@ -47,9 +47,9 @@ static void first(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   }
 }
 
-static void second(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+static void second(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   (void)outputs;
-  memory[1] += inputs[9] / (tac_real)8;
+  memory[1] += inputs[9] * constants[1];
 }
 
 static const tac_real per_unit[3] = {(tac_real)32767, (tac_real)3276.7, (tac_real)327.67};
@@ -70,6 +70,7 @@ static const tac_channel_data channel_data[CHANNELS] = {
 static const tac_send_data send_data[1] = {{TAC_ACTUATOR_LINK, 4U, 0U}};
 static const uint16_t following[5] = {1U, 2U, 3U, 4U, 2U};
 static const tac_clock_data clock_data[1] = {{following, 5U, 3U, 0U}};
+static const tac_real constants[2] = {(tac_real)0.5, (tac_real)0.125};
 static const tac_real start[MEMORY] = {(tac_real)0.5};
 static const tac_real safe[1] = {(tac_real)0};
 static const tac_node_data data = {
@@ -79,7 +80,9 @@ static const tac_node_data data = {
     .clocks = clock_data,
     .first = first,
     .second = second,
+    .constants = constants,
     .start = start,
+    .constant_count = 2U,
     .remembers = 100U,
     .input_count = INPUTS,
     .memory_count = MEMORY,

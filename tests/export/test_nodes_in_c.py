@@ -191,6 +191,7 @@ class Pair:
         self.tick = self.host.tick
         assert self.device.input == stepped.input
         assert self.device.degraded == self.host.degraded
+        assert self.device.silent == self.host.silent
         self.recoveries += self.was_degraded > self.device.degraded
         self.was_degraded = self.device.degraded
         assert self.device.inputs(len(self.host._inputs)) == list(self.host._inputs)

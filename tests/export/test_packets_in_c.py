@@ -22,6 +22,7 @@ from runtime.test_packets import KEY, mutated
 import taciturn
 from taciturn import Network
 from taciturn.errors import ProblemError
+from taciturn.export.folder import CORE_SOURCES
 from taciturn.model.wire import HEADER_SIZE
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
 
@@ -188,7 +189,7 @@ def mutate(folder: Path, count: int, seed: int, keyed: bool, precision: str) -> 
     compiler = needs_compiler()
     write_sizes(folder, 6, precision)  # type: ignore[arg-type]
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g", "-O1"]
-    sources = [CORE / "taciturn_packet.c", CORE / "taciturn_node.c", HERE / "mutate.c"]
+    sources = [*(CORE / name for name in CORE_SOURCES), HERE / "mutate.c"]
     program = folder / "mutate"
     made = subprocess.run(
         [compiler, *STRICT, *checks, f"-I{CORE}", f"-I{folder}", "-o", str(program), *map(str, sources)],

@@ -52,7 +52,7 @@ def test_a_function_is_simulated_traced_and_run() -> None:
 @pytest.mark.parametrize(("make_step", "message"), [
     (lambda: Apply("controller", {}, bent, ("y",)), "a function at controller has no results; expected signals"),
     (lambda: Apply("controller", {"f": 0}, bent, ("y",)), "the number of entries of f is 0; expected a whole number"),
-    (lambda: Apply("controller", {"f": 1}, 3.0, ("y",)), "the function that computes f is 3.0; expected a Python function"),
+    (lambda: Apply("controller", {"f": 1}, 3.0, ("y",)), "the function of f is 3.0; expected a Python function"),
     (lambda: Apply("controller", {"f": 1}, bent, ()), r"the function of f reads \(\); expected a tuple with at"),
     (lambda: Apply("controller", {"f": 1}, bent, "y"), "the function of f reads 'y'; expected a tuple with at"),
 ])  # fmt: skip

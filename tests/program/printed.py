@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from export.devices import STRICT, needs_compiler
 
-from taciturn.program.c import print_c, print_root
+from taciturn.program.c import array, literal, print_c, print_root
 from taciturn.program.ir import Builder, Program
 from taciturn.program.machine import Kernel
 from taciturn.program.numpy import run
@@ -44,14 +44,17 @@ def by_python(program: Program, *values: np.ndarray) -> np.ndarray:
 def by_c(program: Program, folder: Path, *values: np.ndarray) -> np.ndarray:
     """Return what it computes in C."""
     number = "float" if program.precision == "float32" else "double"
+    constants = list[float]()
+    tick = print_c(program, "tick", range(len(program.inputs)), constants)
+    stored = array("tac_real", "constants", [literal(value, program.precision) for value in [*constants, 0.0]])
     text = (
         "#include <math.h>\n#include <stdbool.h>\n#include <stddef.h>\n#include <stdint.h>\n#include <string.h>\n"
         f"typedef {number} tac_real;\ntac_real used(tac_real x);\n"
         "void each(const tac_real *inputs, tac_real *outputs, size_t count, size_t width);\n"
-        f"{print_root(program.precision)}{print_c(program, 'tick', range(len(program.inputs)))}\n"
+        f"{print_root(program.precision)}{tick}{stored}"
         "tac_real used(tac_real x) { return tac_root(x); }\n"
         "void each(const tac_real *inputs, tac_real *outputs, size_t count, size_t width)\n"
-        "{ for (size_t i = 0; i < count; ++i) tick(inputs + i * width, NULL, outputs + i); }\n"
+        "{ for (size_t i = 0; i < count; ++i) tick(constants, inputs + i * width, NULL, outputs + i); }\n"
     )
     source, library = folder / "tick.c", folder / "tick.so"
     source.write_text(text, encoding="ascii")

@@ -168,7 +168,8 @@ def refuse_what_is_not_covered(plant: Plant | ContinuousPlant, cost: Cost) -> Pl
         raise ProblemError("cost.N is not zero, which lossy-lqg does not support; expected no cross weight: remove it")
     if cost.discount < 1:
         raise ProblemError(
-            f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average cost or a finite horizon"
+            f"cost.discount is {cost.discount:g}, which lossy-lqg does not use; expected an average cost or a finite "
+            "horizon"
         )
     return discretise(plant, cost, None).plant
 

@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
-from taciturn.export.folder import CORE, FLAGS, CFolder
+from taciturn.export.folder import CORE_SOURCES, FLAGS, CFolder
 from taciturn.export.node import CNode
 from taciturn.export.vector import Vector
 
@@ -91,7 +91,7 @@ def measurement(folder: CFolder) -> Main:
 def in_the_loop(node: CNode) -> Main:
     """Return a program with one node, whose steps a host requests over the UART; ``loop.c`` defines the frames."""
     names = {"LOOP_HEADER": f'"{node.name}.h"', "LOOP_NODE": node.name, "LOOP_START": f"{node.name}_start"}
-    sources = (*(name for name in CORE if name.endswith(".c")), f"{node.name}.c", "loop.c")
+    sources = (*CORE_SOURCES, f"{node.name}.c", "loop.c")
     return Main(sources, tuple(f"-D{name}={value}" for name, value in names.items()))
 
 
@@ -168,7 +168,7 @@ def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[s
         found = {
             node.role: _sections(board, into, [node.name])._replace(memory=known[node.role]) for node in folder.nodes
         }
-        return {**found, "core": _sections(board, into, [Path(name).stem for name in CORE if name.endswith(".c")])}
+        return {**found, "core": _sections(board, into, [Path(name).stem for name in CORE_SOURCES])}
 
 
 def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:

@@ -34,6 +34,7 @@ from taciturn.export.node import CNode
 from taciturn.loop import Loop
 from taciturn.model.packets import fingerprint
 from taciturn.model.wire import LINKS
+from taciturn.program.c import literal
 
 UNIT = ("fmu.h", "fmu.c")
 HEADERS: Mapping[Version, tuple[str, ...]] = {
@@ -256,13 +257,14 @@ def _print_start(nodes: tuple[CNode, ...], loop: Loop) -> str:
     lines += [f"const bool fmu_lossy = {_truth(may_lose(loop))};\n"]
     lines += ["size_t fmu_start(fmu_memory *memory, tac_node **nodes) {", "  const tac_key none = {NULL, 0U};"]
     lines += [f"  nodes[{i}] = {node.name}_start(&memory->{node.role}, 0U, 0U, none);" for i, node in enumerate(nodes)]
-    return "\n".join([*lines, f"  return {len(nodes)}U;", "}", ""])
+    whole = " && ".join(f"nodes[{i}] != NULL" for i in range(len(nodes)))
+    return "\n".join([*lines, f"  return ({whole}) ? {len(nodes)}U : 0U;", "}", ""])
 
 
 def _print_data(nodes: tuple[CNode, ...], loop: Loop, token: str, digest: str) -> str:
     """Return a C header with the token of the unit, the references of its variables, and the memory of its nodes."""
     return _DATA.format(
-        mark=MARK, token=token, stamp=digest[:16], tick=tick_length(loop).hex(),
+        mark=MARK, token=token, stamp=digest[:16], tick=literal(tick_length(loop), "float64"),
         measured=loop.policy.model.outputs, applied=loop.policy.model.inputs,
         references="\n".join(f"#define FMU_{name.upper()} {first}U" for name, first in REFERENCES.items()),
         headers="\n".join(f'#include "{node.name}.h"' for node in nodes),
@@ -304,7 +306,7 @@ typedef struct {{
 extern const bool fmu_links[]; /* whether packets are sent over each link */
 extern const bool fmu_lossy;   /* whether packets may be dropped */
 
-/* Start the nodes, and return their number. */
+/* Start the nodes, and return their number; 0: the data of a node are damaged. */
 size_t fmu_start(fmu_memory *memory, tac_node **nodes);
 
 #endif

@@ -22,7 +22,8 @@ from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
-CORE = ("taciturn.h", "taciturn_packet.c", "taciturn_node.c")
+CORE_SOURCES = tuple(f"taciturn_{part}.c" for part in ("packet", "inbox", "outbox", "node", "clock", "state"))
+CORE = ("taciturn.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
 WAITING = 4  # size of the buffer for early packets of each link, a power of two
@@ -160,7 +161,7 @@ def print_folder(loop: Loop, name: str, *, nodes: Sequence[NodeName] = (), rows:
         ),
         "selfcheck_data.c": _print_check(name, found, vector, loop),
         "CMakeLists.txt": _CMAKE.format(
-            name=name, files="\n  ".join([*CORE[1:], *(f"{node.name}.c" for node in chosen)]), flags=FLAGS,
+            name=name, files="\n  ".join([*CORE_SOURCES, *(f"{node.name}.c" for node in chosen)]), flags=FLAGS,
             check="\n  ".join([CHECK[1], EXCHANGE[1], "selfcheck_data.c", *(f"{node.name}.c" for node in peers)]),
         ),
         "README.md": _print_readme(name, chosen, peers, len(vector.sent), loop, " ".join(sorted(sources))),
@@ -209,7 +210,8 @@ def _print_readme(
 ) -> str:
     single, horizon = loop.precision == "float32", loop.problem.cost.horizon
     return _README.format(
-        name=name, kind=loop.policy.kind, version=__version__, flags=FLAGS, rows=rows, sources=sources,
+        name=name, kind=loop.policy.kind, version=__version__,
+        core=", ".join(f"`{one}`" for one in CORE_SOURCES), flags=FLAGS, rows=rows, sources=sources,
         mission="" if horizon is None else _MISSION.format(horizon=horizon),
         snippets="\n".join(_snippet(loop, one) for one in nodes),
         precision="single precision (float)" if single else "double precision (double)",
@@ -281,10 +283,11 @@ static {node} memory; /* memory of the node */
 static uint8_t datagram[TAC_DATAGRAM];
 static tac_node *node;
 
-void begin(uint32_t epoch)
+bool begin(uint32_t epoch)
 {{
   const tac_key key = {{NULL, 0}}; /* or a secret of 16 to 32 bytes */
   node = {node}_start(&memory, epoch, 0, key); /* 0: number of the loop */
+  return node != NULL; /* NULL: the constants are damaged */
 }}
 
 bool step(uint64_t tick{given})
@@ -319,9 +322,9 @@ cc {flags} {sources} -o selfcheck && ./selfcheck
 
 ## On a device
 
-Compile `taciturn_packet.c`, `taciturn_node.c` and the `.c` file of the device's node. Keep your own files in another
-folder, because a new export replaces the files of this folder. C++ code can include the headers; compile the sources as
-C.
+Compile the core, which are {core}, and the `.c` file of the device's
+node. Keep your own files in another folder, because a new export replaces the files of this folder. C++ code can
+include the headers. Compile the sources as C99 or as C++11.
 
 {snippets}
 You write these functions: `receive` returns the size of the next received datagram, or 0. `send` sends a datagram to
@@ -334,12 +337,15 @@ the input of the plant. Call `begin` once, and `step` in each step.
   starts with step `tac_heard(node) - 1`.
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
   or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them.
-* `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, or
-  if the measurement is not finite.
+* `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
+* `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
+  the measurement is not finite, or if more missed steps are left than one call executes (`tac_behind`, `TAC_CATCH_UP`).
+* A node without a sensor may begin its steps by the packets that arrive: see `tac_clock_receive` and `tac_clock_due`.
 * `tac_degraded(node)` returns whether a violated assumption of the policy's theory, such as an unexpected packet loss,
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a
-  third of these steps, so that the watchdog does not expire while the policy is silent.
+  third of these steps, so that the watchdog does not expire while the policy is silent. `tac_silent(node)` returns
+  whether it has expired. `tac_expire(node)` lets it expire before the first step.
 {mission}
 Compile with `-ffp-contract=off`, and without `-ffast-math` or any part of it. Two policies on one device share the
 core; compile it with the larger sizes of their two `taciturn_config.h`.

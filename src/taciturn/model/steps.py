@@ -138,9 +138,7 @@ class Apply(Displayed):
             raise ProblemError(f"a function at {self.at} has no results; expected signals and their sizes")
         names = ", ".join(self.signals)
         if not callable(self.function):
-            raise ProblemError(
-                f"the function that computes {names} is {quoted(self.function)}; expected a Python function"
-            )
+            raise ProblemError(f"the function of {names} is {quoted(self.function)}; expected a Python function")
         if isinstance(self.reads, str) or not self.reads:
             raise ProblemError(
                 f"the function of {names} reads {self.reads!r}; expected a tuple with at least one signal"

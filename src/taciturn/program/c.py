@@ -15,28 +15,29 @@ from taciturn.program.bits import LAYOUTS
 from taciturn.program.ir import Program, needed
 from taciturn.program.ops import EIGHT, Op, Precision, tiles
 
-REAL, ROOT = "tac_real", "tac_root"
+REAL, ROOT, CONSTANTS = "tac_real", "tac_root", "constants"
 _INFIX: Mapping[str, tuple[str, str]] = {  # operator, and type of the result; an empty type is that of the operands
     "add": ("+", REAL), "sub": ("-", REAL), "mul": ("*", REAL), "div": ("/", REAL),
     "greater": (">", "bool"), "less_equal": ("<=", "bool"), "and": ("&&", "bool"),
     "word_add": ("+", ""), "word_and": ("&", ""), "word_or": ("|", ""), "word_xor": ("^", ""),
 }  # fmt: skip
 _WIDTHS = {"uint64_t": 64, "uint32_t": 32}
+_DIGITS: Mapping[Precision, int] = {"float64": 17, "float32": 9}
 _SUFFIX = {"uint64_t": "UINT64_C", "uint32_t": "UINT32_C"}
 
 
-def print_c(program: Program, name: str, places: Sequence[int] = ()) -> str:
-    """Return the C source of ``static void name(inputs, memory, outputs)`` and of the tables that it reads.
+def print_c(program: Program, name: str, places: Sequence[int], constants: list[float]) -> str:
+    """Return the source of the function ``static void name(constants, inputs, memory, outputs)``.
 
-    The function updates its memory in place. The function has no inputs if the memory consists of words (a generator of
-    random numbers).
+    The function updates its memory in place. It reads all numbers but 0 and 1 from the array ``constants``.
 
     Args:
         program: one time step.
-        name: name of the function, and prefix of the names of its tables.
+        name: name of the function.
         places: for each input of the program, its position in the array ``inputs``.
+        constants: numbers of the array so far, to which those of the program are added.
     """
-    return _Printer(program, name, places).text()
+    return _Printer(program, name, places, constants).text()
 
 
 def print_root(precision: Precision) -> str:
@@ -49,12 +50,13 @@ def print_root(precision: Precision) -> str:
 
 
 def literal(value: float, precision: Precision) -> str:
-    """Return a floating-point number as an exact C99 literal."""
+    """Return a number as a decimal literal of C99 and C++11, with so many digits that it is exact after rounding."""
     if precision == "float32":
         value = float(np.float32(value))
     if np.isinf(value):
         return f"{'-' if value < 0 else ''}({REAL})INFINITY"
-    return value.hex() + ("f" if precision == "float32" else "")
+    text = f"{value:.{_DIGITS[precision]}g}"
+    return text + ("" if set(text) & set(".e") else ".0") + ("f" if precision == "float32" else "")
 
 
 def array(kind: str, name: str, values: Sequence[str]) -> str:
@@ -71,30 +73,29 @@ def array(kind: str, name: str, values: Sequence[str]) -> str:
 class _Printer:
     """Converts one program to lines of C, and records the types of its values."""
 
-    def __init__(self, program: Program, name: str, places: Sequence[int]) -> None:
-        self.program, self.name, self.places = program, name, places
+    def __init__(self, program: Program, name: str, places: Sequence[int], constants: list[float]) -> None:
+        self.program, self.name, self.places, self.constants = program, name, places, constants
         moved = [op for i, op in enumerate(program.following) if self._moves(i, op)]
         self.live = needed(program, [*moved, *program.outputs.values()])
         self.types: dict[int, str] = {}  # of the operations
         self.names: dict[int, str] = {}  # expressions of values without a variable (constants)
-        self.arrays: list[str] = []
-        self.declared: set[str] = set()
+        self.begins: dict[bytes, int] = {}  # places of constants, tables and matrices in the array
+        self.words = bool(program.states) and all(state.word for state in program.states)  # a generator of draws
 
     def text(self) -> str:
-        """Return the C source of the function and of the tables that it reads."""
+        """Return the function."""
         program = self.program
         lines = [line for i, op in enumerate(program.ops) if i in self.live for line in self._lines(i, op)]
         kept = [(i, op) for i, op in enumerate(program.following) if self._moves(i, op)]
         lines += [f"memory[{i}] = {self._name(op)};" for i, op in kept]
         lines += [f"outputs[{i}] = {self._name(op)};" for i, op in enumerate(program.outputs.values())]
-        words = bool(program.states) and all(state.word for state in program.states)
-        memory = "uint64_t" if words else REAL
-        names = ["memory", "outputs"] if words else ["inputs", "memory", "outputs"]
+        memory = "uint64_t" if self.words else REAL
+        names = ["memory", "outputs"] if self.words else [CONSTANTS, "inputs", "memory", "outputs"]
         unused = [name for name in names if not any(f"{name}[" in line for line in lines)]
         lines += [f"(void){name};" for name in unused]
-        given = "" if words else f"const {REAL} *inputs, "
+        given = "" if self.words else f"const {REAL} *{CONSTANTS}, const {REAL} *inputs, "
         head = f"static void {self.name}({given}{memory} *memory, {REAL} *outputs)\n{{"
-        return "".join(self.arrays) + "\n  ".join([head, *lines]) + "\n}\n"
+        return "\n  ".join([head, *lines]) + "\n}\n"
 
     def _moves(self, state: int, op: int) -> bool:
         """Return whether a step changes the state."""
@@ -112,7 +113,7 @@ class _Printer:
             return self._copied(index, op, REAL)
         kind, expression = self._expression(op)
         self.types[index] = kind
-        if op.name == "const":
+        if op.name == "const" and CONSTANTS not in expression:
             self.names[index] = expression
             return []
         return [f"const {kind} v{index} = {expression};"]
@@ -124,7 +125,7 @@ class _Printer:
             sign, kind = _INFIX[name]
             return kind or self.types[rest[0]], f"{self._name(rest[0])} {sign} {self._name(rest[1])}"
         if name == "const":
-            return REAL, literal(self.program.constants[rest[0]], self.program.precision)
+            return REAL, self._constant(self.program.constants[rest[0]])
         if name == "state":
             word = self.program.states[rest[0]].word
             return "uint64_t" if word else REAL, f"memory[{rest[0]}]"
@@ -135,9 +136,9 @@ class _Printer:
         if name == "not":
             return "bool", f"!{self._name(rest[0])}"
         if name == "lookup":
-            return REAL, f"{self._table(rest[0])}[(size_t){self._name(rest[1])}]"
+            return REAL, f"{self._stored(self.program.tables[rest[0]])}[(size_t){self._name(rest[1])}]"
         if name == "pick":
-            return REAL, f"{self._table(rest[0])}[{self._name(rest[1])} & {EIGHT - 1}u]"
+            return REAL, f"{self._stored(self.program.tables[rest[0]])}[{self._name(rest[1])} & {EIGHT - 1}u]"
         if name == "entry":
             return REAL, f"{self._name(rest[0])}[{rest[1]}]"
         if name == "narrow":
@@ -172,27 +173,37 @@ class _Printer:
         source = f"x{index}" if known else f"v{read}"
         return [*known, f"{kind} v{index};", f"memcpy(&v{index}, &{source}, sizeof v{index});"]
 
-    def _table(self, table: int) -> str:
-        values = self.program.tables[table]
-        return self._declare(f"{self.name}_table{table}", [literal(v, self.program.precision) for v in values])
+    def _constant(self, value: float) -> str:
+        """Return a number from the array; 0, 1 and the numbers of a generator are written as literals."""
+        if value in (0.0, 1.0) or self.words:
+            return literal(value, self.program.precision)
+        negative = self._key([-value]) in self.begins  # the negation is exact, and often costs nothing
+        return f"-{CONSTANTS}[{self._place([-value])}]" if negative else f"{CONSTANTS}[{self._place([value])}]"
 
-    def _declare(self, name: str, values: Sequence[str]) -> str:
-        """Define an array of numbers if it is not defined yet, and return its name."""
-        if name not in self.declared:
-            self.declared.add(name)
-            self.arrays.append(array(REAL, name, values))
-        return name
+    def _key(self, values: Sequence[float]) -> bytes:
+        return np.array(values, dtype=self.program.precision).tobytes()
+
+    def _stored(self, values: Sequence[float]) -> str:
+        """Return a pointer to numbers in the array."""
+        return f"({CONSTANTS} + {self._place(values)})"
+
+    def _place(self, values: Sequence[float]) -> int:
+        """Return the place of numbers in the array, to which they are added once."""
+        place = self.begins.setdefault(self._key(values), len(self.constants))
+        if place == len(self.constants):
+            self.constants.extend(values)
+        return place
 
     def _product(self, index: int, op: Op) -> list[str]:
         """Return the lines of a matrix product in the order of ``ops.Tile``: tile by tile, column by column, from 0."""
         matrix, parts = self.program.matrices[op.arguments[0]], tiles(self.program.matrices[op.arguments[0]])
         held = [
-            literal(matrix[row][j], self.program.precision)
+            matrix[row][j]
             for tile in parts
             for j in range(tile.begin, tile.end)
             for row in range(tile.first, tile.first + tile.rows)
         ]
-        name = self._declare(f"{self.name}_matrix{op.arguments[0]}", held)
+        name = self._stored(held)
         values = ", ".join(f"{self._name(value)}" for value in op.reads)
         lines = [f"const {REAL} x{index}[] = {{{values}}};", f"{REAL} v{index}[{len(matrix)}] = {{0}};"]
         before = 0

@@ -243,7 +243,8 @@ def read_key(path: str | Path | None = None, hosts: Iterable[str] = ()) -> bytes
         key = bytes.fromhex(text.strip())
     except ValueError:
         raise ProblemError(
-            f"{source} contains characters other than hexadecimal digits; expected {2 * LEAST_KEY} to {2 * MOST_KEY} digits"
+            f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
+            f"{2 * MOST_KEY} digits"
         ) from None
     if not LEAST_KEY <= len(key) <= MOST_KEY:
         raise ProblemError(

@@ -182,6 +182,9 @@ int main(void) {
   const tac_key none = {NULL, 0U};
   tac_node *node = LOOP_START(&memory, 0U, 0U, none);
   uint64_t answered = UINT64_MAX;
+  if (node == NULL) {
+    return 1; /* the data of the node are damaged */
+  }
   start_uart();
   put(&answer, answered, 8U);
   put(&answer, 0U, 3U);

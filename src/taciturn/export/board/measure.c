@@ -26,8 +26,6 @@ bool __wrap_tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 bool __wrap_tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
 size_t __wrap_tac_send(tac_node *node, uint8_t *datagram);
 
-typedef void (*part)(const tac_real *inputs, tac_real *memory, tac_real *outputs);
-
 typedef struct {
   uint64_t total;
   uint32_t longest;
@@ -51,17 +49,17 @@ static volatile uint32_t begun[2], ended[2];
 static uint32_t around;      /* instructions between the readings for an empty function */
 static uint32_t around_part; /* instructions that the timing of one function adds to tac_step */
 
-static void time_first(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
-  const part run = current->first;
+static void time_first(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+  tac_part *const run = current->first;
   begun[0] = board_now();
-  run(inputs, memory, outputs);
+  run(constants, inputs, memory, outputs);
   ended[0] = board_now();
 }
 
-static void time_second(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
-  const part run = current->second;
+static void time_second(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+  tac_part *const run = current->second;
   begun[1] = board_now();
-  run(inputs, memory, outputs);
+  run(constants, inputs, memory, outputs);
   ended[1] = board_now();
 }
 
@@ -152,15 +150,17 @@ size_t __wrap_tac_send(tac_node *node, uint8_t *datagram) {
   return size;
 }
 
-static void do_nothing(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+static void do_nothing(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+  (void)constants;
   (void)inputs;
   (void)memory;
   (void)outputs;
 }
 
 /* Execute one instruction, followed by TURNS * PER_TURN instructions. */
-static void turn_round(const tac_real *inputs, tac_real *memory, tac_real *outputs) {
+static void turn_round(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs) {
   uint32_t turns;
+  (void)constants;
   (void)inputs;
   (void)memory;
   (void)outputs;
@@ -168,22 +168,22 @@ static void turn_round(const tac_real *inputs, tac_real *memory, tac_real *outpu
 }
 
 /* Return the number of instructions between the two readings inside time_first for a function. */
-static uint32_t count_part(part run) {
+static uint32_t count_part(tac_part *run) {
   static tac_node_data data;
-  static volatile part timed = time_first;
+  static tac_part *volatile timed = time_first;
   data.first = run;
   current = &data;
-  timed(NULL, NULL, NULL);
+  timed(NULL, NULL, NULL, NULL);
   return board_instructions(begun[0], ended[0]);
 }
 
 /* Return the number of instructions between two readings around the call of a function. */
-static uint32_t count_call(part run) {
-  static volatile part called;
+static uint32_t count_call(tac_part *run) {
+  static tac_part *volatile called;
   uint32_t before;
   called = run;
   before = board_now();
-  called(NULL, NULL, NULL);
+  called(NULL, NULL, NULL, NULL);
   return board_instructions(before, board_now());
 }
 

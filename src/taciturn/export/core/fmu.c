@@ -35,6 +35,9 @@ const char *fmu_enter(fmu_unit *unit, double time) {
   if (unit->state.phase != FMU_INSTANTIATED) {
     return "the unit is initialized already; expected a reset first";
   }
+  if (unit->state.exchange.count == 0U) {
+    return "the data of the nodes are damaged; expected the exported files";
+  }
   if (!(magnitude(time) <= DBL_MAX)) {
     return "the start time is not finite; expected a number of seconds";
   }
@@ -208,8 +211,9 @@ static uint64_t checksum(const fmu_state *state) {
 }
 
 void fmu_save(const fmu_unit *unit, fmu_saved *saved) {
-  static const tac_node nowhere = {.data = NULL}; /* all pointers are NULL */
+  tac_node nowhere; /* all pointers are NULL */
   const tac_exchange *exchange = &unit->state.exchange;
+  (void)memset(&nowhere, 0, sizeof nowhere);
   (void)memcpy(&saved->state, &unit->state, sizeof saved->state);
   for (size_t i = 0U; i < exchange->count; i++) {
     point_as(node_in(&saved->state, &unit->state, exchange->nodes[i]), &nowhere);

@@ -66,6 +66,11 @@ int main(int count, char **arguments)
   }
   for (size_t i = 0; i < selfcheck_node_count; ++i) {
     exchange.nodes[i] = selfcheck_nodes[i].start();
+    if (exchange.nodes[i] == NULL) {
+      printf("the data of the %s are damaged or of another version; expected the exported files\n",
+             selfcheck_nodes[i].name);
+      return 1;
+    }
   }
   exchange.count = selfcheck_node_count;
   for (;;) {

@@ -40,15 +40,32 @@
 /* The linker names of all functions contain the sizes, so that files compiled with different sizes do not link. */
 #define tac_encode TAC_SIZED(tac_encode)
 #define tac_decode TAC_SIZED(tac_decode)
+#define tac_check TAC_SIZED(tac_check)
 #define tac_start TAC_SIZED(tac_start)
 #define tac_watch TAC_SIZED(tac_watch)
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_step TAC_SIZED(tac_step)
+#define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
 #define tac_send TAC_SIZED(tac_send)
 #define tac_input TAC_SIZED(tac_input)
+#define tac_behind TAC_SIZED(tac_behind)
+#define tac_silent TAC_SIZED(tac_silent)
+#define tac_expire TAC_SIZED(tac_expire)
+#define tac_save TAC_SIZED(tac_save)
+#define tac_restore TAC_SIZED(tac_restore)
 #define tac_degraded TAC_SIZED(tac_degraded)
+#define tac_clock_start TAC_SIZED(tac_clock_start)
+#define tac_clock_hear TAC_SIZED(tac_clock_hear)
+#define tac_clock_receive TAC_SIZED(tac_clock_receive)
+#define tac_clock_due TAC_SIZED(tac_clock_due)
+#define tac_clock_offset TAC_SIZED(tac_clock_offset)
+#define tac_clock_drift TAC_SIZED(tac_clock_drift)
+
+#ifndef TAC_CATCH_UP
+#define TAC_CATCH_UP 16 /* largest number of missed steps that one call of tac_step executes */
+#endif
 
 #ifdef __cplusplus
 extern "C" {
@@ -123,6 +140,7 @@ typedef struct {
 
 enum { TAC_SENDS = 2 }; /* largest number of packets that a node sends per step, which is the number of links */
 #define TAC_NO_MARKS UINT32_MAX
+#define TAC_FORMAT 1U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -139,17 +157,24 @@ typedef struct {
   uint16_t initial;
 } tac_clock_data;
 
+/* A part of the step of a node. */
+typedef void tac_part(const tac_real *constants, const tac_real *inputs, tac_real *memory, tac_real *outputs);
+
 /* The data of a node; generated. */
 typedef struct {
+  uint32_t format; /* TAC_FORMAT of the program that generated the data */
+  uint32_t crc;    /* CRC-32 of all data below and of the arrays to which they point; the code is not included */
   tac_wire wire;
   const tac_channel_data *channels;
   const tac_send_data *sends;
   const tac_clock_data *clocks;
-  void (*first)(const tac_real *inputs, tac_real *memory, tac_real *outputs);
-  void (*second)(const tac_real *inputs, tac_real *memory, tac_real *outputs); /* NULL: no second part */
-  void (*draw)(uint64_t *generator, tac_real *drawn);                          /* NULL: no random draws */
+  tac_part *first;
+  tac_part *second;                                   /* NULL: no second part */
+  void (*draw)(uint64_t *generator, tac_real *drawn); /* NULL: no random draws */
+  const tac_real *constants;  /* numbers that the parts of a step read */
   const tac_real *start;      /* start values of the memory */
   uint64_t generator[4];      /* state of the random number generator */
+  uint32_t constant_count;
   uint32_t remembers;         /* steps after which an event has no effect; UINT32_MAX: never */
   uint16_t input_count;       /* number of inputs of a step */
   uint16_t memory_count;
@@ -183,6 +208,7 @@ typedef struct {
   tac_packet behind; /* the newest late packet */
   bool has_behind;
   uint64_t newest; /* step of the newest packet that a step has read, plus one; 0: none */
+  uint64_t marked; /* newest step that the sender has finished, plus one; 0: none */
   uint32_t missing;
   uint64_t told; /* step of the packet to acknowledge */
   bool tells;
@@ -230,8 +256,14 @@ typedef struct {
   uint16_t loop;
   tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
   uint8_t pending;               /* bit i: the packet of send i is not sent yet */
+  uint64_t dated; /* step number in the newest received data or mark, plus one, for a clock */
   bool begun;
+  bool unheard; /* whether the watchdog has expired before the first step */
 } tac_node;
+
+/* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
+ * starts a node calls it; a program may repeat it. It covers all constants of the policy but 0 and 1, and no code. */
+bool tac_check(const tac_node_data *data);
 
 /* Initialize a node before its first step. `epoch` must increase with each start of a device without its memory; Unix
  * time in seconds is suitable. The generated function that calls this function sets the pointers of the node. */
@@ -240,6 +272,14 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
 /* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the
  * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */
 void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
+
+/* Return whether the watchdog has expired. It then stays so until a packet is accepted. */
+bool tac_silent(const tac_node *node);
+
+/* Let the watchdog expire before the first step: for a program whose timer shows that no packet was accepted for the
+ * time-out of the watchdog. The node is silent and degraded, and `tac_input` returns the safe input, until a packet is
+ * accepted. After the first packet or step this changes nothing, because the steps count the silence. */
+void tac_expire(tac_node *node);
 
 /* Set the marks: after `ticks` steps without a packet on a link, `tac_send` returns a mark, so that the watchdog of the
  * receiver does not expire while the policy is silent. With 0, it returns a mark after every step, also next to data,
@@ -250,10 +290,21 @@ void tac_mark_after(tac_node *node, uint32_t ticks);
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size);
 
 /* Execute the step with number `tick`, less than UINT64_MAX. A node with a sensor reads `measurement`. `drawn` replaces
- * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first.
- * Return false, without executing the step, if it is not later than the last step, or if the measurement is not finite
- * or missing. */
+ * the random draws of the node, unless it is NULL. If steps were missed, a node without a sensor executes them first,
+ * at most TAC_CATCH_UP in one call, so that a call takes at most the time of TAC_CATCH_UP + 1 steps. Return false,
+ * without executing the step, if it is not later than the last step, if more missed steps are left (call again, with
+ * this step or with a later one), or if the measurement is not finite or missing. */
 bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const tac_real *drawn);
+
+/* Return the number of missed steps that `tac_step` executes before step `tick`, in one call or several. Of more than
+ * 10000 missed steps, the earlier ones are skipped, as on a host. */
+uint64_t tac_behind(const tac_node *node, uint64_t tick);
+
+/* Return whether a node in virtual time may begin its next step: whether every node that sends to it has finished the
+ * steps that this step needs. Before the first step of a node without a sensor, a packet must have been received, which
+ * shows that the others are running; one with a sensor also needs the measurement of the step, which the program has.
+ * In virtual time, call `tac_mark_after(node, 0)`. */
+bool tac_ready(const tac_node *node);
 
 /* Return the step number in the newest received packet plus one, or 0 if no packet was received. A node that starts
  * while the loop runs begins with step `tac_heard(node) - 1`, so that all nodes use the same step numbers. */
@@ -262,6 +313,55 @@ uint64_t tac_heard(const tac_node *node);
 /* Write the next datagram to send, of at most TAC_DATAGRAM bytes, and return its size, or 0 if there is none. After
  * missed steps, only the newest packet of each link is sent. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
+
+/* Write the state of a node as bytes, which do not depend on the processor, and return their number; 0: `size` is too
+ * small. As many bytes as the type of the node has suffice. The state includes neither the key nor what `tac_watch` and
+ * `tac_mark_after` set. */
+size_t tac_save(tac_node *node, uint8_t *bytes, size_t size);
+
+/* Continue a started node from saved bytes: it does what the saved node would have done, bit for bit. Return false,
+ * without changing the node, if the bytes are damaged, or belong to another policy, node, loop or format. */
+bool tac_restore(tac_node *node, const uint8_t *bytes, size_t size);
+
+/* An estimate of the beginning of steps by the readings of a timer, from the packets of the node that sets the time. It
+ * needs no synchronised clocks: the timer may run up to 0.1 % faster or slower. A packet may be late but not early, so
+ * the earliest packets determine the estimate. */
+typedef struct {
+  uint64_t zero;     /* reading at which step 0 began, modulo 2^64 */
+  uint64_t first;    /* its first estimate */
+  uint64_t last;     /* newest step of a packet */
+  uint64_t jump;     /* reading at which step 0 began, if the time has jumped */
+  uint64_t ticks[2]; /* steps from which the drift is measured, and the estimates then */
+  uint64_t zeros[2];
+  uint32_t period; /* counts of the timer in a step */
+  uint32_t agreed; /* consecutive packets that agree on a jump */
+  uint32_t jumps;  /* jumps so far */
+  bool known;      /* whether a packet has arrived */
+} tac_clock;
+
+/* Initialize a clock. `period` is the length of a step in counts of the timer, from 1; use a timer with 1000 or more
+ * counts in a step. */
+void tac_clock_start(tac_clock *clock, uint32_t period);
+
+/* Process a datagram as `tac_receive` does, and update the clock if it contains new data or a new mark. `now` is the
+ * reading of the timer at its arrival; readings have 64 bits and do not go back. */
+bool tac_clock_receive(tac_clock *clock, tac_node *node, const uint8_t *datagram, size_t size, uint64_t now);
+
+/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than
+ * 16 steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
+ * cannot have begun. */
+bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now);
+
+/* Return the number of the newest step that has begun at the reading `now`, plus one; 0: none, or unknown. For a node
+ * that waits for the packets of a step, subtract the waiting time, for example half a step, from the reading. */
+uint64_t tac_clock_due(const tac_clock *clock, uint64_t now);
+
+/* Return by how many counts the timer has advanced more than the steps have, since the first packet. */
+int64_t tac_clock_offset(const tac_clock *clock);
+
+/* Return by how many parts per million the timer is faster than the steps, over the last 8192 to 16384 steps. The error
+ * is about the jitter of the packets, divided by that time. */
+int32_t tac_clock_drift(const tac_clock *clock);
 
 /* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);

@@ -2,7 +2,7 @@
  * alignment nor byte order matters. */
 #include <string.h>
 
-#include "taciturn.h"
+#include "taciturn_parts.h"
 
 enum { HEADER_SIZE = 32, CRC_SIZE = 4, TAG_SIZE = 16, BLOCK_SIZE = 64, LEAST_KEY = 16, MOST_KEY = 32 };
 enum { VERSION = 1, AUTHENTICATED = 0x80, KINDS = 5, LINKS = 3 };
@@ -26,13 +26,13 @@ static bool is_finite(tac_real value) {
   return value >= -LARGEST_REAL && value <= LARGEST_REAL;
 }
 
-static void put(uint8_t *to, uint64_t value, unsigned bytes) {
+void tac_put(uint8_t *to, uint64_t value, unsigned bytes) {
   for (unsigned i = 0U; i < bytes; i++) {
     to[i] = (uint8_t)((value >> (8U * (bytes - 1U - i))) & 0xFFU);
   }
 }
 
-static uint64_t get(const uint8_t *from, unsigned bytes) {
+uint64_t tac_get(const uint8_t *from, unsigned bytes) {
   uint64_t value = 0U;
   for (unsigned i = 0U; i < bytes; i++) {
     value = (value << 8U) | from[i];
@@ -40,13 +40,19 @@ static uint64_t get(const uint8_t *from, unsigned bytes) {
   return value;
 }
 
+tac_word tac_bits(tac_real value) {
+  tac_word bits;
+  (void)memcpy(&bits, &value, sizeof bits);
+  return bits;
+}
+
 /* CRC-32 with the polynomial 0x04C11DB7, least significant bit first, four bits at a time. */
-static uint32_t checksum(const uint8_t *content, size_t size) {
+uint32_t tac_checksum(uint32_t before, const uint8_t *content, size_t size) {
   static const uint32_t table[16] = {
       0x00000000U, 0x1DB71064U, 0x3B6E20C8U, 0x26D930ACU, 0x76DC4190U, 0x6B6B51F4U, 0x4DB26158U, 0x5005713CU,
       0xEDB88320U, 0xF00F9344U, 0xD6D6A3E8U, 0xCB61B38CU, 0x9B64C2B0U, 0x86D3D2D4U, 0xA00AE278U, 0xBDBDF21CU,
   };
-  uint32_t remainder = 0xFFFFFFFFU;
+  uint32_t remainder = before ^ 0xFFFFFFFFU;
   for (size_t i = 0U; i < size; i++) {
     remainder ^= content[i];
     remainder = (remainder >> 4U) ^ table[remainder & 15U];
@@ -170,7 +176,7 @@ static bool put_single(uint8_t *to, tac_real value) {
   float narrow = (float)value;
   uint32_t bits;
   (void)memcpy(&bits, &narrow, sizeof bits);
-  put(to, bits, 4U);
+  tac_put(to, bits, 4U);
   return narrow >= -FLT_MAX && narrow <= FLT_MAX;
 }
 
@@ -178,7 +184,7 @@ static void put_double(uint8_t *to, tac_real value) {
   double wide = (double)value;
   uint64_t bits;
   (void)memcpy(&bits, &wide, sizeof bits);
-  put(to, bits, 8U);
+  tac_put(to, bits, 8U);
 }
 
 /* Write a number as the nearest integer multiple of the step size. */
@@ -192,7 +198,7 @@ static void put_steps(uint8_t *to, tac_real value, tac_real per_unit) {
   }
   steps += ROUNDER;
   steps -= ROUNDER;
-  put(to, (uint16_t)(int32_t)steps, 2U);
+  tac_put(to, (uint16_t)(int32_t)steps, 2U);
 }
 
 /* Write an entry of a payload. Return false if the number cannot be represented. */
@@ -214,16 +220,16 @@ static bool put_entry(uint8_t *to, const tac_shape *shape, unsigned entry, tac_r
 /* Return an entry of a payload, which may be infinite or NaN. */
 static tac_real get_entry(const uint8_t *from, const tac_shape *shape, unsigned entry) {
   if (shape->encoding == (uint8_t)TAC_ENCODED_INT16) {
-    int32_t steps = (int32_t)get(from, 2U);
+    int32_t steps = (int32_t)tac_get(from, 2U);
     return (tac_real)((steps < 32768) ? steps : (steps - 65536)) * shape->per_step[entry];
   }
   if (shape->encoding == (uint8_t)TAC_ENCODED_FLOAT32) {
-    uint32_t bits = (uint32_t)get(from, 4U);
+    uint32_t bits = (uint32_t)tac_get(from, 4U);
     float narrow;
     (void)memcpy(&narrow, &bits, sizeof narrow);
     return (tac_real)narrow;
   } else {
-    uint64_t bits = get(from, 8U);
+    uint64_t bits = tac_get(from, 8U);
     double wide;
     (void)memcpy(&wide, &bits, sizeof wide);
     return (tac_real)wide;
@@ -231,17 +237,17 @@ static tac_real get_entry(const uint8_t *from, const tac_shape *shape, unsigned 
 }
 
 static void put_header(const tac_wire *wire, uint8_t coded, const tac_packet *packet, uint8_t *datagram) {
-  put(&datagram[AT_SEQUENCE], packet->sequence, 4U);
+  tac_put(&datagram[AT_SEQUENCE], packet->sequence, 4U);
   datagram[AT_VERSION] = (uint8_t)VERSION;
   datagram[AT_KIND] = packet->kind;
   datagram[AT_LINK] = packet->link;
   datagram[AT_ENCODING] = coded;
-  put(&datagram[AT_LOOP], packet->loop, 2U);
+  tac_put(&datagram[AT_LOOP], packet->loop, 2U);
   datagram[AT_ENTRIES] = packet->entries;
   datagram[AT_ZERO] = 0U;
-  put(&datagram[AT_EPOCH], packet->epoch, 4U);
-  put(&datagram[AT_TICK], packet->tick, 8U);
-  put(&datagram[AT_FINGERPRINT], wire->fingerprint, 8U);
+  tac_put(&datagram[AT_EPOCH], packet->epoch, 4U);
+  tac_put(&datagram[AT_TICK], packet->tick, 8U);
+  tac_put(&datagram[AT_FINGERPRINT], wire->fingerprint, 8U);
 }
 
 size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, uint8_t *datagram) {
@@ -258,7 +264,7 @@ size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, u
     }
     size += width(shape->encoding);
   }
-  put(&datagram[size], checksum(datagram, size), (unsigned)CRC_SIZE);
+  tac_put(&datagram[size], tac_checksum(0U, datagram, size), (unsigned)CRC_SIZE);
   size += (size_t)CRC_SIZE;
   if (key.bytes != NULL) {
     write_tag(key, datagram, size, &datagram[size]);
@@ -273,10 +279,10 @@ static tac_verdict check(const tac_wire *wire, tac_key key, const uint8_t *datag
   if (datagram[AT_VERSION] != (uint8_t)VERSION || authenticated != (key.bytes != NULL)) {
     return TAC_FOREIGN;
   }
-  if (checksum(datagram, end) != (uint32_t)get(&datagram[end], (unsigned)CRC_SIZE)) {
+  if (tac_checksum(0U, datagram, end) != (uint32_t)tac_get(&datagram[end], (unsigned)CRC_SIZE)) {
     return TAC_CORRUPTED;
   }
-  if (get(&datagram[AT_FINGERPRINT], 8U) != wire->fingerprint) {
+  if (tac_get(&datagram[AT_FINGERPRINT], 8U) != wire->fingerprint) {
     return TAC_FOREIGN;
   }
   if (authenticated && !has_tag(key, datagram, end + (size_t)CRC_SIZE)) {
@@ -316,12 +322,12 @@ tac_verdict tac_decode(const tac_wire *wire, tac_key key, const uint8_t *datagra
       end - (size_t)HEADER_SIZE != (size_t)shape->entries * width(shape->encoding)) {
     return TAC_MALFORMED;
   }
-  packet->sequence = (uint32_t)get(&datagram[AT_SEQUENCE], 4U);
+  packet->sequence = (uint32_t)tac_get(&datagram[AT_SEQUENCE], 4U);
   packet->kind = datagram[AT_KIND];
   packet->link = datagram[AT_LINK];
-  packet->loop = (uint16_t)get(&datagram[AT_LOOP], 2U);
+  packet->loop = (uint16_t)tac_get(&datagram[AT_LOOP], 2U);
   packet->entries = datagram[AT_ENTRIES];
-  packet->epoch = (uint32_t)get(&datagram[AT_EPOCH], 4U);
-  packet->tick = get(&datagram[AT_TICK], 8U);
+  packet->epoch = (uint32_t)tac_get(&datagram[AT_EPOCH], 4U);
+  packet->tick = tac_get(&datagram[AT_TICK], 8U);
   return read_values(shape, &datagram[HEADER_SIZE], packet) ? TAC_OK : TAC_MALFORMED;
 }

@@ -1,0 +1,248 @@
+/* taciturn: the handling of received packets: each packet is checked, counted, and stored until its step reads it. */
+#include <string.h>
+
+#include "taciturn_parts.h"
+
+#if TAC_WAITING < 4 || (TAC_WAITING & (TAC_WAITING - 1)) != 0
+#error "TAC_WAITING is no power of two from 4 on"
+#endif
+
+enum { WIDTH = 64 }; /* width of the window of sequence numbers */
+
+typedef enum { NEW, DUPLICATE, REPLAYED } news;
+
+/* Record a packet of a sender, and return whether it is new. */
+static news admit(tac_window *window, uint32_t epoch, uint32_t sequence) {
+  if (window->begun && epoch < window->epoch) {
+    return REPLAYED;
+  }
+  if (!window->begun || epoch > window->epoch) {
+    window->begun = true;
+    window->epoch = epoch;
+    window->newest = sequence;
+    window->seen = 1U;
+    window->distinct = 1U;
+    return NEW;
+  }
+  if (sequence > window->newest) {
+    uint32_t ahead = sequence - window->newest;
+    window->seen = (ahead >= (uint32_t)WIDTH) ? 1U : ((window->seen << ahead) | 1U);
+    window->newest = sequence;
+  } else {
+    uint32_t behind = window->newest - sequence;
+    if (behind >= (uint32_t)WIDTH) {
+      return REPLAYED;
+    }
+    if (((window->seen >> behind) & 1U) != 0U) {
+      return DUPLICATE;
+    }
+    window->seen |= (uint64_t)1U << behind;
+  }
+  window->distinct++;
+  return NEW;
+}
+
+/* Return the number of packets of this epoch, up to the newest, that have not arrived. */
+static uint32_t count_missing(const tac_window *window) {
+  return window->begun ? ((window->newest - window->distinct) + 1U) : 0U;
+}
+
+/* Count a late packet. If the theory assumes that every packet arrives, the next step uses the newest late packet,
+ * unless a step has read a newer one. */
+static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet) {
+  node->counters.late++;
+  if (packet->kind == (uint8_t)TAC_ACKNOWLEDGEMENT) {
+    tac_degrade(node, tac_count_ticks(node));
+  } else if (node->data->lossless) {
+    tac_degrade(node, tac_count_ticks(node));
+    if (channel->has_behind ? packet->tick > channel->behind.tick : packet->tick >= channel->newest) {
+      channel->behind = *packet;
+      channel->has_behind = true;
+    }
+  }
+}
+
+/* Return whether the step that reads the packet of step `tick` is past. */
+static bool is_late(const tac_node *node, uint64_t tick, uint8_t lag) {
+  return node->begun && tick <= node->tick && node->tick - tick >= lag;
+}
+
+static bool is_newer(const tac_packet *packet, const tac_packet *known) {
+  return packet->epoch > known->epoch || (packet->epoch == known->epoch && packet->sequence > known->sequence);
+}
+
+/* Store a packet until its step. Another packet at the same place of the buffer belongs to a missed step, or arrived
+ * before the first step and is too far ahead. */
+static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) {
+  tac_channel *channel = &node->channels[i];
+  unsigned place = (unsigned)(packet->tick % (uint64_t)TAC_WAITING);
+  const tac_packet *known = &channel->waiting[place];
+  bool kept = true;
+  if (channel->waits[place]) {
+    if (known->tick == packet->tick) {
+      node->counters.superseded++;
+      kept = is_newer(packet, known);
+    } else if (!node->begun) {
+      kept = packet->tick > known->tick;
+      miss(node, channel, kept ? known : packet);
+    } else if (is_late(node, known->tick, node->data->channels[i].lag)) {
+      miss(node, channel, known);
+    } else {
+      node->counters.ahead++;
+    }
+  }
+  if (kept) {
+    channel->waiting[place] = *packet;
+    channel->waits[place] = true;
+  }
+}
+
+/* Return the channel of a packet, or for a mark a channel of its sender, or the number of channels if there is none. */
+static unsigned find_channel(const tac_node_data *data, const tac_packet *packet) {
+  unsigned i = 0U;
+  while (i < data->channel_count &&
+         (data->channels[i].link != packet->link ||
+          (data->channels[i].kind != packet->kind && packet->kind != (uint8_t)TAC_MARK))) {
+    i++;
+  }
+  return i;
+}
+
+/* Return whether the step of a packet is too far ahead to be stored. */
+static bool is_ahead(const tac_node *node, uint64_t tick, unsigned ahead) {
+  return node->begun && tick > node->tick && tick - node->tick > ahead;
+}
+
+/* Store a new packet. */
+static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
+  bool mark = packet->kind == (uint8_t)TAC_MARK;
+  uint8_t lag = mark ? 0U : node->data->channels[i].lag;
+  if (is_ahead(node, packet->tick, (unsigned)TAC_WAITING - lag)) {
+    node->counters.ahead++;
+    return false;
+  }
+  if (mark) {
+    node->counters.marks++;
+    if (packet->tick < UINT64_MAX && packet->tick >= node->channels[i].marked) {
+      node->channels[i].marked = packet->tick + 1U;
+    }
+  } else if (is_late(node, packet->tick, lag)) {
+    miss(node, &node->channels[i], packet);
+  } else {
+    wait_for_tick(node, i, packet);
+  }
+  return true;
+}
+
+/* Store and count a packet, and return whether it is new and not far too early. */
+static bool take(tac_node *node, const tac_packet *packet) {
+  unsigned i = find_channel(node->data, packet);
+  tac_channel *channel;
+  news found;
+  node->counters.received++;
+  if (packet->loop != node->loop || i == node->data->channel_count) {
+    node->counters.misdirected++;
+    return false;
+  }
+  channel = &node->channels[i];
+  found = admit((packet->kind == (uint8_t)TAC_MARK) ? &channel->marks : &channel->window, packet->epoch,
+                packet->sequence);
+  if (found == REPLAYED) {
+    node->counters.replayed++;
+  } else if (found == DUPLICATE) {
+    node->counters.duplicate++;
+  } else {
+    if (packet->tick >= node->newest && packet->tick < UINT64_MAX) {
+      node->newest = packet->tick + 1U;
+    }
+    if (node->data->channels[i].kind == (uint8_t)TAC_DATA && packet->tick < UINT64_MAX) {
+      node->dated = packet->tick + 1U;
+    }
+    return sort_in(node, i, packet);
+  }
+  return false;
+}
+
+bool tac_ready(const tac_node *node) {
+  uint64_t tick = tac_count_ticks(node);
+  bool ready = node->begun || node->data->measurement_count > 0U || node->counters.received > 0U;
+  for (unsigned i = 0U; ready && i < node->data->channel_count; i++) {
+    ready = node->channels[i].marked + node->data->channels[i].lag > tick;
+  }
+  return ready;
+}
+
+static void count_refusal(tac_counters *counters, tac_verdict verdict) {
+  if (verdict == TAC_MALFORMED) {
+    counters->malformed++;
+  } else if (verdict == TAC_CORRUPTED) {
+    counters->corrupted++;
+  } else if (verdict == TAC_FOREIGN) {
+    counters->foreign++;
+  } else {
+    counters->forged++;
+  }
+}
+
+bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
+  tac_packet packet;
+  tac_verdict verdict = tac_decode(&node->data->wire, node->key, datagram, size, &packet);
+  if (verdict != TAC_OK) {
+    count_refusal(&node->counters, verdict);
+    return false;
+  }
+  if (!take(node, &packet)) {
+    return false;
+  }
+  node->heard = tac_count_ticks(node) + 1U;
+  node->unheard = false;
+  return true;
+}
+
+/* Copy a packet to the inputs of a step; NULL if no packet arrived. */
+static void put_inputs(const tac_channel_data *data, const tac_packet *packet, tac_real *inputs) {
+  inputs[data->at] = (tac_real)((packet == NULL) ? 0 : 1);
+  for (unsigned i = 0U; i < data->entries; i++) {
+    inputs[data->at + 1U + i] = (packet == NULL) ? (tac_real)0 : packet->values[i];
+  }
+}
+
+void tac_collect(tac_node *node, unsigned i, uint64_t tick) {
+  const tac_channel_data *data = &node->data->channels[i];
+  tac_channel *channel = &node->channels[i];
+  const tac_packet *packet = NULL;
+  uint32_t missing = count_missing(&channel->window);
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    tac_packet *known = &channel->waiting[place];
+    if (!channel->waits[place] || tick < data->lag || known->tick > tick - data->lag) {
+      continue;
+    }
+    channel->waits[place] = false;
+    if (known->tick == tick - data->lag) {
+      packet = known;
+    } else {
+      miss(node, channel, known);
+    }
+  }
+  if (packet != NULL) {
+    node->counters.used++;
+    if (data->acknowledged && data->kind == (uint8_t)TAC_DATA) {
+      channel->told = packet->tick;
+      channel->tells = true;
+      node->marks[data->link].sent = tac_count_ticks(node);
+    }
+  } else if (channel->has_behind) {
+    packet = &channel->behind;
+  } else {
+    /* no packet arrived */
+  }
+  channel->has_behind = false;
+  if (packet != NULL && packet->tick >= channel->newest) {
+    channel->newest = packet->tick + 1U;
+  }
+  if (node->data->lossless && missing > channel->missing) {
+    tac_degrade(node, tac_count_ticks(node));
+  }
+  channel->missing = missing;
+  put_inputs(data, packet, node->inputs);
+}

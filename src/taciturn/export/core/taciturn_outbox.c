@@ -1,0 +1,98 @@
+/* taciturn: the packets that a node sends: data, acknowledgements and marks, with their sequence numbers. */
+#include "taciturn_parts.h"
+
+/* Begin a new epoch, in which all sequence numbers start at 0. */
+static void begin_epoch(tac_node *node) {
+  node->epoch++;
+  for (unsigned i = 0U; i < node->data->send_count; i++) {
+    node->sequences[i] = 0U;
+  }
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    node->channels[i].told_sequence = 0U;
+  }
+  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+    node->marks[link].sequence = 0U;
+  }
+}
+
+/* Number and encode a packet, and return its size, or 0 if a value is not finite. */
+static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, uint8_t *datagram) {
+  size_t size;
+  packet->epoch = node->epoch;
+  packet->loop = node->loop;
+  packet->sequence = *sequence;
+  if (*sequence == UINT32_MAX) {
+    begin_epoch(node);
+  } else {
+    (*sequence)++;
+  }
+  size = tac_encode(&node->data->wire, node->key, packet, datagram);
+  if (size == 0U) {
+    node->counters.unsent++;
+  }
+  return size;
+}
+
+static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
+  tac_channel *channel = &node->channels[i];
+  tac_packet packet;
+  packet.kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
+  packet.link = node->data->channels[i].link;
+  packet.entries = 0U;
+  packet.tick = channel->told;
+  channel->tells = false;
+  return hand_out(node, &packet, &channel->told_sequence, datagram);
+}
+
+/* Return whether a node sends data or acknowledgements on a link. */
+static bool talks_on(const tac_node_data *data, uint8_t link) {
+  bool found = false;
+  for (unsigned i = 0U; i < data->send_count; i++) {
+    found = found || data->sends[i].link == link;
+  }
+  for (unsigned i = 0U; i < data->channel_count; i++) {
+    found = found || (data->channels[i].acknowledged && data->channels[i].link == link);
+  }
+  return found;
+}
+
+/* Encode a mark if it is due on a link after the last step, and return its size, or 0. */
+static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
+  tac_marks *marks = &node->marks[link];
+  uint64_t ticks = tac_count_ticks(node);
+  tac_packet packet;
+  if (node->mark_after == TAC_NO_MARKS || !node->begun || marks->marked == ticks || !talks_on(node->data, link) ||
+      (marks->sent > 0U && ticks - marks->sent < node->mark_after)) {
+    return 0U;
+  }
+  marks->marked = ticks;
+  marks->sent = ticks;
+  packet.kind = (uint8_t)TAC_MARK;
+  packet.link = link;
+  packet.entries = 0U;
+  packet.tick = node->tick;
+  return hand_out(node, &packet, &marks->sequence, datagram);
+}
+
+size_t tac_send(tac_node *node, uint8_t *datagram) {
+  size_t size = 0U;
+  for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
+    if (node->channels[i].tells) {
+      size = acknowledge(node, i, datagram);
+    }
+  }
+  for (unsigned i = 0U; size == 0U && i < node->data->send_count; i++) {
+    if ((node->pending & (1U << i)) != 0U) {
+      node->pending = (uint8_t)(node->pending & ~(1U << i));
+      size = hand_out(node, &node->sending[i], &node->sequences[i], datagram);
+    }
+  }
+  for (unsigned link = 0U; size == 0U && link < (unsigned)TAC_SENDS; link++) {
+    size = mark(node, (uint8_t)link, datagram);
+  }
+  return size;
+}
+
+void tac_mark_after(tac_node *node, uint32_t ticks) {
+  node->mark_after = ticks;
+}

@@ -1,0 +1,50 @@
+/* taciturn: functions that the files of the core share. Not for programs. */
+#ifndef TACITURN_PARTS_H
+#define TACITURN_PARTS_H
+
+#include "taciturn.h"
+
+#define tac_count_ticks TAC_SIZED(tac_count_ticks)
+#define tac_degrade TAC_SIZED(tac_degrade)
+#define tac_put TAC_SIZED(tac_put)
+#define tac_get TAC_SIZED(tac_get)
+#define tac_checksum TAC_SIZED(tac_checksum)
+#define tac_bits TAC_SIZED(tac_bits)
+#define tac_collect TAC_SIZED(tac_collect)
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if TAC_FLOAT32
+typedef uint32_t tac_word; /* the bits of a number */
+#else
+typedef uint64_t tac_word;
+#endif
+
+/* Write the last `bytes` bytes of a value, big-endian. */
+void tac_put(uint8_t *to, uint64_t value, unsigned bytes);
+
+/* Read a value of `bytes` bytes, big-endian. */
+uint64_t tac_get(const uint8_t *from, unsigned bytes);
+
+/* Return the CRC-32 of a content that continues a content with the CRC `before`; 0: there is none before. */
+uint32_t tac_checksum(uint32_t before, const uint8_t *content, size_t size);
+
+/* Return the bits of a number. */
+tac_word tac_bits(tac_real value);
+
+/* Return the number of steps that have begun. */
+uint64_t tac_count_ticks(const tac_node *node);
+
+/* Record an event that violates an assumption of the theory, after `ticks` steps have begun. */
+void tac_degrade(tac_node *node, uint64_t ticks);
+
+/* Copy the packet of channel `i` that a step reads to the inputs, and acknowledge the packet if it arrived in time. */
+void tac_collect(tac_node *node, unsigned i, uint64_t tick);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
