@@ -49,8 +49,8 @@ def receiver_of(policy: Policy, link: LinkName) -> NodeName:
 def link_of(policy: Policy, role: NodeName) -> LinkName | None:
     """Return the link on which a process sends data, or else the one on which it may acknowledge data."""
     site = place_of(policy, role)
-    sends = [step.link for step in policy.steps if isinstance(step, Send) and step.at in site]
-    return next(iter([*sends, *links_to(policy, role)]), None)
+    sends: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send) and step.at in site]
+    return next(iter(sends + list(links_to(policy, role))), None)
 
 
 def peer_of(policy: Policy, role: NodeName) -> NodeName | None:
