@@ -303,7 +303,7 @@ def completed_square(constant: float, H: ArrayLike | Scheduled) -> Identity:
 
 
 def measure_excess(certainty: CertaintyEquivalentDesign) -> tuple[Step, Identity]:
-    """Return the cost identity J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of a controller with gains other than L.
+    """Return a step and an identity for the cost J = J_all + E[(u − Lx̂)'H(u − Lx̂)] of gains other than L.
 
     The policy step that computes u − Lx̂ is returned too.
     """

@@ -20,7 +20,7 @@ LONGEST = 1_000_000  # steps for which several locations are followed jointly; l
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Location(Displayed):
-    """A finite discrete state (location) with next = table[location], or table[location, outcome of ``on``].
+    """A discrete state (location), whose next value is table[location], or table[location, outcome of ``on``].
 
     Args:
         name: name by which tables refer to the location.

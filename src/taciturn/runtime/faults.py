@@ -234,7 +234,7 @@ class Jump(Fault):
 
 @dataclass(frozen=True, repr=False)
 class Skew(Fault):
-    """The clock of a machine is fast or slow from a step on; nodes tolerate this without an end.
+    """A fault from which on the clock of a machine is fast or slow; the fault lasts to the end of the world.
 
     Args:
         role: name of the process on the machine.

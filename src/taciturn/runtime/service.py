@@ -1,4 +1,4 @@
-"""Functions shared by all network processes: they print their address, log their steps, and end on request."""
+"""Functions that all network processes share: printing of the address, the log of steps, and the end on request."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rounds of a twin on the live page, at the speed of the real robot; users can pause, push and tune."""
+"""Runs of a twin for the live page, in real time; users can pause a run, push the robot, and tune the policy."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ def put_together(
 
 
 def trigger_values(line: Mapping[str, Any]) -> list[float]:
-    """Return the trigger values of not sending and of sending from the controller's log line of a step."""
+    """Return the two trigger values, without and with a send, that the controller logged in a step."""
     return [value for name, value in line.items() if name.startswith("option_")]
 
 
