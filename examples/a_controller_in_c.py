@@ -26,9 +26,8 @@ with tempfile.TemporaryDirectory() as name:
     print(right.stdout, end="")
 
     source = folder / "two_mass_controller.c"
-    gain = next(word for word in source.read_text().split() if word.startswith("-0x1."))
-    changed = float.fromhex(gain.rstrip(";")) * (1 + 1e-15)
-    source.write_text(source.read_text().replace(gain, f"({changed.hex()})", 1))
+    gain = next(word.rstrip(",") for word in source.read_text().split() if word.startswith("-0."))
+    source.write_text(source.read_text().replace(gain, repr(float(gain) * (1 + 1e-15)), 1))
     wrong = compare()
     print(wrong.stdout, end="")
 

@@ -282,7 +282,7 @@ def test_a_question_that_fits_no_frame_is_refused(controller: Path) -> None:
                 node.step(tick, datagrams, measurement)
         with pytest.raises(ProblemError, match="256 measurements"):
             node.step(0, [], [1.0] * 256)
-        with pytest.raises(ProblemError, match="more than 65535 bytes"):
+        with pytest.raises(ProblemError, match="expected at most 65535 bytes"):
             node.step(0, [bytes(1 << 16)])
 
 

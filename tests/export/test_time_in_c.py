@@ -114,8 +114,8 @@ class Clock(c.Structure):
 
     _fields_ = [
         *((name, c.c_uint64) for name in ("zero", "first", "last", "jump")),
-        ("ticks", c.c_uint64 * 2), ("zeros", c.c_uint64 * 2),
-        *((name, c.c_uint32) for name in ("period", "agreed", "jumps")), ("known", c.c_bool),
+        ("ticks", c.c_uint64 * 2), ("zeros", c.c_uint64 * 2), ("least", c.c_int64),
+        *((name, c.c_uint32) for name in ("period", "agreed", "late", "jumps")), ("known", c.c_bool),
     ]  # fmt: skip
 
     def __init__(self, period: int = PERIOD) -> None:

@@ -197,7 +197,7 @@ def test_a_clipped_input_that_changes_between_looks_is_refused(kind: str) -> Non
         assert isinstance(policy, Policy)
         return policy
 
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between steps"):
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], but the input changes between steps"):
         close(clipped, designed(free))
-    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], and the input changes between steps"):
+    with pytest.raises(ProblemError, match=r"input_limit is \[2.0\], but the input changes between steps"):
         designed(clipped)

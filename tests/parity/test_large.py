@@ -199,7 +199,7 @@ def test_what_a_bank_cannot_hold_is_refused() -> None:
         (Cost([[1.0]], [[1.0]], discount=0.9), "discount 0.9"),
         (Cost([[1.0]], [[1.0]], horizon=9), "horizon 9"),
     ):
-        with pytest.raises(ProblemError, match=f"has {told}; expected an average"):
+        with pytest.raises(ProblemError, match=f"with {told}; expected an average"):
             Bank([close(plant, policy, cost=cost)])
     unstable = Plant([[2.0]], [[1.0]], [[0.01]], input_limit=[1e-3])
     lost = close(unstable, design.all_time(Plant([[2.0]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])))

@@ -341,7 +341,7 @@ def test_intervals_are_asked_in_any_shape_and_refuse_what_is_no_number_of_checks
     assert intervals.quantile(1e-300) == 1
     assert Intervals(np.array([1.0, 0.5]), 0.0).quantile(0.9) == 2  # what is left after the last is sent at once
     for wrong in (-1, [0.5], np.nan, "3", True):
-        with pytest.raises(ProblemError, match="is not an integer"):
+        with pytest.raises(ProblemError, match="is not a non-negative integer"):
             intervals.beyond(wrong)
     with pytest.raises(ProblemError, match="checks is 0"):
         intervals.probability(0)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from taciturn._display import Displayed
 from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.policy import Policy
@@ -30,8 +31,8 @@ _SIZES = ("input_count", "memory_count", "output_count", "clocks_at", "drawn_at"
 _COUNTS = ("measurement_count", "applied_count", "channel_count", "send_count", "clock_count")
 
 
-@dataclass(frozen=True)
-class NodeData:
+@dataclass(frozen=True, repr=False)
+class NodeData(Displayed):
     """The constant data of a node.
 
     Args:

@@ -17,6 +17,7 @@ from typing import Any, cast
 
 import taciturn.export
 from taciturn.errors import ProblemError
+from taciturn.export.folder import CORE
 from taciturn.export.node import print_node
 from taciturn.loop import Loop
 from taciturn.model.network import Network
@@ -25,10 +26,10 @@ from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
 from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.runtime.inbox import Handling
-from taciturn.runtime.node import Node, Stepped, Values
+from taciturn.runtime.node import Node, Safe, Stepped, Values
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
 
-CORE = Path(taciturn.export.__file__).parent / "core"
+FOLDER = Path(taciturn.export.__file__).parent / "core"
 OPTIONS = ("-std=c99", "-O1", "-shared", "-fPIC", "-ffp-contract=off")
 WAITING = 64  # steps that a packet may be early
 NO_MARKS = 0xFFFFFFFF
@@ -87,7 +88,7 @@ class DeviceCode:
             "TAC_FLOAT32": 0, "TAC_VALUES": entries, "TAC_WAITING": WAITING, "TAC_SIZED(name)": "name",
             "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
         }  # fmt: skip
-        texts = {name: (CORE / name).read_text() for name in ("taciturn.h", "taciturn_packet.c", "taciturn_node.c")}
+        texts = {name: (FOLDER / name).read_text(encoding="ascii") for name in CORE}
         for old, new in (core or {}).items():
             assert any(old in text for text in texts.values()), old
             texts = {name: text.replace(old, new) for name, text in texts.items()}
@@ -98,7 +99,7 @@ class DeviceCode:
                 (Path(folder) / name).write_text(text, encoding="ascii")
             sources = [name for name in texts if name.endswith(".c")]
             command = [compiler, *OPTIONS, "-o", "device.so", *sources]
-            done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+            done = subprocess.run(command, cwd=folder, capture_output=True, encoding="utf-8", check=False)
             if done.returncode:
                 raise ProblemError(f"the C compiler fails on the {role}: {done.stderr.strip()}; expected C99")
             self.code: Any = c.CDLL(str(Path(folder) / "device.so"))
@@ -106,6 +107,7 @@ class DeviceCode:
             getattr(self.code, name).restype = c.c_void_p
         for name in ("shim_size", "tac_send"):
             getattr(self.code, name).restype = c.c_size_t
+        self.code.tac_behind.restype = c.c_uint64
         for name in ("tac_receive", "tac_step", "tac_degraded"):
             getattr(self.code, name).restype = c.c_bool
         self.role, self.wire = role, Wire(policy, network)
@@ -117,16 +119,36 @@ class DeviceCode:
         key = _Key(None, 0)
         return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), key))
 
-    def __call__(self, policy: Policy, role: NodeName, **options: Any) -> Node:
+    def __call__(
+        self,
+        policy: Policy,
+        role: NodeName,
+        *,
+        network: Network,
+        epoch: int,
+        seed: int,
+        watchdog: int | None,
+        safe: Safe,
+    ) -> Node:
         """Return a started node; an earlier node of the same device does not run any more."""
-        return _DeviceNode(self, policy, role, options)
+        return _DeviceNode(self, policy, role, network, epoch, seed, watchdog, safe)
 
 
 class _DeviceNode(Node):
     """A node whose packets and steps are handled by C code; the Python node knows which packets have arrived."""
 
-    def __init__(self, device: DeviceCode, policy: Policy, role: NodeName, options: Mapping[str, Any]) -> None:
-        super().__init__(policy, role, **options)
+    def __init__(
+        self,
+        device: DeviceCode,
+        policy: Policy,
+        role: NodeName,
+        network: Network,
+        epoch: int,
+        seed: int,
+        watchdog: int | None,
+        safe: Safe,
+    ) -> None:
+        super().__init__(policy, role, network=network, epoch=epoch, seed=seed, watchdog=watchdog, safe=safe)
         self._device, self._code = device, device.code
         self._self = device.start(self.epoch, self.loop)
         if self.watchdog is not None:
@@ -174,7 +196,11 @@ class _DeviceNode(Node):
         given = (c.c_double * len(y))(*y) if y else None
         if self.tick < 0:
             self._heard_at = max(self._heard_at, tick - 1)
-        if self._code.tac_step(self._self, c.c_uint64(tick), given, None):
+        number = c.c_uint64(tick)
+        while not (done := self._code.tac_step(self._self, number, given, None)):
+            if not self._code.tac_behind(self._self, number):  # every missed step is executed
+                break
+        if done:
             self.tick = tick
             self._inputs = self._numbers("shim_inputs", len(self._inputs))
             self._memory = self._numbers("shim_memory", len(self._memory))

@@ -333,8 +333,10 @@ typedef struct {
   uint64_t jump;     /* reading at which step 0 began, if the time has jumped */
   uint64_t ticks[2]; /* steps from which the drift is measured, and the estimates then */
   uint64_t zeros[2];
+  int64_t least;   /* least offset of the last packets, if all of them were late */
   uint32_t period; /* counts of the timer in a step */
   uint32_t agreed; /* consecutive packets that agree on a jump */
+  uint32_t late;   /* consecutive late packets */
   uint32_t jumps;  /* jumps so far */
   bool known;      /* whether a packet has arrived */
 } tac_clock;

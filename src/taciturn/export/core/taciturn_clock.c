@@ -5,6 +5,7 @@
 
 enum { PER_DRIFT = 1000 };       /* the largest difference in speed of two clocks is 1 / PER_DRIFT */
 enum { JUMPED = 16, AGREED = 8 }; /* steps beyond which the time has jumped, and packets that must agree on a jump */
+enum { LATE = 4 };               /* a packet is late if it is more than 1 / LATE of a step late */
 enum { SPAN = 8192 };            /* least number of steps over which the drift is measured, if so many have passed */
 #define MILLION INT64_C(1000000)
 
@@ -45,6 +46,23 @@ static bool follow_jump(tac_clock *clock, uint64_t tick, uint64_t found) {
   return true;
 }
 
+/* Move the estimate if the last packets were all late, so that it was too early for each of them. */
+static void follow_late(tac_clock *clock, int64_t off) {
+  bool late = off > (int64_t)(clock->period / (uint32_t)LATE);
+  clock->late = late ? (clock->late + 1U) : 0U;
+  if (clock->late == 1U || (late && off < clock->least)) {
+    clock->least = off;
+  }
+  if (clock->late == (uint32_t)AGREED) {
+    clock->jumps += (clock->least >= (int64_t)clock->period) ? 1U : 0U;
+    clock->zero += (uint64_t)clock->least;
+    for (unsigned i = 0U; i < 2U; i++) {
+      clock->zeros[i] += (uint64_t)clock->least; /* this is no drift */
+    }
+    clock->late = 0U;
+  }
+}
+
 void tac_clock_start(tac_clock *clock, uint32_t period) {
   (void)memset(clock, 0, sizeof *clock);
   clock->period = period;
@@ -67,6 +85,7 @@ bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now) {
   } else if (tick > clock->last) {
     uint64_t most = ((tick - clock->last) * clock->period) / (uint64_t)PER_DRIFT;
     if (most == 0U) {
+      follow_late(clock, off);
       return true; /* less than a count of the timer: later packets add up */
     }
     clock->zero += ((uint64_t)off < most) ? (uint64_t)off : most;
@@ -82,6 +101,7 @@ bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now) {
     clock->ticks[1] = tick;
     clock->zeros[1] = clock->zero;
   }
+  follow_late(clock, off);
   return true;
 }
 
