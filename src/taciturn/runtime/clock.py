@@ -39,6 +39,7 @@ class Phase:
         self._behind, self._least = 0, float("inf")  # consecutive late packets, and their smallest offset
         self.jumps = 0
         self.confirmed = float("nan")  # time of the last packet that agreed with the estimate
+        self.doubted = -float("inf")  # time of the last packet that showed a jump
 
     @property
     def known(self) -> bool:
@@ -56,6 +57,7 @@ class Phase:
             agrees = abs(found - self._jump) < JUMPED * self.tick
             self._jump, self._agreed = found, self._agreed + 1 if agrees else 1
             if self._agreed < AGREED:
+                self.doubted = now
                 return off > 0
             self.zero, self._last, self._agreed, self.confirmed = found, tick, 0, now
             self.jumps += 1

@@ -254,13 +254,14 @@ class NodeServer:
             return
         if now - self._turned > JUMPED * self._tick:
             self._unsure = now
-        if self.phase.confirmed >= self._unsure or now >= self._unsure + self._patience():
+        if self.phase.confirmed >= self._unsure or now >= self._sure_at():
             self._unsure = float("nan")
         self._turned = now
 
-    def _patience(self) -> float:
-        """Return the seconds for which a node waits for the confirmation of its phase."""
-        return (self.nodes[0].watchdog or int(JUMPED)) * (self._tick or 0.0)
+    def _sure_at(self) -> float:
+        """Return when the node no longer waits for the confirmation of its phase: packets that deny it prolong this."""
+        steps = self.nodes[0].watchdog or int(JUMPED)
+        return max(self._unsure, self.phase.doubted) + steps * (self._tick or 0.0)
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -275,12 +276,16 @@ class NodeServer:
             return min(known) if known else None
         if not self.phase.known or self._unsure == self._unsure:
             return None
-        present = self.phase.now(now)
-        tick = present if tick < present - LEFT_BEHIND or node.tick < 0 else tick
+        tick = self._coming(node.tick, now)
         if now >= self.phase.begins(tick) + self._wait * self._tick:
             return tick
         prompt = [link for link, lag in node.listens.items() if lag == 0]
         return tick if prompt and all(node.inbox.settled(link, tick) for link in prompt) else None
+
+    def _coming(self, last: int, now: float) -> int:
+        """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
+        present = self.phase.now(now)
+        return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
 
     def _expire(self, now: float) -> None:
         """Apply the safe inputs if nothing usable has arrived since the start, and again after each such time."""
@@ -316,9 +321,8 @@ class NodeServer:
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
         if self._unsure == self._unsure:
-            return min(idle, self._unsure + self._patience())
-        behind = min(node.tick for node in self.nodes)
-        tick = self.phase.now(self._clock()) if behind < 0 else behind + 1
+            return min(idle, self._sure_at())
+        tick = self._coming(min(node.tick for node in self.nodes), self._clock())
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
     def _repeat(self, loop: int) -> None:

@@ -196,9 +196,10 @@ class _DeviceNode(Node):
         given = (c.c_double * len(y))(*y) if y else None
         if self.tick < 0:
             self._heard_at = max(self._heard_at, tick - 1)
-        number = c.c_uint64(tick)
+        number, left = c.c_uint64(tick), self._code.tac_behind(self._self, c.c_uint64(tick)) + 1
         while not (done := self._code.tac_step(self._self, number, given, None)):
-            if not self._code.tac_behind(self._self, number):  # every missed step is executed
+            before, left = left, self._code.tac_behind(self._self, number)
+            if left >= before:  # the step is refused, not late
                 break
         if done:
             self.tick = tick
