@@ -170,6 +170,6 @@ def test_the_repository_speaks_of_the_project_alone() -> None:
         pytest.skip("not a git checkout")
     words = ["/wo" + "rk/", "pypi" + ".org", "npmjs" + ".com", "files.python" + "hosted", "deb.debian" + ".org"]
     for name in listed.stdout.split():
-        if name.endswith((".py", ".md", ".ipynb", ".toml", ".yaml", ".bib", "run")):
+        if name.endswith((".py", ".md", ".ipynb", ".toml", ".yaml", ".bib", "run", "versions", "-python")):
             text = (ROOT / name).read_text(encoding="utf-8")
             assert [word for word in words if word in text] == [], name
