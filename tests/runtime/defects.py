@@ -107,7 +107,7 @@ DEFECTS: dict[str, Defect] = {
     "a clock that is some steps fast is not corrected": Defect(((Phase, "_follow", lambda *_: None),)),
     "a node does not doubt its clock after a gap": Defect(((NodeServer, "_notice", lambda *_: None),)),
     "the watchdog never expires": Defect(((Node, "silent", property(lambda node: node._unheard)),)),
-    "the watchdog never expires in C": Defect(core={"return node->watchdog > 0U &&": "return false &&"}),
+    "the watchdog never expires in C": Defect(core={"(node->watchdog > 0U &&": "(false &&"}),
     "sequence numbers start again from a saved state": around(Node, "restore", _numbers_start_again),
     "all starts have one epoch": around(Node, "__init__", _of_one_epoch),
     "the checksum is not checked": around(Wire, "decode", _any_sum),
