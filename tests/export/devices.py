@@ -19,24 +19,15 @@ from taciturn.export.node import print_node
 from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.policy import NodeName, Policy
-from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, KINDS, LINKS, TAG_SIZE
+from taciturn.model.wire import KINDS, LINKS
 from taciturn.program.ops import Precision
 from taciturn.runtime.packet import REFUSALS, Packet
+from taciturn.study.devices import ACCESS, COUNTERS, Key, sizes_header
 
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent
 STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic", "-Wshadow", "-Wstrict-prototypes", "-Werror"]
 WAITING = 4  # steps that a packet may be early
-COUNTERS = (
-    "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
-    *REFUSALS, "unsent", "missed", "repeated",
-)  # fmt: skip
-
-
-class Key(c.Structure):
-    """The secret of a node."""
-
-    _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
 
 
 def key_of(secret: bytes | None) -> Key:
@@ -54,15 +45,7 @@ def needs_compiler() -> str:
 
 def write_sizes(folder: Path, entries: int, precision: Precision = "float64") -> None:
     """Write the header with the sizes of the largest packet."""
-    sizes = {
-        "TAC_FLOAT32": int(precision == "float32"),
-        "TAC_VALUES": max(1, entries),
-        "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
-        "TAC_WAITING": WAITING,
-        "TAC_SIZED(name)": "name",
-    }
-    text = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
-    (folder / "taciturn_config.h").write_text(text, encoding="ascii")
+    (folder / "taciturn_config.h").write_text(sizes_header(entries, WAITING, precision), encoding="ascii")
 
 
 class Library(NamedTuple):
@@ -106,8 +89,9 @@ def compile_node(
     core = compile_core(entries, precision)
     (folder / "device.h").write_text(found.header, encoding="ascii")
     (folder / "device.c").write_text(found.source, encoding="ascii")
+    (folder / "access.c").write_text(ACCESS, encoding="ascii")
     options = [*STRICT, "-O1", "-shared", "-fPIC", f"-I{CORE}", f"-I{core}", "-o", str(folder / "device.so")]
-    sources = [HERE / "shim.c", folder / "device.c", *core.glob("*.o")]
+    sources = [HERE / "shim.c", folder / "access.c", folder / "device.c", *core.glob("*.o")]
     subprocess.run([needs_compiler(), *options, f"-I{folder}", *map(str, sources)], check=True)
     code, number = c.CDLL(str(folder / "device.so")), c.c_float if precision == "float32" else c.c_double
     for name in ("device_start", "tac_input", "shim_wire", "shim_counters", "shim_memory", "shim_inputs"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 
 import pytest
 from counts import few
@@ -16,7 +16,7 @@ from runtime.defects import DEFECTS, Defect
 import taciturn
 from taciturn.model.places import roles
 from taciturn.runtime.faults import Crash, Fault, Jump, Loss, Pause, Replay
-from taciturn.study.devices import DeviceCode, compile_devices
+from taciturn.study.devices import DeviceCode, DeviceNode, compile_devices
 from taciturn.study.worlds import WorldRun, prepare, run_world
 
 BUILT_IN = ("remote-scalar", "double-integrator", "lossy-double-integrator", "two-mass")
@@ -37,14 +37,15 @@ def of_seed(seed: int, core: dict[str, str] | None = None) -> WorldRun:
 
 
 @cache
-def devices(chosen: taciturn.Problem, core: tuple[tuple[str, str], ...]) -> dict[str, DeviceCode] | None:
+def devices(chosen: taciturn.Problem, core: tuple[tuple[str, str], ...]) -> dict[str, Callable[..., DeviceNode]] | None:
     """Return the nodes in C, with a changed core; None without a compiler."""
     if shutil.which("cc") is None:
         return None
     loop, _ = prepare(chosen)
     if not core:
         return dict(compile_devices(loop))
-    return {role: DeviceCode(loop.policy, role, loop.network, dict(core)) for role in roles(loop.policy)}
+    changed = {role: DeviceCode(loop.policy, role, loop.network, dict(core)) for role in roles(loop.policy)}
+    return {role: partial(DeviceNode, code) for role, code in changed.items()}
 
 
 KNOWN = {  # worlds that break an invariant, and the limit of the nodes that they show (page on operation)

@@ -6,6 +6,7 @@ on its own seed and the number of the datagram alone, so a fault acts alike if o
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -22,7 +23,7 @@ Flights: TypeAlias = list[tuple[float, bytes]]  # delay in steps and content of 
 
 
 @dataclass(frozen=True, repr=False)
-class Fault(Displayed):
+class Fault(Displayed, ABC):
     """A fault.
 
     Args:
@@ -42,9 +43,9 @@ class Fault(Displayed):
         """Return the fault as a line of text."""
         return f"steps {self.first} to {self.first + self.steps - 1}: {self.what()}"
 
+    @abstractmethod
     def what(self) -> str:
         """Return what happens, in words."""
-        raise NotImplementedError
 
 
 @dataclass(frozen=True, repr=False)
@@ -61,18 +62,18 @@ class LinkFault(Fault):
     share: float = 1.0
     seed: int = 0
 
+    @abstractmethod
     def act(self, flights: Flights, number: int) -> Flights:
         """Return what becomes of a datagram with this number on its path."""
-        raise NotImplementedError
 
     def what(self) -> str:
         """Return what happens, in words."""
         affected = "every datagram" if self.share >= 1 else f"{self.share:.0%} of the datagrams"
         return f"{affected} from {self.path[0]} to {self.path[1]} {self.effect()}"
 
+    @abstractmethod
     def effect(self) -> str:
         """Return the verb of the sentence."""
-        raise NotImplementedError
 
     def _hits(self, purpose: int, number: int) -> bool:
         return uniform(self.seed, purpose, number) < self.share
@@ -179,16 +180,25 @@ class Replay(Fault):
 
 
 @dataclass(frozen=True, repr=False)
-class Crash(Fault):
-    """A process is killed, and started again after some steps.
+class ProcessFault(Fault):
+    """A fault of a process, or of the machine on which it runs.
 
     Args:
         role: name of the process.
+    """
+
+    role: str
+
+
+@dataclass(frozen=True, repr=False)
+class Crash(ProcessFault):
+    """A process is killed, and started again after some steps.
+
+    Args:
         kept: whether it starts from its saved state. Without it, the process is not started before the next second,
             because its epoch is the time in seconds.
     """
 
-    role: str
     kept: bool
 
     def what(self) -> str:
@@ -196,15 +206,8 @@ class Crash(Fault):
         return f"the {self.role} does not run, and starts again {'with' if self.kept else 'without'} its state"
 
 
-@dataclass(frozen=True, repr=False)
-class Pause(Fault):
-    """A process is suspended.
-
-    Args:
-        role: name of the process.
-    """
-
-    role: str
+class Pause(ProcessFault):
+    """A process is suspended."""
 
     def what(self) -> str:
         """Return what happens, in words."""
@@ -212,15 +215,13 @@ class Pause(Fault):
 
 
 @dataclass(frozen=True, repr=False)
-class Jump(Fault):
+class Jump(ProcessFault):
     """The clock of a machine jumps.
 
     Args:
-        role: name of the process on the machine.
         by: steps by which the clock jumps, forward or (negative) back.
     """
 
-    role: str
     by: float
 
     def text(self) -> str:
@@ -233,15 +234,13 @@ class Jump(Fault):
 
 
 @dataclass(frozen=True, repr=False)
-class Skew(Fault):
+class Skew(ProcessFault):
     """A fault from which on the clock of a machine is fast or slow; the fault lasts to the end of the world.
 
     Args:
-        role: name of the process on the machine.
         by: relative error of its speed.
     """
 
-    role: str
     by: float
 
     def text(self) -> str:

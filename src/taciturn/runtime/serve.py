@@ -102,7 +102,8 @@ class NodeServer:
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
-        self._turned, self._unsure = self._began, float("nan")  # time of the last turn; time of an unexplained gap
+        self._turned = self._began  # time of the last turn
+        self._unsure: float | None = None  # time of a gap that no packet has explained
         self._physical = 0
         self.measured = 0  # measurements that were stored for their step
         kept = None if keep is None else keep.read()
@@ -254,14 +255,14 @@ class NodeServer:
             return
         if now - self._turned > JUMPED * self._tick:
             self._unsure = now
-        if self.phase.confirmed >= self._unsure or now >= self._sure_at():
-            self._unsure = float("nan")
+        if self._unsure is not None and (self.phase.confirmed >= self._unsure or now >= self._sure_at(self._unsure)):
+            self._unsure = None
         self._turned = now
 
-    def _sure_at(self) -> float:
+    def _sure_at(self, unsure: float) -> float:
         """Return when the node no longer waits for the confirmation of its phase: packets that deny it prolong this."""
         steps = self.nodes[0].watchdog or int(JUMPED)
-        return max(self._unsure, self.phase.doubted) + steps * (self._tick or 0.0)
+        return max(unsure, self.phase.doubted) + steps * (self._tick or 0.0)
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -274,7 +275,7 @@ class NodeServer:
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None
-        if not self.phase.known or self._unsure == self._unsure:
+        if not self.phase.known or self._unsure is not None:
             return None
         tick = self._coming(node.tick, now)
         if now >= self.phase.begins(tick) + self._wait * self._tick:
@@ -320,8 +321,8 @@ class NodeServer:
             return min(idle, self._expires)
         if self._tick is None or self.nodes[0].measures or not self.phase.known:
             return idle
-        if self._unsure == self._unsure:
-            return min(idle, self._sure_at())
+        if self._unsure is not None:
+            return min(idle, self._sure_at(self._unsure))
         tick = self._coming(min(node.tick for node in self.nodes), self._clock())
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 

@@ -9,8 +9,8 @@ import base64
 import ctypes as c
 import shutil
 import subprocess
-from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, cast
@@ -25,6 +25,7 @@ from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
 from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, TAG_SIZE
+from taciturn.program.ops import Precision
 from taciturn.runtime.inbox import Handling
 from taciturn.runtime.node import Node, Safe, Stepped, Values
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
@@ -60,8 +61,25 @@ class NoCompilerError(ProblemError):
     """There is no C compiler on this machine."""
 
 
-class _Key(c.Structure):
+class Key(c.Structure):
+    """The key of a node, as the core declares it."""
+
     _fields_ = [("bytes", c.c_char_p), ("size", c.c_uint8)]
+
+
+def sizes_header(entries: int, waiting: int, precision: Precision = "float64") -> str:
+    """Return a ``taciturn_config.h`` whose function names have no suffix, for libraries that are loaded.
+
+    Args:
+        entries: entries of the largest packet.
+        waiting: early packets of each link that a node stores.
+        precision: precision of the numbers.
+    """
+    sizes = {
+        "TAC_FLOAT32": int(precision == "float32"), "TAC_VALUES": max(1, entries), "TAC_WAITING": waiting,
+        "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE, "TAC_SIZED(name)": "name",
+    }  # fmt: skip
+    return "".join(f"#define {name} {value}\n" for name, value in sizes.items())
 
 
 class DeviceCode:
@@ -84,15 +102,11 @@ class DeviceCode:
             raise NoCompilerError("there is no C compiler `cc`; expected one, to run nodes in C")
         found = print_node(policy, role, network, "device")
         entries = max(1, *(entries for _, entries in packet_shapes(policy, network).values()))
-        sizes = {
-            "TAC_FLOAT32": 0, "TAC_VALUES": entries, "TAC_WAITING": WAITING, "TAC_SIZED(name)": "name",
-            "TAC_DATAGRAM": HEADER_SIZE + 8 * entries + CRC_SIZE + TAG_SIZE,
-        }  # fmt: skip
         texts = {name: (FOLDER / name).read_text(encoding="ascii") for name in CORE}
         for old, new in (core or {}).items():
             assert any(old in text for text in texts.values()), old
             texts = {name: text.replace(old, new) for name, text in texts.items()}
-        texts["taciturn_config.h"] = "".join(f"#define {name} {value}\n" for name, value in sizes.items())
+        texts["taciturn_config.h"] = sizes_header(entries, WAITING)
         texts |= {"device.h": found.header, "device.c": found.source, "access.c": ACCESS}
         with TemporaryDirectory() as folder:
             for name, text in texts.items():
@@ -116,11 +130,29 @@ class DeviceCode:
 
     def start(self, epoch: int, loop: int) -> Any:
         """Start the node, and return its address."""
-        key = _Key(None, 0)
+        key = Key(None, 0)
         return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), key))
 
-    def __call__(
+
+class DeviceNode(Node):
+    """A node whose packets and steps are handled by C code; the Python node knows which packets have arrived.
+
+    It starts when it is made; an earlier node on the same device does not run any more.
+
+    Args:
+        device: the compiled code, and the memory of the device.
+        policy: policy of the node.
+        role: role of the node.
+        network: network between the nodes.
+        epoch: epoch of the start.
+        seed: seed of the policy's random draws.
+        watchdog: steps of the watchdog, or None.
+        safe: safe input.
+    """
+
+    def __init__(
         self,
+        device: DeviceCode,
         policy: Policy,
         role: NodeName,
         *,
@@ -129,25 +161,8 @@ class DeviceCode:
         seed: int,
         watchdog: int | None,
         safe: Safe,
-    ) -> Node:
-        """Return a started node; an earlier node of the same device does not run any more."""
-        return _DeviceNode(self, policy, role, network, epoch, seed, watchdog, safe)
-
-
-class _DeviceNode(Node):
-    """A node whose packets and steps are handled by C code; the Python node knows which packets have arrived."""
-
-    def __init__(
-        self,
-        device: DeviceCode,
-        policy: Policy,
-        role: NodeName,
-        network: Network,
-        epoch: int,
-        seed: int,
-        watchdog: int | None,
-        safe: Safe,
     ) -> None:
+        """Start the code."""
         super().__init__(policy, role, network=network, epoch=epoch, seed=seed, watchdog=watchdog, safe=safe)
         self._device, self._code = device, device.code
         self._self = device.start(self.epoch, self.loop)
@@ -196,10 +211,9 @@ class _DeviceNode(Node):
         given = (c.c_double * len(y))(*y) if y else None
         if self.tick < 0:
             self._heard_at = max(self._heard_at, tick - 1)
-        number, left = c.c_uint64(tick), self._code.tac_behind(self._self, c.c_uint64(tick)) + 1
+        number = c.c_uint64(tick)
         while not (done := self._code.tac_step(self._self, number, given, None)):
-            before, left = left, self._code.tac_behind(self._self, number)
-            if left >= before:  # the step is refused, not late
+            if not self._code.tac_behind(self._self, number):
                 break
         if done:
             self.tick = tick
@@ -252,10 +266,10 @@ class _DeviceNode(Node):
 
 
 @lru_cache(maxsize=8)
-def compile_devices(loop: Loop) -> Mapping[str, DeviceCode]:
-    """Return the C code of all nodes of a loop, by role.
+def compile_devices(loop: Loop) -> Mapping[str, Callable[..., DeviceNode]]:
+    """Return functions that start the nodes of a loop in C, by role.
 
     Raises:
         ProblemError: there is no C compiler, or the policy cannot run on a device.
     """
-    return {role: DeviceCode(loop.policy, role, loop.network) for role in roles(loop.policy)}
+    return {role: partial(DeviceNode, DeviceCode(loop.policy, role, loop.network)) for role in roles(loop.policy)}

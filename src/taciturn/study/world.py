@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, TypeAlias, cast
+from typing import TypeAlias, cast
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
@@ -84,9 +84,7 @@ class World:
         self.promised: int | None = None
         self._down: dict[str, int] = dict.fromkeys(self.roles, 0)
         self._held: dict[str, int] = dict.fromkeys(self.roles, 0)
-        self._storage = {
-            role: _Memory() for role in self.roles if Crash in {type(f) for f in self.faults if _role(f) == role}
-        }
+        self._storage = {fault.role: _Memory() for fault in self.faults if isinstance(fault, Crash)}
         self.clocks = {role: VirtualClock(self.time) for role in self.roles}
         self.processes: dict[str, VirtualProcess] = {}
         for role in self.roles:
@@ -180,11 +178,8 @@ class World:
         for link in self.links:
             ends = sender_of(self.policy, link), receiver_of(self.policy, link)
             found.append(ends)
-            found += (
-                [(ends[1], ends[0])]
-                if link in Node(self.policy, ends[1], network=self.loop.network).acknowledges
-                else []
-            )
+            if link in Node(self.policy, ends[1], network=self.loop.network).acknowledges:
+                found.append((ends[1], ends[0]))
         return found
 
     def _make(self, role: NodeName, epoch: int) -> Node:
@@ -284,7 +279,3 @@ class World:
 
     def _counted(self) -> dict[str, int]:
         return {name: number for name, number in self.network.counters.items() if number}
-
-
-def _role(fault: Fault) -> Any:
-    return getattr(fault, "role", None)
