@@ -20,7 +20,8 @@ from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER, HEADER_SIZE, Encoding, read_place
 from taciturn.runtime.node import Node
-from taciturn.runtime.packet import REFUSALS, Packet, Wire, read_key
+from taciturn.runtime.keys import read_keys
+from taciturn.runtime.packet import REFUSALS, Packet, Wire
 from taciturn.runtime.window import WIDTH, Window
 
 KEY = bytes(range(32))
@@ -64,7 +65,7 @@ def test_the_layout_is_that_of_the_table() -> None:
     assert fields.pop("fingerprint") == wire().fingerprint
     assert fields == {
         "sequence": 0x01020304, "version": 1, "kind": 0, "link": 1, "encoding": 128, "loop": 5, "entries": 1,
-        "reserved": 0, "epoch": 7, "tick": 9,
+        "direction": 0, "epoch": 7, "tick": 9,
     }  # fmt: skip
     assert struct.unpack(">d", datagram[HEADER_SIZE : HEADER_SIZE + 8]) == (0.5,)
     assert struct.unpack(">I", datagram[-20:-16])[0] == zlib.crc32(datagram[:-20])
@@ -141,24 +142,24 @@ def test_keys_are_read_from_files_and_from_the_environment(tmp_path: Path, monke
     path.write_text(KEY.hex() + "\n")
     path.chmod(0o640)
     with pytest.raises(ProblemError, match=r"has the mode 0640, with which other users can read it; expected 0600"):
-        read_key(path)
+        read_keys(path)
     path.chmod(0o600)
-    assert read_key(path) == KEY
+    assert read_keys(path).of("plant") == (KEY,)
     monkeypatch.setenv("TACITURN_KEY", KEY[:16].hex())
-    assert read_key() == KEY[:16]
+    assert read_keys().of("sensor") == (KEY[:16],)
     monkeypatch.setenv("TACITURN_KEY", "")
-    assert read_key(hosts=["127.0.0.1", "::1"]) is None
+    assert read_keys(hosts=["127.0.0.1", "::1"]) is None
     with pytest.raises(ProblemError, match=r"TACITURN_KEY is empty, so packets from and to 0\.0\.0\.0 would not be"):
-        read_key(hosts=["127.0.0.1", "0.0.0.0"])
+        read_keys(hosts=["127.0.0.1", "0.0.0.0"])
     monkeypatch.delenv("TACITURN_KEY")
-    assert read_key(hosts=["0.0.0.0"]) is None
+    assert read_keys(hosts=["0.0.0.0"]) is None
     for text, sentence in (("00" * 15, "holds 15 bytes"), ("00" * 33, "holds 33 bytes"), ("secret", "hexadecimal")):
         path.write_text(text)
         with pytest.raises(ProblemError, match=sentence):
-            read_key(path)
+            read_keys(path)
     with pytest.raises(ProblemError, match="cannot be read"):
-        read_key(tmp_path / "none")
-    with pytest.raises(ProblemError, match="the key has 3 bytes"):
+        read_keys(tmp_path / "none")
+    with pytest.raises(ProblemError, match="the key holds 3 bytes"):
         wire(b"abc")
 
 

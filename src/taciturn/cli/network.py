@@ -21,6 +21,7 @@ from taciturn.cli.worlds import run_world
 if TYPE_CHECKING:
     from taciturn.model.network import Network
     from taciturn.model.policy import Policy
+    from taciturn.runtime.keys import Keys
     from taciturn.runtime.packet import Wire
     from taciturn.runtime.serve import NodeServer
 
@@ -36,7 +37,8 @@ Key = Annotated[
     Path | None,
     typer.Option(
         metavar="PATH",
-        help="File with a hexadecimal key of 16 to 32 bytes. Default: the key in $TACITURN_KEY, or no key.",
+        help="File with hexadecimal keys of 16 to 32 bytes: KEY, or lines LINK: KEY. A changed file is read again. "
+        "Default: the key in $TACITURN_KEY, or no key.",
     ),
 ]
 Log = Annotated[
@@ -76,7 +78,7 @@ def network(
 ) -> None:
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
     import taciturn
-    from taciturn.runtime.packet import read_key
+    from taciturn.runtime.keys import read_keys
     from taciturn.study.network import run_network
     from taciturn.study.record import origin
 
@@ -103,7 +105,7 @@ def network(
     fates = None if loss is None else read_fates(loss, policy, problem.network, seed)
     with progress_bar("running") as progress:
         found = run_network(
-            file, settings=settings or (), ticks=ticks, tick=length, seed=seed, key=read_key(key), fates=fates,
+            file, settings=settings or (), ticks=ticks, tick=length, seed=seed, key=read_keys(key), fates=fates,
             namespaces=namespaces, progress=progress, functions=not no_functions,
         )  # fmt: skip
     if as_json:
@@ -180,8 +182,8 @@ def node(
     import taciturn
     from taciturn._arrays import number
     from taciturn.model.places import links_to
+    from taciturn.runtime.keys import read_keys
     from taciturn.runtime.node import Node
-    from taciturn.runtime.packet import read_key
     from taciturn.runtime.serve import WAIT, NodeServer
     from taciturn.runtime.service import FileStorage, logged, say, say_where
     from taciturn.runtime.udp import LARGEST, LARGEST_OF_ALL, Endpoint, parse_address
@@ -214,7 +216,7 @@ def node(
     here = parse_address("--bind", bind)
     to = None if peer is None else parse_address("--peer", peer)
     world = None if plant is None else parse_address("--plant", plant)
-    secret = read_key(key, [host for host, _ in filter(None, (here, to, world))])
+    secret = read_keys(key, [host for host, _ in filter(None, (here, to, world))])
     largest = LARGEST if eye is None else LARGEST_OF_ALL
     with (
         _wire(role, policy, problem.network, secret, questions, eye, seen, watch) as wire,
@@ -249,7 +251,8 @@ def plant(
     seed: Seed = 0,
 ) -> None:
     """Simulate the plant of a problem for nodes that run as other processes."""
-    from taciturn.runtime.packet import Wire, read_key
+    from taciturn.runtime.keys import read_keys
+    from taciturn.runtime.packet import Wire
     from taciturn.runtime.plant import SimulatedPlant
     from taciturn.runtime.service import logged, say, say_where
     from taciturn.runtime.udp import Endpoint, parse_address
@@ -262,7 +265,7 @@ def plant(
     length = tick_length(loop.policy.model.dt, real_time, tick)
     plants = [SimulatedPlant(loop, seed + i) for i in range(loops)]
     here, to = parse_address("--bind", bind), parse_address("--peer", peer)
-    wire = Wire(loop.policy, problem.network, read_key(key, (here[0], to[0])))
+    wire = Wire(loop.policy, problem.network, read_keys(key, (here[0], to[0])))
     with logged(log) as told, until_stopped() as stopped, Endpoint(here) as endpoint:
         server = PlantServer(plants, wire, endpoint, to, tick=length, told=told, say=say)
         say_where("plant", endpoint.address)
@@ -318,7 +321,7 @@ def _wire(
     role: str,
     policy: Policy,
     network: Network,
-    key: bytes | None,
+    key: bytes | Keys | None,
     questions: bool,
     eye: Path | None,
     seen: str | None,

@@ -81,7 +81,7 @@ def twin(
     from taciturn import _print
     from taciturn._arrays import number
     from taciturn._figure import check_format, save
-    from taciturn.runtime.packet import read_key
+    from taciturn.runtime.keys import read_keys
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
     from taciturn.twin.record import check_record, check_video, write_record, write_video
@@ -102,7 +102,7 @@ def twin(
     for wanted, check in ((plot, check_format), (record, check_record), (video, check_video)):
         if wanted is not None:
             check(wanted)
-    setup = Setup(runs, seed, length, namespaces, faults, read_key(key), wheels)
+    setup = Setup(runs, seed, length, namespaces, faults, read_keys(key), wheels)
 
     def keep(run: TwinRun) -> None:
         if record is not None:
@@ -209,7 +209,7 @@ def camera(
 ) -> None:
     """Render the pictures that a robot's sensor requests, and send them to a controller in another process."""
     import taciturn
-    from taciturn.runtime.packet import read_key
+    from taciturn.runtime.keys import read_keys
     from taciturn.runtime.service import say_where
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.twin.camera import Camera
@@ -223,7 +223,7 @@ def camera(
     found, problem = find_robot(robot), taciturn.load(file, functions=not no_functions)
     here, to = parse_address("--bind", bind), parse_address("--peer", peer)
     faults = [parse_fault(text) for text in fault or []]
-    secret = read_key(key, (here[0], to[0]))
+    secret = read_keys(key, (here[0], to[0]))
     wire = CameraWire(check_mission(found, problem, file), found.seen, problem.network, secret)
     taken = Camera(found, seed)
     with until_stopped() as stopped, Endpoint(here) as endpoint:

@@ -15,12 +15,24 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
-PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input"]
-KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input")
+PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "safe", "challenge", "answer"]
+KINDS: tuple[PacketKind, ...] = (
+    "data",
+    "acknowledgement",
+    "mark",
+    "measurement",
+    "input",
+    "safe",
+    "challenge",
+    "answer",
+)
 LINKS = ("sensor", "actuator", "plant")
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
-VERSION = 1
+BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input", "safe"})  # kinds that travel against their link
+EITHER: frozenset[PacketKind] = frozenset({"mark", "challenge", "answer"})  # kinds that both ends of a link send
+PROOFS: frozenset[PacketKind] = frozenset({"challenge", "answer"})  # kinds whose payload is a nonce
+VERSION = 2
 AUTHENTICATED = 0x80  # flag in the encoding field for a datagram with a tag
 LARGEST = 32767  # integer that represents the full scale
 # adding and subtracting these constants rounds to the nearest integer, ties to even
@@ -51,12 +63,12 @@ HEADER = (
     FieldOfHeader(
         "encoding",
         "B",
-        "0: float64, 1: float32, 2: int16 of the entries, 3: no entries, but bytes, as a picture; "
+        "0: float64, 1: float32, 2: int16 of the entries, 3: no entries, but bytes, as a picture or a nonce; "
         "plus 128: the datagram ends with a tag",
     ),
     FieldOfHeader("loop", "H", "which of many loops that one process serves"),
     FieldOfHeader("entries", "B", "numbers in the payload"),
-    FieldOfHeader("reserved", "B", "0"),
+    FieldOfHeader("direction", "B", "0: along the link, 1: against it"),
     FieldOfHeader("epoch", "I", "grows when a node starts without its state; sequences begin anew"),
     FieldOfHeader("tick", "Q", "that the packet belongs to"),
     FieldOfHeader("fingerprint", "Q", "of the policy; nodes of another policy are foreign"),

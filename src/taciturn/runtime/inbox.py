@@ -149,6 +149,14 @@ class Inbox:
             inputs[stream.at : stream.at + 1 + stream.size] = arrived
         return found
 
+    def forget(self, link: str) -> None:
+        """Begin new windows for the packets of a link, whose sender has begun another epoch."""
+        for (_, of), stream in self.streams.items():
+            if of == link:
+                stream.window, stream.missing = Window(), 0
+        if link in self.marks:
+            self.marks[link], self.marked[link] = Window(), -1
+
     def save(self) -> dict[str, Any]:
         """Return the state of the inbox as values that JSON can represent."""
         streams = {
@@ -196,5 +204,5 @@ class Inbox:
 
 def packet_of(saved: Sequence[Any]) -> Packet:
     """Return the packet with the given saved fields."""
-    kind, link, tick, sequence, values, epoch, loop = saved
-    return Packet(kind, link, tick, sequence, tuple(values), epoch, loop)
+    kind, link, tick, sequence, values, *rest = saved
+    return Packet(kind, link, tick, sequence, tuple(values), *rest)

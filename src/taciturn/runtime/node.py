@@ -29,7 +29,7 @@ from taciturn.runtime.inbox import USABLE, Handling, Inbox, Stream
 from taciturn.runtime.packet import Packet
 
 CAUGHT_UP = 10_000  # largest number of missed steps that a node executes later
-FORMAT = 2  # format version of a saved state
+FORMAT = 3  # format version of a saved state
 Values: TypeAlias = tuple[float, ...]
 Safe: TypeAlias = Literal["hold", "zero"] | Sequence[float]
 
@@ -228,7 +228,7 @@ class Node:
         """
         links = (*(one.link for one in self._layout.departures), *self.acknowledges)
         due = [link for link in links if self.tick - self._sent_at.get(link, -every) >= every]
-        return tuple(self._packet("mark", link) for link in due)
+        return tuple(self._packet("mark", link, back=link in self.acknowledges) for link in due)
 
     def sort_in(self, packet: Packet) -> Handling:
         """Store a packet for the coming steps, and return how it was handled; ``step`` also stores its packets."""
@@ -339,12 +339,12 @@ class Node:
             self._places[i] = here
             self._inputs[self._layout.clocks + i] = float(here)
 
-    def _packet(self, kind: Any, link: str, values: Values = (), tick: int | None = None) -> Packet:
+    def _packet(self, kind: Any, link: str, values: Values = (), tick: int | None = None, back: bool = False) -> Packet:
         name = f"{kind} {link}"
         if self._sequences[name] > 0xFFFFFFFF:
             self.epoch, self._sequences = self.epoch + 1, Counter()
         packet = Packet(
-            kind, link, self.tick if tick is None else tick, self._sequences[name], values, self.epoch, self.loop
+            kind, link, self.tick if tick is None else tick, self._sequences[name], values, self.epoch, self.loop, back
         )
         self._sequences[name] += 1
         self._sent_at[link] = self.tick

@@ -8,11 +8,9 @@ from __future__ import annotations
 import hashlib
 import hmac
 import math
-import os
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 from taciturn.errors import ProblemError
@@ -21,27 +19,32 @@ from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.policy import Policy
 from taciturn.model.wire import (
     AUTHENTICATED,
+    BACK,
+    BYTES,
     CODES,
     CRC_SIZE,
+    EITHER,
     HEADER_FORMAT,
     HEADER_SIZE,
     KINDS,
     LARGEST,
     LINKS,
     PERSON,
+    PROOFS,
     TAG_SIZE,
     VERSION,
     Encoding,
     PacketKind,
 )
-from taciturn.runtime.udp import is_loopback
+from taciturn.runtime.keys import Keys
 
 Refusal: TypeAlias = Literal["malformed", "corrupted", "foreign", "forged"]
 REFUSALS: tuple[Refusal, ...] = ("malformed", "corrupted", "foreign", "forged")
-KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
 _HEADER = struct.Struct(HEADER_FORMAT)
 _CRC = struct.Struct("!I")
+_NONCE = struct.Struct("!Q")
 _ENCODINGS = tuple(CODES)
+_DIRECTIONS = tuple((0, 1) if kind in EITHER else (int(kind in BACK),) for kind in KINDS)
 _KIND_CODES = {kind: code for code, kind in enumerate(KINDS)}
 _LINK_CODES = {link: code for code, link in enumerate(LINKS)}
 
@@ -50,14 +53,17 @@ class Packet(NamedTuple):
     """A packet between nodes, or between a node and the plant.
 
     Args:
-        kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), or, between plant and
-            nodes, ``"measurement"`` or ``"input"``.
+        kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
+            ``"answer"`` (proof that its sender is running), or, between plant and nodes, ``"measurement"``,
+            ``"input"`` or ``"safe"`` (an input that belongs to no step).
         link: ``"sensor"``, ``"actuator"`` or ``"plant"``.
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.
         values: payload, as the receiver decodes it.
         epoch: number that increases when a node starts without its state.
         loop: number of the loop.
+        back: whether a mark, a challenge or an answer travels against the link; other kinds have one direction.
+        nonce: random number of a challenge, which its answer repeats.
     """
 
     kind: PacketKind
@@ -67,6 +73,8 @@ class Packet(NamedTuple):
     values: tuple[float, ...] = ()
     epoch: int = 0
     loop: int = 0
+    back: bool = False
+    nonce: int = 0
 
 
 class Wire:
@@ -75,7 +83,7 @@ class Wire:
     Args:
         policy: policy whose nodes exchange the packets.
         network: network, which defines the rounding of payloads; default: the network of the design.
-        key: shared secret of 16 to 32 bytes; default: packets are not authenticated.
+        key: shared secret of 16 to 32 bytes, or the keys of each link; default: packets are not authenticated.
         entries: number of entries of further kinds of packets, by kind and link; they replace those of the policy.
 
     Raises:
@@ -95,22 +103,19 @@ class Wire:
         self,
         policy: Policy,
         network: Network | None = None,
-        key: bytes | None = None,
+        key: bytes | Keys | None = None,
         entries: Mapping[tuple[PacketKind, str], int] | None = None,
     ) -> None:
         """Determine the payload format of each kind of packet on each link."""
         network = policy.network if network is None else network
-        if key is not None and not LEAST_KEY <= len(key) <= MOST_KEY:
-            raise ProblemError(
-                f"the key has {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
-            )
         self.fingerprint = fingerprint(policy, network)
-        self._key = key
+        self.keys = Keys.same(key) if isinstance(key, bytes) else key
         others = {key: (Encoding(), number) for key, number in (entries or {}).items()}
         shapes = packet_shapes(policy, network) | others
         self._shapes = {
             (_KIND_CODES[kind], _LINK_CODES[link]): _Shape(*shape) for (kind, link), shape in shapes.items()
         }
+        self._links = {link for _, link in shapes}
 
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram.
@@ -118,6 +123,8 @@ class Wire:
         Raises:
             ProblemError: the policy has no packets of this kind and link, or a value of the packet is not finite.
         """
+        if packet.kind in PROOFS:
+            return self._write(packet, BYTES, 0, _NONCE.pack(packet.nonce))
         kind, link = _KIND_CODES[packet.kind], _LINK_CODES[packet.link]
         shape = self._shapes.get((kind, link))
         if shape is None or len(packet.values) != shape.entries or not all(map(math.isfinite, packet.values)):
@@ -130,7 +137,7 @@ class Wire:
     @property
     def keyed(self) -> bool:
         """True if packets are authenticated."""
-        return self._key is not None
+        return self.keys is not None
 
     def decode(self, datagram: bytes) -> Packet | str:
         """Return the packet in a datagram, or the reason why the datagram is rejected.
@@ -142,6 +149,9 @@ class Wire:
         if isinstance(found, str):
             return found
         packet, coding, payload = found
+        if packet.kind in PROOFS:
+            valid = coding == (BYTES, 0) and len(payload) == _NONCE.size and packet.link in self._links
+            return packet._replace(nonce=_NONCE.unpack(payload)[0]) if valid else "malformed"
         shape = self._shapes.get((_KIND_CODES[packet.kind], _LINK_CODES[packet.link]))
         if shape is None or coding != (shape.code, shape.entries) or len(payload) != shape.size:
             return "malformed"
@@ -150,37 +160,45 @@ class Wire:
 
     def _write(self, packet: Packet, code: int, entries: int, payload: bytes) -> bytes:
         """Return the datagram of a payload: header, payload, CRC and, with a key, the tag."""
-        flag = 0 if self._key is None else AUTHENTICATED
+        flag = 0 if self.keys is None else AUTHENTICATED
         datagram = _HEADER.pack(
             packet.sequence, VERSION, _KIND_CODES[packet.kind], _LINK_CODES[packet.link], code | flag, packet.loop,
-            entries, 0, packet.epoch, packet.tick, self.fingerprint,
+            entries, packet.back or packet.kind in BACK, packet.epoch, packet.tick, self.fingerprint,
         ) + payload  # fmt: skip
         datagram += _CRC.pack(zlib.crc32(datagram))
-        return datagram if self._key is None else datagram + self._tag(datagram)
+        return datagram if self.keys is None else datagram + _tag(datagram, self.keys.of(packet.link)[0])
 
     def _open(self, datagram: bytes) -> tuple[Packet, tuple[int, int], bytes] | Refusal:
         """Return a packet without values, the encoding and number of entries of its payload, and the payload."""
-        tag = 0 if self._key is None else TAG_SIZE
+        tag = 0 if self.keys is None else TAG_SIZE
         end = len(datagram) - CRC_SIZE - tag
         if end < HEADER_SIZE:
             return "malformed"
-        sequence, version, kind, link, coded, loop, entries, zero, epoch, tick, policy = _HEADER.unpack_from(datagram)
-        if version != VERSION or (coded & AUTHENTICATED != 0) != (self._key is not None):
+        sequence, version, kind, link, coded, loop, entries, back, epoch, tick, policy = _HEADER.unpack_from(datagram)
+        if version != VERSION or (coded & AUTHENTICATED != 0) != (self.keys is not None):
             return "foreign"
         if zlib.crc32(datagram[:end]) != _CRC.unpack_from(datagram, end)[0]:
             return "corrupted"
         if policy != self.fingerprint:
             return "foreign"
-        if self._key is not None and not hmac.compare_digest(datagram[-TAG_SIZE:], self._tag(datagram[:-TAG_SIZE])):
+        if self.keys is not None and not _is_signed(datagram, self.keys, link):
             return "forged"
-        if kind >= len(KINDS) or link >= len(LINKS) or zero:
+        if kind >= len(KINDS) or link >= len(LINKS) or back not in _DIRECTIONS[kind]:
             return "malformed"
-        packet = Packet(KINDS[kind], LINKS[link], tick, sequence, (), epoch, loop)
+        packet = Packet(KINDS[kind], LINKS[link], tick, sequence, (), epoch, loop, KINDS[kind] in EITHER and back > 0)
         return packet, (coded & ~AUTHENTICATED, entries), datagram[HEADER_SIZE:end]
 
-    def _tag(self, content: bytes) -> bytes:
-        assert self._key is not None
-        return hashlib.blake2s(content, digest_size=TAG_SIZE, key=self._key, person=PERSON).digest()
+
+def _is_signed(datagram: bytes, keys: Keys, link: int) -> bool:
+    """Return whether the tag of a datagram is that of a key of its link."""
+    content, tag = datagram[:-TAG_SIZE], datagram[-TAG_SIZE:]
+    known = keys.of(LINKS[link]) if link < len(LINKS) else ()
+    return any(hmac.compare_digest(tag, _tag(content, key)) for key in known)
+
+
+def _tag(content: bytes, key: bytes) -> bytes:
+    """Return the tag of a datagram."""
+    return hashlib.blake2s(content, digest_size=TAG_SIZE, key=key, person=PERSON).digest()
 
 
 class _Shape:
@@ -202,52 +220,3 @@ class _Shape:
     def read(self, payload: bytes) -> tuple[float, ...]:
         found = self._layout.unpack(payload)
         return tuple(v * s for v, s in zip(found, self._steps, strict=True)) if self._steps else found
-
-
-def read_key(path: str | Path | None = None, hosts: Iterable[str] = ()) -> bytes | None:
-    """Return the shared secret from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set.
-
-    Args:
-        path: file that contains the secret as hexadecimal digits; default: the environment variable is read.
-        hosts: addresses of this process and of its peers; an empty environment variable is accepted on the loopback
-            only.
-
-    Raises:
-        ProblemError: the file cannot be read, or other users can read it (POSIX); the secret is not a valid number of
-            hexadecimal digits; the environment variable is empty, and a host is not the loopback.
-    """
-    if path is None:
-        text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
-        other = next((host for host in hosts if not is_loopback(host)), None)
-        if not text and KEY in os.environ and other is not None:
-            raise ProblemError(
-                f"{source} is empty, so packets from and to {other} would not be authenticated; expected "
-                f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
-                "variable to run without a key"
-            )
-        if not text:
-            return None
-    else:
-        source = f"the key file {path}"
-        try:
-            text = Path(path).read_text(encoding="ascii")
-            mode = Path(path).stat().st_mode & 0o777
-        except (OSError, UnicodeDecodeError) as error:
-            raise ProblemError(f"{source} cannot be read ({error}); expected hexadecimal digits") from None
-        if os.name == "posix" and mode & 0o077:
-            raise ProblemError(
-                f"{source} has the mode {mode:04o}, with which other users can read it; expected 0600: use "
-                f"`chmod 600 {path}`, and a new key if another user may have read this one"
-            )
-    try:
-        key = bytes.fromhex(text.strip())
-    except ValueError:
-        raise ProblemError(
-            f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
-            f"{2 * MOST_KEY} digits"
-        ) from None
-    if not LEAST_KEY <= len(key) <= MOST_KEY:
-        raise ProblemError(
-            f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
-        )
-    return key

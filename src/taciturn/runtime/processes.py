@@ -18,8 +18,8 @@ from taciturn._ending import ENDED, GRACE, LIFELINE, at_once
 from taciturn.errors import ProblemError
 from taciturn.model.places import link_of, peer_of, place_of, receiver_of, role_at, roles, sender_of
 from taciturn.model.policy import LinkName, NodeName, Policy, Send
+from taciturn.runtime.keys import KEY, Keys
 from taciturn.runtime.namespaces import Namespaces
-from taciturn.runtime.packet import KEY
 from taciturn.runtime.relay import Fate
 from taciturn.runtime.service import LISTENS
 from taciturn.runtime.udp import free_addresses
@@ -42,13 +42,14 @@ class Process:
         self,
         arguments: Sequence[str],
         name: str = "a process",
-        key: bytes | None = None,
+        key: bytes | Keys | None = None,
         before: Sequence[str] = (),
     ) -> None:
         """Start the process."""
         command = [*before, sys.executable, "-m", "taciturn.cli", *arguments]
         self._name = name
         known = {variable: value for variable, value in os.environ.items() if variable != KEY}
+        secret = {} if key is None else {KEY: key.hex() if isinstance(key, bytes) else key.text()}
         self._errors: list[str] = []
         self._listens = threading.Event()
         self._process = subprocess.Popen(
@@ -57,7 +58,7 @@ class Process:
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             encoding="utf-8",
-            env=known | {"PYTHONIOENCODING": "utf-8"} | _ends_with_parent() | ({} if key is None else {KEY: key.hex()}),
+            env=known | {"PYTHONIOENCODING": "utf-8"} | _ends_with_parent() | secret,
             process_group=0,  # Ctrl-C must reach only the parent process, which ends the others (POSIX)
             creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same for Windows
         )
@@ -180,7 +181,7 @@ class Processes:
         folder: Path | None = None,
         keeps: bool = False,
         options: Sequence[str] = (),
-        key: bytes | None = None,
+        key: bytes | Keys | None = None,
         namespaces: Namespaces | None = None,
         through: Mapping[NodeName, str] | None = None,
     ) -> None:

@@ -17,7 +17,7 @@ from taciturn.model.wire import HEADER_SIZE, KINDS, read_place
 
 _WORD = (1 << 64) - 1
 _LOSS, _TURN, _FIRST, _DOUBLE, _SWAP, _HARM, _BIT, _WAIT = range(1, 9)
-MARK = KINDS.index("mark")
+MARK, ANSWER = KINDS.index("mark"), KINDS.index("answer")
 
 
 @dataclass(frozen=True, repr=False)
@@ -136,16 +136,16 @@ class EmulatedLink:
     def take(self, datagram: bytes, now: float) -> list[bytes]:
         """Accept a datagram, and return the datagrams that leave the link immediately.
 
-        A mark reports that all packets of its step were sent before it. A mark is never dropped. It is delayed by
-        ``delay``, or longer if a packet sent before it is. It overtakes only packets that ``hold`` or ``reorder``
-        delays. A malformed packet is dropped.
+        A mark reports that all packets of its step were sent before it. Marks and answers to challenges are never
+        dropped. They are delayed by ``delay``, or longer if a packet sent before them is. They overtake only packets
+        that ``hold`` or ``reorder`` delays. A malformed packet is dropped.
         """
         if len(datagram) < HEADER_SIZE:
             self.counters["foreign"] += 1
             return []
         sequence, kind, loop, tick = read_place(datagram)
-        if kind == MARK:
-            self.counters["marks"] += 1
+        if kind in (MARK, ANSWER):
+            self.counters["marks" if kind == MARK else "answers"] += 1
             free = [old for let, old in self._held if let <= tick]
             self._held = [(let, old) for let, old in self._held if let > tick]
             if not self._waiting and self.fate.delay == 0.0:

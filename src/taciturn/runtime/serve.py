@@ -17,16 +17,18 @@ from typing import Any
 import numpy as np
 
 from taciturn.errors import ProblemError
+from taciturn.model.wire import EITHER
 from taciturn.runtime.clock import JUMPED, Phase
-from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
+from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
+from taciturn.runtime.outbox import PLANT, Outbox
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.service import IDLE, QUIET, Port, Say, Storage, Told, Turns, disagreement, drive, take_until
+from taciturn.runtime.reception import Reception, answer_to
+from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
 from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
 LEFT_BEHIND = 8  # a node that is more steps late skips to the current step
-REPEATED = 2  # last steps whose packets a node repeats in lockstep, as it may be one step ahead of its receiver
 PATIENT = 4096  # largest number of measurements that wait for their step
 REMEMBERED = 100_000  # number of last steps whose lateness is reported
 UNUSABLE = ("ahead", "duplicate", "replayed", "misdirected")  # counters of packets that were not used
@@ -51,9 +53,10 @@ class NodeServer:
         told: function called with the log line of each step.
         say: function called once with a message if packets of another policy or key are rejected.
         clock: function that returns the time in seconds, from any origin.
+        draw: function that returns the random number of a challenge; default: one of the operating system.
 
     Raises:
-        ProblemError: a peer or a plant is missing, or the saved state is not valid for this node.
+        ProblemError: a peer, a plant or a key is missing, or the saved state is not valid for this node.
     """
 
     def __init__(
@@ -71,6 +74,7 @@ class NodeServer:
         told: Told | None = None,
         say: Say | None = None,
         clock: Callable[[], float] = time.monotonic,
+        draw: Callable[[], int] | None = None,
     ) -> None:
         """Check that all addresses are given, and continue from a saved state if there is one."""
         first = nodes[0]
@@ -89,16 +93,17 @@ class NodeServer:
                 f"the {first.role} sends packets on one link and acknowledges packets of another link, but a node has "
                 "only one peer; expected a policy that acknowledges at its actuator only"
             )
-        self.peer, self.plant, self._tick, self._wait = peer, plant, tick, wait
+        self._tick, self._wait = tick, wait
         self._heartbeat, self._keep, self._told, self._say = heartbeat, keep, told, say
         self.phase = Phase(tick or 1.0)
-        self.refused: Counter[str] = Counter()
+        links = [*first.program.sends, *first.listens, *([] if plant is None else [PLANT])]
+        self.reception = Reception(wire, endpoint, first.role, links, say, draw)
+        self.refused = self.reception.refused
         self.arrived: Counter[str] = Counter()  # number of new data packets, by link
         self._news: list[dict[str, list[int]]] = [{} for _ in nodes]  # their sequence numbers since the last log line
         self._measurements: list[dict[int, Values]] = [{} for _ in nodes]
         self._measured = [Window() for _ in nodes]
-        self._outbox = [deque[list[Packet]](maxlen=REPEATED) for _ in nodes]  # packets of the last steps
-        self._answered = [0.0 for _ in nodes]  # time of the last retransmission
+        self._outbox = Outbox(wire, endpoint, peer, plant, len(nodes))
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
@@ -147,6 +152,7 @@ class NodeServer:
             "arrived": dict(self.arrived),
             "waiting": sum(node.waiting for node in self.nodes),
             "refused": dict(self.refused),
+            "proofs": dict(self.reception.counters),
             "physical": self._physical,
             "measurements": self.measured,
             "datagrams": self.endpoint.counted,
@@ -164,24 +170,38 @@ class NodeServer:
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Store received packets, and return the numbers of their loops."""
         now, touched = self._clock(), set[int]()
-        for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
-            packet = self.wire.decode(datagram)
-            if isinstance(packet, str):
-                self.refused[packet] += 1
-                sentence = disagreement(self.nodes[0].role, packet, self.wire.keyed, sender)
-                if sentence and self.refused[packet] == 1 and self._say is not None:
-                    self._say(sentence)
-            elif packet.loop >= len(self.nodes):
+        for packet, sender in self.reception.packets(datagrams):
+            if packet.loop >= len(self.nodes):
                 self.refused["misdirected"] += 1
-            else:
+            elif self._admits(packet, sender, now):
                 self._sort(packet, now)
                 touched.add(packet.loop)
         return touched
 
+    def _admits(self, packet: Packet, sender: Address, now: float) -> bool:
+        """Return whether a packet may be sorted; answer a challenge, and store the proof in an answer."""
+        node = self.nodes[packet.loop]
+        along = packet.link in node.program.sends  # whether the packets of this node travel along the link
+        sends = along or packet.link in node.acknowledges or (packet.link == PLANT and node.actuates)
+        if packet.kind in EITHER and (packet.back != along or (packet.kind == "challenge" and not sends)):
+            self.refused["misdirected"] += 1
+            return False
+        if packet.kind == "challenge":
+            self._outbox.send([answer_to(packet, node.epoch, node.tick)])
+            self._outbox.repeat(packet.loop, now, packet.link)
+            return False
+        if packet.kind == "answer":
+            if self.reception.accepts(packet):
+                node.inbox.forget(packet.link)
+                if packet.link == PLANT:
+                    self._measured[packet.loop] = Window()
+            return False
+        return self.reception.admits(packet, sender)
+
     def _sort(self, packet: Packet, now: float) -> None:
         """Store a packet for its node; in lockstep, a repeated packet requests the last answer again."""
         loop, node = packet.loop, self.nodes[packet.loop]
-        if packet.link == "plant":
+        if packet.link == PLANT:
             self._physical += 1
             news = self._measured[loop].admit(packet.epoch, packet.sequence)
             if packet.kind != "measurement" or not node.measures:
@@ -215,10 +235,9 @@ class NodeServer:
         return last < packet.tick <= last + AHEAD or last < 0  # the plant may be ahead of a sensor that starts late
 
     def _answer_again(self, loop: int, now: float, asked: bool) -> None:
-        """Send the last answer again, as it may have been dropped; the rate is limited against amplification."""
-        if asked and self._tick is None and now - self._answered[loop] > QUIET:
-            self._answered[loop] = now
-            self._repeat(loop)
+        """Send the packets of the last steps again, as they may have been dropped."""
+        if asked and self._tick is None:
+            self._outbox.repeat(loop, now)
 
     def _go_on(self, node: Node, now: float) -> None:
         """Execute the steps that may begin."""
@@ -232,13 +251,10 @@ class NodeServer:
             out = list(packets)
             out += node.mark(0 if self._tick is None else self._heartbeat)
             if given is not None:
-                out.append(Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
-            self._outbox[loop].append(out)
-            if self._keep is not None:
-                outbox = [[list(packet) for packet in sent] for sent in self._outbox[loop]]
-                kept = {"node": node.save(), "measured": self._measured[loop].save(), "outbox": outbox}
-                self._keep.write(json.dumps(kept).encode())
-            self._send(out)
+                out.append(Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, loop))
+            self._outbox.keep(loop, out)
+            self._save(node)
+            self._outbox.send(out)
             if self._tick is not None and self.phase.known:
                 self._lateness.append(self._clock() - self.phase.begins(tick))
             if self._told is not None:
@@ -293,15 +309,17 @@ class NodeServer:
         limit = self.nodes[0].watchdog
         if self._tick is None or limit is None or self.phase.known or now < self._expires:
             return
+        self._expires, self._expiries = now + limit * self._tick, self._expiries + 1
         for node in self.nodes:
             known = node.silent
             given = node.expire()
             if not known:
                 self._report_silence(node)
+            self._save(node)
             if given is not None:
-                # its epoch is before that of the steps, so that the plant prefers every input of a step
-                self._send([Packet("input", "plant", 0, self._expiries, given, max(node.epoch - 1, 0), node.loop)])
-        self._expires, self._expiries = now + limit * self._tick, self._expiries + 1
+                self._outbox.send(
+                    [Packet("safe", PLANT, max(node.tick, 0), self._expiries, given, node.epoch, node.loop)]
+                )
 
     def _report_silence(self, node: Node) -> None:
         """Print why a node has received nothing usable."""
@@ -326,23 +344,27 @@ class NodeServer:
         tick = self._coming(min(node.tick for node in self.nodes), self._clock())
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
-    def _repeat(self, loop: int) -> None:
-        """Send the packets of the last steps again, in their order."""
-        for sent in self._outbox[loop]:
-            self._send(sent)
-
-    def _send(self, packets: Sequence[Packet]) -> None:
-        for packet in packets:
-            to = self.plant if packet.link == "plant" else self.peer
-            assert to is not None
-            self.endpoint.send(self.wire.encode(packet), to)
+    def _save(self, node: Node) -> None:
+        """Save the state of the node, if a storage is given."""
+        if self._keep is None:
+            return
+        kept = {
+            "node": node.save(),
+            "measured": self._measured[0].save(),
+            "outbox": self._outbox.save(),
+            "sessions": self.reception.save(),
+            "expiries": self._expiries,
+        }
+        self._keep.write(json.dumps(kept).encode())
 
     def _take_up(self, state: bytes) -> None:
         try:
             kept = json.loads(state)
             self.nodes[0].restore(kept["node"])
             self._measured[0].restore(kept["measured"])
-            self._outbox[0].extend([packet_of(entry) for entry in sent] for sent in kept["outbox"])
+            self._outbox.restore(kept["outbox"])
+            self.reception.restore(kept["sessions"])
+            self._expiries = kept["expiries"]
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -350,7 +372,7 @@ class NodeServer:
                 f"the saved state {self._keep} cannot be read ({error}); expected a saved state of this node"
             ) from None
         if self._tick is None:
-            self._repeat(0)  # the process may have ended after saving and before sending
+            self._outbox.repeat(0, self._began)  # the process may have ended after saving and before sending
 
     def _line(
         self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None

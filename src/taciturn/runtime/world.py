@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn.model.wire import BACK, PROOFS
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.reception import Reception, answer_to
 from taciturn.runtime.relay import EmulatedLink
-from taciturn.runtime.service import IDLE, QUIET, Port, Say, Told, Turns, disagreement, drive
+from taciturn.runtime.service import IDLE, QUIET, Port, Say, Told, Turns, drive
 from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
@@ -63,6 +64,10 @@ class PlantServer:
             rejected.
         clock: function that returns the time in seconds, from any origin.
         epoch: number that increases with every start; default: the system time in seconds.
+        draw: function that returns the random number of a challenge; default: one of the operating system.
+
+    Raises:
+        ProblemError: the keys contain none for the plant link.
     """
 
     def __init__(
@@ -77,6 +82,7 @@ class PlantServer:
         say: Say | None = None,
         clock: Callable[[], float] = time.monotonic,
         epoch: int | None = None,
+        draw: Callable[[], int] | None = None,
     ) -> None:
         """Start before the first step."""
         self.plants, self.wire, self.endpoint, self.sensor = plants, wire, endpoint, sensor
@@ -84,11 +90,12 @@ class PlantServer:
         self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
         self._given = [(-1, -1)] * len(plants)  # epoch and step number of the last input
         self._waiting: list[dict[int, Packet]] = [{} for _ in plants]  # inputs by step: a node may be one step ahead
-        self._windows = [Window() for _ in plants]
+        self._windows = [{"input": Window(), "safe": Window()} for _ in plants]
         self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
         self.taken = 0  # inputs that were applied or stored for their step
         self.costs: list[list[float]] = [[] for _ in plants]
-        self.refused: Counter[str] = Counter()
+        self.reception = Reception(wire, endpoint, "plant", ["plant"], say, draw)
+        self.refused = self.reception.refused
         self.largest = 0.0  # largest absolute entry of a state
         self.held = 0  # steps without a new input, in which the last input was held
         self.again = 0  # measurements sent again
@@ -141,6 +148,7 @@ class PlantServer:
             "measured_again": self.again,
             "inputs": self.taken,
             "refused": dict(self.refused),
+            "proofs": dict(self.reception.counters),
             "datagrams": self.endpoint.counted,
         }
 
@@ -181,23 +189,45 @@ class PlantServer:
             self._take((yield until))
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
-        for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
-            packet = self.wire.decode(datagram)
-            if isinstance(packet, str):
-                self.refused[packet] += 1
-                sentence = disagreement("plant", packet, self.wire.keyed, sender)
-                if sentence and self.refused[packet] == 1 and self._say is not None:
-                    self._say(sentence)
-            elif packet.kind != "input" or packet.loop >= len(self.plants):
+        for packet, sender in self.reception.packets(datagrams):
+            if packet.loop >= len(self.plants) or not self._expects(packet):
                 self.refused["misdirected"] += 1
-            else:
+            elif self._admits(packet, sender):
                 self._sort(packet)
 
+    def _expects(self, packet: Packet) -> bool:
+        """Return whether a packet is one that nodes send to the plant."""
+        return packet.link == "plant" and (packet.kind in BACK or (packet.kind in PROOFS and packet.back))
+
+    def _admits(self, packet: Packet, sender: Address) -> bool:
+        """Return whether an input may be sorted; answer a challenge, and store the proof in an answer."""
+        if packet.kind == "challenge":
+            self.endpoint.send(self.wire.encode(answer_to(packet, self._epoch, self._now)), self.sensor)
+            self._measure(self._now, again=True)
+            return False
+        if packet.kind == "answer":
+            if self.reception.accepts(packet):
+                self._windows[packet.loop] = {"input": Window(), "safe": Window()}
+                self._given[packet.loop] = (-1, -1)
+            return False
+        return self.reception.admits(packet, sender)
+
     def _sort(self, packet: Packet) -> None:
-        """Store an input for its step; apply a late input immediately unless a later one has been applied."""
-        loop, news = packet.loop, self._windows[packet.loop].admit(packet.epoch, packet.sequence)
+        """Store an input for its step; apply a late input immediately unless a later one has been applied.
+
+        A safe input belongs to no step, and is applied unless an input of a later step has been.
+        """
+        loop, news = packet.loop, self._windows[packet.loop][packet.kind].admit(packet.epoch, packet.sequence)
         if news != "new":
             self.refused[news] += 1
+        elif packet.kind == "safe":
+            known = self._given[loop]
+            if (packet.epoch, packet.tick) >= known:
+                self._apply(packet)
+                self._given[loop] = max(known, (packet.epoch, packet.tick - 1))
+                self.taken += 1
+            else:
+                self.refused["late"] += 1
         elif packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:
@@ -215,12 +245,23 @@ class PlantServer:
 
 
 def relay(link: EmulatedLink, endpoint: Port, peer: Address, stopped: Callable[[], bool]) -> dict[str, Any]:
-    """Forward datagrams to a peer over an emulated link until stopped, and return the report."""
+    """Forward datagrams to a peer over an emulated link until stopped, and return the report.
+
+    Datagrams from the peer, such as challenges, go back without impairments to the last other sender.
+    """
+    client: Address | None = None
 
     def carry(until: float) -> bool:
+        nonlocal client
         found = endpoint.receive(until if link.due is None else min(until, link.due))
-        now = time.monotonic()
-        out = [datagram for one in found for datagram in link.take(one, now)]
+        now, out = time.monotonic(), list[bytes]()
+        for datagram, sender in zip(found, endpoint.senders, strict=True):
+            if sender != peer:
+                client = sender
+                out += link.take(datagram, now)
+            elif client is not None:
+                endpoint.send(datagram, client)
+                link.counters["sent back"] += 1
         for datagram in out + link.release(now):
             endpoint.send(datagram, peer)
         return bool(found)

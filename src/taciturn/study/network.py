@@ -24,8 +24,9 @@ from taciturn.model.network import Network
 from taciturn.model.policy import LinkName, Policy, Send
 from taciturn.model.table import Column, Columns, Tabular
 from taciturn.problem import load
+from taciturn.runtime.keys import Keys, read_keys
 from taciturn.runtime.namespaces import Counted, KernelLoss, Namespaces, predict_drops
-from taciturn.runtime.packet import Wire, read_key
+from taciturn.runtime.packet import Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.relay import Fate
@@ -143,7 +144,7 @@ def run_network(
     ticks: int | None = None,
     tick: float | None = None,
     seed: int = 0,
-    key: bytes | None = None,
+    key: bytes | Keys | None = None,
     fates: Mapping[LinkName, Fate] | None = None,
     namespaces: bool = False,
     functions: bool = True,
@@ -181,7 +182,7 @@ def run_network(
     loop = problem.close(policy)
     count("seed", seed, 0)
     ticks = loop.ticks(ticks if ticks is not None else problem.cost.horizon or USUAL)
-    key = read_key() if key is None else key
+    key = read_keys() if key is None else key
     wire = Wire(policy, problem.network, key)
     if namespaces and fates is not None:
         raise ProblemError(

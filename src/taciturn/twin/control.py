@@ -12,6 +12,7 @@ from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
+from taciturn.runtime.keys import Keys
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.service import logged
 from taciturn.twin.calibration import Calibration
@@ -47,7 +48,7 @@ def read_eye(path: Path) -> Eye:
 def picture_wire(
     policy: Policy,
     network: Network,
-    key: bytes | None,
+    key: bytes | Keys | None,
     eye: Eye,
     *,
     seen: str | None = None,

@@ -16,6 +16,7 @@ from taciturn.twin.faults import Fault
 from taciturn.twin.wire import CameraWire
 
 KEPT = 8  # number of steps whose poses are stored, as a request may arrive when the plant is ahead
+PASSED = ("mark", "answer")  # kinds of packets that the camera passes on, behind the earlier requests
 PATIENT = 256  # largest number of requests and marks of a loop that wait for their poses
 
 
@@ -49,6 +50,7 @@ class CameraServer:
         self._light: list[dict[int, Packet]] = [{} for _ in range(loops)]  # newest pose of each step
         self._waiting: list[list[Packet]] = [[] for _ in range(loops)]
         self._asked = [Window() for _ in range(loops)]
+        self._clients: dict[int, Address] = {}  # address of the last request, by loop
         self.counters: Counter[str] = Counter()
         self.refused: Counter[str] = Counter()
 
@@ -68,15 +70,27 @@ class CameraServer:
         }
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
-        for datagram in datagrams:
+        for datagram, sender in zip(datagrams, self.endpoint.senders, strict=True):
             packet = self.wire.decode(datagram)
             if isinstance(packet, str):
                 self.refused[packet] += 1
             elif packet.loop >= len(self._light):
                 self.refused["misdirected"] += 1
+            elif packet.kind == "challenge":
+                self._pass_on(packet)
             else:
+                if packet.kind != "measurement":
+                    self._clients[packet.loop] = sender
                 self._sort(packet)
                 self._go_on(packet.loop)
+
+    def _pass_on(self, challenge: Packet) -> None:
+        """Send a challenge to the sender of the requests, whose epoch and sequence numbers the pictures carry."""
+        client = self._clients.get(challenge.loop)
+        if client is None or challenge.link != "sensor":
+            self.refused["misplaced"] += 1
+        else:
+            self.endpoint.send(self.wire.encode(challenge), client)
 
     def _sort(self, packet: Packet) -> None:
         light, waiting = self._light[packet.loop], self._waiting[packet.loop]
@@ -87,18 +101,18 @@ class CameraServer:
                 light[packet.tick] = packet
             while len(light) > KEPT:
                 del light[min(light)]
-        elif packet.link != "sensor" or packet.kind not in ("data", "mark") or len(waiting) >= PATIENT:
+        elif packet.link != "sensor" or packet.kind not in ("data", *PASSED) or len(waiting) >= PATIENT:
             self.refused["misplaced"] += 1
         else:
             waiting.append(packet)
 
     def _go_on(self, loop: int) -> None:
-        """Answer requests in order if their poses have arrived; forward a mark when earlier requests are answered."""
+        """Answer requests in order if their poses have arrived; pass on a mark when earlier requests are answered."""
         light, waiting = self._light[loop], self._waiting[loop]
-        while waiting and (waiting[0].kind == "mark" or (light and waiting[0].tick <= max(light))):
+        while waiting and (waiting[0].kind in PASSED or (light and waiting[0].tick <= max(light))):
             packet = waiting.pop(0)
-            if packet.kind == "mark":
-                self.counters["marks"] += 1
+            if packet.kind in PASSED:
+                self.counters[f"{packet.kind}s"] += 1
                 self.endpoint.send(self.wire.encode(packet), self.peer)
             else:
                 self._answer(packet, light[min(light, key=lambda tick: abs(tick - packet.tick))])

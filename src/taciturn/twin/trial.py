@@ -17,6 +17,7 @@ from taciturn._files import temporary_folder
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError
 from taciturn.problem import Problem
+from taciturn.runtime.keys import Keys
 from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import Wire
 from taciturn.runtime.processes import Processes
@@ -53,7 +54,7 @@ class Setup(Displayed):
     tick: float | None = None
     namespaces: bool = False
     faults: tuple[Fault, ...] = ()
-    key: bytes | None = None
+    key: bytes | Keys | None = None
     variant: str | None = None
 
     def __post_init__(self) -> None:

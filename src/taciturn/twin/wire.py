@@ -15,6 +15,7 @@ from typing import TypeAlias
 from taciturn.model.network import Network
 from taciturn.model.policy import Policy
 from taciturn.model.wire import BYTES
+from taciturn.runtime.keys import Keys
 from taciturn.runtime.packet import Packet, Wire
 
 UNSEEN = "unseen"  # reason for the rejection of a picture without a marker
@@ -30,7 +31,7 @@ class QuestionWire(Wire):
         key: shared secret; default: packets without authentication.
     """
 
-    def __init__(self, policy: Policy, network: Network | None = None, key: bytes | None = None) -> None:
+    def __init__(self, policy: Policy, network: Network | None = None, key: bytes | Keys | None = None) -> None:
         """Define packets without payload on the sensor link."""
         super().__init__(policy, network, key, {("data", "sensor"): 0})
 
@@ -50,7 +51,9 @@ class CameraWire(Wire):
         key: shared secret; default: packets without authentication.
     """
 
-    def __init__(self, policy: Policy, light: int, network: Network | None = None, key: bytes | None = None) -> None:
+    def __init__(
+        self, policy: Policy, light: int, network: Network | None = None, key: bytes | Keys | None = None
+    ) -> None:
         """Define requests without payload, and poses on the plant link."""
         super().__init__(policy, network, key, {("data", "sensor"): 0, ("measurement", "plant"): light})
 
@@ -75,7 +78,7 @@ class PictureWire(Wire):
         policy: Policy,
         see: Callable[[bytes], Sequence[float] | None],
         network: Network | None = None,
-        key: bytes | None = None,
+        key: bytes | Keys | None = None,
         told: Seen | None = None,
     ) -> None:
         """Start without pictures."""

@@ -1,0 +1,192 @@
+"""Secrets that authenticate the packets of each link, from a file or from the environment.
+
+A file contains one line ``LINK: KEY`` for each link that a process uses, with hexadecimal digits, or one line ``KEY``
+for all links. A line may contain several keys: the first authenticates the packets that the process sends, and the
+process accepts packets of all of them. A process reads a changed file again, so that keys change without a stop.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from taciturn.errors import ProblemError
+from taciturn.model.wire import LINKS
+from taciturn.runtime.udp import is_loopback
+
+KEY, LEAST_KEY, MOST_KEY = "TACITURN_KEY", 16, 32  # environment variable; shortest and longest BLAKE2s key in bytes
+LOOKED = 1.0  # seconds between checks whether a key file has changed
+
+
+class Keys:
+    """The keys of each link.
+
+    Args:
+        links: keys by link; the first of a link authenticates the packets that are sent.
+        source: origin of the keys, for messages.
+
+    Raises:
+        ProblemError: a key is too short or too long.
+
+    Example:
+        >>> keys = Keys.parse("sensor: " + "01" * 16 + "\\nactuator: " + "02" * 16 + " " + "03" * 16)
+        >>> [len(keys.of(link)) for link in ("sensor", "actuator", "plant")]
+        [1, 2, 0]
+    """
+
+    def __init__(self, links: Mapping[str, Iterable[bytes]], source: str = "the key") -> None:
+        """Check the lengths of the keys."""
+        self._links = {link: tuple(keys) for link, keys in links.items()}
+        for key in (key for keys in self._links.values() for key in keys):
+            if not LEAST_KEY <= len(key) <= MOST_KEY:
+                raise ProblemError(
+                    f"{source} holds {len(key)} bytes; expected {LEAST_KEY} to {MOST_KEY}: use `openssl rand -hex 32`"
+                )
+
+    @staticmethod
+    def same(key: bytes) -> Keys:
+        """Return one key for all links."""
+        return Keys(dict.fromkeys(LINKS, (key,)))
+
+    @staticmethod
+    def parse(text: str, source: str = "the text") -> Keys:
+        """Return the keys in a text.
+
+        Raises:
+            ProblemError: a line has another form, or a key is too short or too long.
+        """
+        links: dict[str, tuple[bytes, ...]] = {}
+        for line in (line.partition("#")[0].strip() for line in text.splitlines()):
+            if not line:
+                continue
+            name, colon, digits = line.rpartition(":")
+            named = (name.strip(),) if colon else LINKS
+            if named[0] not in LINKS:
+                raise ProblemError(f"{source} names the link {named[0]!r}; expected one of {', '.join(LINKS)}")
+            if links.keys() & set(named):
+                raise ProblemError(
+                    f"{source} has two lines for the {(links.keys() & set(named)).pop()} link; expected all keys of a "
+                    "link on one line, separated by spaces"
+                )
+            links |= dict.fromkeys(named, tuple(_key(word, source) for word in digits.split()))
+        if not any(links.values()):
+            raise ProblemError(f"{source} contains no key; expected hexadecimal digits: use `openssl rand -hex 32`")
+        return Keys(links, source)
+
+    def of(self, link: str) -> tuple[bytes, ...]:
+        """Return the keys of a link; none if it has no key."""
+        return self._links.get(link, ())
+
+    def check(self, role: str, links: Iterable[str]) -> None:
+        """Check that the process of a role has a key for each link that it uses.
+
+        Raises:
+            ProblemError: a key is missing.
+        """
+        for link in links:
+            if not self.of(link):
+                raise ProblemError(
+                    f"the keys of the {role} contain none for the {link} link, which it uses; expected a line "
+                    f"'{link}: KEY'"
+                )
+
+    def text(self) -> str:
+        """Return the keys as text, for the environment of another process."""
+        return "\n".join(f"{link}: {' '.join(key.hex() for key in keys)}" for link, keys in self._links.items())
+
+    def renew(self) -> str | None:
+        """Read the keys again if their file has changed, and return a message about it."""
+        return None
+
+
+class KeyFile(Keys):
+    """The keys in a file, which ``renew`` reads again after a change.
+
+    Args:
+        path: file with the keys.
+
+    Raises:
+        ProblemError: the file cannot be read, other users can read it (POSIX), or its content is not valid.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Read the file."""
+        self._path, self._looked = Path(path), time.monotonic()
+        self._stamp = self._stamped()
+        super().__init__(self._read())
+
+    def renew(self) -> str | None:
+        """Read the keys again if the file has changed; keep the former keys if it is not valid."""
+        if time.monotonic() < self._looked + LOOKED:
+            return None
+        self._looked = time.monotonic()
+        stamp = self._stamped()
+        if stamp == self._stamp:
+            return None
+        self._stamp = stamp
+        try:
+            links = self._read()
+            Keys(links).check("process", (link for link, keys in self._links.items() if keys))
+        except ProblemError as error:
+            return f"{error}; the former keys remain in use"
+        self._links = links
+        return f"the keys of {self._path} have changed; the new keys are in use"
+
+    def _stamped(self) -> tuple[int, ...]:
+        """Return numbers that differ after a change of the file."""
+        try:
+            found = self._path.stat()
+        except OSError:
+            return ()
+        return found.st_mtime_ns, found.st_size, found.st_ino, found.st_mode
+
+    def _read(self) -> dict[str, tuple[bytes, ...]]:
+        source = f"the key file {self._path}"
+        try:
+            text, mode = self._path.read_text(encoding="ascii"), self._path.stat().st_mode & 0o777
+        except (OSError, UnicodeDecodeError) as error:
+            raise ProblemError(f"{source} cannot be read ({error}); expected hexadecimal digits") from None
+        if os.name == "posix" and mode & 0o077:
+            raise ProblemError(
+                f"{source} has the mode {mode:04o}, with which other users can read it; expected 0600: use "
+                f"`chmod 600 {self._path}`, and a new key if another user may have read this one"
+            )
+        return Keys.parse(text, source)._links
+
+
+def read_keys(path: str | Path | None = None, hosts: Iterable[str] = ()) -> Keys | None:
+    """Return the keys from a file or from the environment variable ``TACITURN_KEY``, or None if it is not set.
+
+    Args:
+        path: file that contains the keys; default: the environment variable is read.
+        hosts: addresses of this process and of its peers; an empty environment variable is accepted on the loopback
+            only.
+
+    Raises:
+        ProblemError: the file cannot be read, or other users can read it (POSIX); a key is not a valid number of
+            hexadecimal digits; the environment variable is empty, and a host is not the loopback.
+    """
+    if path is not None:
+        return KeyFile(path)
+    text, source = os.environ.get(KEY, ""), f"the environment variable {KEY}"
+    other = next((host for host in hosts if not is_loopback(host)), None)
+    if not text and KEY in os.environ and other is not None:
+        raise ProblemError(
+            f"{source} is empty, so packets from and to {other} would not be authenticated; expected "
+            f"{2 * LEAST_KEY} to {2 * MOST_KEY} hexadecimal digits: use `openssl rand -hex 32`, or unset the "
+            "variable to run without a key"
+        )
+    return Keys.parse(text, source) if text else None
+
+
+def _key(digits: str, source: str) -> bytes:
+    """Return a key from hexadecimal digits."""
+    try:
+        return bytes.fromhex(digits)
+    except ValueError:
+        raise ProblemError(
+            f"{source} contains other characters than hexadecimal digits; expected {2 * LEAST_KEY} to "
+            f"{2 * MOST_KEY} digits"
+        ) from None
