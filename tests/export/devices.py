@@ -108,8 +108,9 @@ def compile_node(
 
 def _packet(number: type, entries: int) -> type[c.Structure]:
     fields = [
-        ("tick", c.c_uint64), ("sequence", c.c_uint32), ("epoch", c.c_uint32), ("loop", c.c_uint16),
-        ("kind", c.c_uint8), ("link", c.c_uint8), ("entries", c.c_uint8), ("values", number * entries),
+        ("tick", c.c_uint64), ("nonce", c.c_uint64), ("sequence", c.c_uint32), ("epoch", c.c_uint32),
+        ("loop", c.c_uint16), ("kind", c.c_uint8), ("link", c.c_uint8), ("entries", c.c_uint8), ("back", c.c_bool),
+        ("values", number * entries),
     ]  # fmt: skip
     return type("CPacket", (c.Structure,), {"_fields_": fields})
 
@@ -141,12 +142,17 @@ class Device:
         """Send a mark after so many steps without a packet on a link."""
         self.code.tac_mark_after(self.node, c.c_uint32(ticks))
 
+    def set_keys(self, link: str, key: bytes | None, other: bytes | None = None) -> None:
+        """Set the key of a link, and one more that is accepted."""
+        self._keys = key, other  # to which the node points
+        self.code.tac_set_keys(self.node, c.c_uint8(LINKS.index(link)), key_of(key), key_of(other))
+
     def encode(self, packet: Packet) -> bytes:
         """Return a packet as a datagram; empty: there is no such packet."""
         given = self.library.packet()
         given.tick, given.sequence, given.epoch, given.loop = packet.tick, packet.sequence, packet.epoch, packet.loop
         given.kind, given.link = KINDS.index(packet.kind), LINKS.index(packet.link)
-        given.entries = len(packet.values)
+        given.entries, given.back, given.nonce = len(packet.values), packet.back, packet.nonce
         given.values[: len(packet.values)] = packet.values
         size = self.code.tac_encode(self.wire, self.key, c.byref(given), self._datagram)
         return self._datagram.raw[:size]
@@ -161,7 +167,7 @@ class Device:
             return REFUSALS[verdict - 1]
         values = tuple(found.values[: found.entries])
         kind, link = KINDS[found.kind], LINKS[found.link]
-        return Packet(kind, link, found.tick, found.sequence, values, found.epoch, found.loop)
+        return Packet(kind, link, found.tick, found.sequence, values, found.epoch, found.loop, found.back, found.nonce)
 
     def receive(self, datagram: bytes) -> bool:
         """Take a datagram."""

@@ -48,7 +48,7 @@ static void apply(const tac_node *node, uint16_t port) {
   for (unsigned i = 0; i < packet.entries; i++) {
     packet.values[i] = tac_input(node)[i];
   }
-  last[count].size = tac_encode(&node->data->wire, node->key, &packet, last[count].bytes);
+  last[count].size = tac_encode(&node->data->wire, node->keys[0][0], &packet, last[count].bytes);
   last[count].port = port;
   count++;
 }

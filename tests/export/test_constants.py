@@ -80,7 +80,7 @@ def test_a_node_with_another_constant_is_not_started(tmp_path: Path) -> None:
     text = source.read_text()
     assert run_check(compile_check(folder))[0] == 0
     gain = re.findall(r"-?\d\.\d{16}", text)[0]
-    for old, new in ((gain, gain[:-1] + ("1" if gain[-1] != "1" else "9")), ("1u, /* format */", "2u, /* format */")):
+    for old, new in ((gain, gain[:-1] + ("1" if gain[-1] != "1" else "9")), ("2u, /* format */", "1u, /* format */")):
         assert text.count(old) >= 1
         source.write_text(text.replace(old, new, 1))
         code, line = run_check(compile_check(folder))

@@ -8,7 +8,7 @@ from functools import cache
 from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -19,7 +19,6 @@ from export.devices import WAITING, Device, Library, compile_node
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parity.loops import every_feature, with_functions
-from runtime.test_packets import KEY
 from systems import make_system
 
 import taciturn
@@ -148,15 +147,15 @@ def compiled(name: str, role: NodeName) -> Library:
 class Pair:
     """The same node twice, given the same."""
 
-    def __init__(self, found: Case, secret: bytes | None, seed: int) -> None:
+    def __init__(self, found: Case, seed: int) -> None:
         """Start both before the first step."""
         self.case, self.draws = found, np.random.default_rng(seed)
-        self.host, self.device = found.host(epoch=9), Device(found.library, secret, 9, LOOP)
+        self.host, self.device = found.host(epoch=9), Device(found.library, None, 9, LOOP)
         self.device.watch(*found.watch)
         self.every = (None, 0, 3)[seed % 3]  # steps without a packet after which a mark is sent; None: no marks
         if self.every is not None:
             self.device.mark_after(self.every)
-        self.wire = Wire(found.policy, found.network, secret)
+        self.wire = Wire(found.policy, found.network)
         self.tick = -1
         self.numbers: dict[tuple[str, str], int] = {}  # sequence numbers that the device has given out
         self.sequences: dict[tuple[str, str], int] = {}  # of the next packet to come
@@ -175,7 +174,9 @@ class Pair:
         sequence = max(0, self.sequences.get(name, 0) - behind)
         self.sequences[name] = max(self.sequences.get(name, 0), sequence + 1)
         values = tuple(self.draws.normal(0, 5, self.sizes[name]).tolist())
-        packet = Packet(kind, link, max(0, self.tick + ahead), sequence, values, epoch, loop)  # type: ignore[arg-type]
+        back = kind == "mark" and ("acknowledgement", link) in self.sizes
+        tick: Any = max(0, self.tick + ahead)
+        packet = Packet(kind, link, tick, sequence, values, epoch, loop, back)  # type: ignore[arg-type]
         datagram = self.wire.encode(packet)
         read = self.wire.decode(datagram)
         assert isinstance(read, Packet)
@@ -231,9 +232,9 @@ all_or_some = pytest.mark.parametrize("every", few([3, 1], 1), ids=["every third
 
 
 @patch("taciturn.runtime.window.WIDTH", WIDTH)
-def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> Pair:
+def play(found: Case, events: list[tuple], seed: int) -> Pair:
     """Give a node on the host and in C what happens, and compare after each step."""
-    pair = Pair(found, secret, seed)
+    pair = Pair(found, seed)
     for what, *rest in [*events, ("step", 1), ("step", 1)]:
         if what == "packet":
             pair.receive(*rest)
@@ -244,13 +245,13 @@ def play(found: Case, events: list[tuple], secret: bytes | None, seed: int) -> P
 
 
 @pytest.mark.parametrize("place", few(places(), 4), ids=str)
-@given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1), st.sampled_from([None, KEY]))
+@given(EVENTS, st.integers(0, 2), st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=15)
 def test_a_node_in_c_does_and_counts_what_the_host_does(
-    place: tuple[str, NodeName], events: list[tuple], watched: int, seed: int, secret: bytes | None
+    place: tuple[str, NodeName], events: list[tuple], watched: int, seed: int
 ) -> None:
     """Packets that are late, doubled, reordered, replayed, early, of another loop or missing, and steps left out."""
-    play(case(*place, watched), events, secret, seed)
+    play(case(*place, watched), events, seed)
 
 
 def random_events(draws: np.random.Generator, count: int) -> list[tuple]:
@@ -272,7 +273,7 @@ def test_all_that_can_become_of_a_packet_does_and_is_counted_alike(every: int) -
     met, recoveries, packets = set[str](), 0, 0
     for name, role in places()[::every]:
         events = [*random_events(np.random.default_rng(4), 600), *[("step", 1)] * 600]
-        pair = play(case(name, role, 1), events, KEY, 5)
+        pair = play(case(name, role, 1), events, 5)
         met |= set(pair.device.counters)
         recoveries += pair.recoveries
         packets += pair.packets
@@ -292,7 +293,7 @@ def test_a_node_that_has_slept_long_makes_up_for_the_same_ticks(sleep: tuple[str
     name, gap = sleep
     for role in ("controller", "actuator"):
         if role in roles(LOOPS[name]().policy):
-            play(case(name, role, 0), [("step", 1)] * 3 + [("step", gap), *[("step", 1)] * 3], None, 1)
+            play(case(name, role, 0), [("step", 1)] * 3 + [("step", gap), *[("step", 1)] * 3], 1)
 
 
 @all_or_some
@@ -302,7 +303,7 @@ def test_a_packet_of_a_later_epoch_supersedes_one_of_its_tick(every: int) -> Non
         for which in range(6):
             older = [("packet", which, 0, 0, 1, LOOP)] * 3
             events = [("step", 1), *older, ("packet", which, 1, 0, 1, LOOP), ("packet", which, 1, 3, 2, LOOP)]
-            play(case(name, role, 1), [*events, ("step", 1), ("step", 1), ("step", 1)], None, which)
+            play(case(name, role, 1), [*events, ("step", 1), ("step", 1), ("step", 1)], which)
 
 
 @all_or_some
@@ -312,7 +313,7 @@ def test_a_node_that_begins_late_has_joined(every: int) -> None:
         for seed in range(4):
             draws = np.random.default_rng(seed)
             early = [("packet", i, int(draws.integers(0, 60)), 0, 1, LOOP) for i in draws.integers(0, 6, 40).tolist()]
-            play(case(name, role, 1), [*early, ("step", 40), *early, *[("step", 1)] * 70], None, seed)
+            play(case(name, role, 1), [*early, ("step", 40), *early, *[("step", 1)] * 70], seed)
 
 
 def test_the_last_sequence_number_ends_an_epoch() -> None:

@@ -11,7 +11,6 @@ import pytest
 from counts import few
 from export.devices import Device, compile_node
 from export.test_nodes_in_c import LOOP, LOOPS, Pair, all_or_some, case, compiled, places, play, random_events
-from runtime.test_packets import KEY
 
 from taciturn.model.network import Network
 
@@ -27,7 +26,7 @@ class Moved(Pair):
         if self.steps % 3 == 0:
             old = self.device
             saved = old.save()
-            self.device = Device(self.case.library, KEY, 1, LOOP)
+            self.device = Device(self.case.library, None, 1, LOOP)
             self.device.watch(*self.case.watch)
             if self.every is not None:
                 self.device.mark_after(self.every)
@@ -43,7 +42,7 @@ def test_a_restored_node_goes_on_bit_for_bit(every: int, monkeypatch: pytest.Mon
     """Whatever arrives, with packets that wait, steps left out, draws, acknowledgements and watchdogs: as the host."""
     monkeypatch.setattr("export.test_nodes_in_c.Pair", Moved)
     for i, (name, role) in enumerate(places()[::every]):
-        pair = play(case(name, role, i % 3), random_events(np.random.default_rng(i), 120), KEY, i)
+        pair = play(case(name, role, i % 3), random_events(np.random.default_rng(i), 120), i)
         assert isinstance(pair, Moved)
         assert pair.moves > 30
 

@@ -19,8 +19,8 @@ from taciturn import Network
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
 from taciturn.model.wire import HEADER, HEADER_SIZE, Encoding, read_place
-from taciturn.runtime.node import Node
 from taciturn.runtime.keys import read_keys
+from taciturn.runtime.node import Node
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
 from taciturn.runtime.window import WIDTH, Window
 
@@ -64,7 +64,7 @@ def test_the_layout_is_that_of_the_table() -> None:
     fields = dict(zip((e.name for e in HEADER), struct.unpack(">IBBBBHBBIQQ", datagram[:HEADER_SIZE]), strict=True))
     assert fields.pop("fingerprint") == wire().fingerprint
     assert fields == {
-        "sequence": 0x01020304, "version": 1, "kind": 0, "link": 1, "encoding": 128, "loop": 5, "entries": 1,
+        "sequence": 0x01020304, "version": 2, "kind": 0, "link": 1, "encoding": 128, "loop": 5, "entries": 1,
         "direction": 0, "epoch": 7, "tick": 9,
     }  # fmt: skip
     assert struct.unpack(">d", datagram[HEADER_SIZE : HEADER_SIZE + 8]) == (0.5,)

@@ -22,7 +22,7 @@ from taciturn.program.layout import Layout
 from taciturn.program.node import NodeProgram
 from taciturn.program.ops import Precision
 
-FORMAT = 1  # version of the data, TAC_FORMAT of the core
+FORMAT = 2  # version of the data, TAC_FORMAT of the core
 UINT32_MAX = 0xFFFFFFFF
 _KIND = {kind: f"TAC_{kind.upper()}" for kind in KINDS}
 _LINK = {link: f"TAC_{link.upper()}_LINK" for link in LINKS}

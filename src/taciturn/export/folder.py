@@ -22,8 +22,10 @@ from taciturn.model.policy import NodeName
 from taciturn.model.wire import CODES, CRC_SIZE, HEADER_SIZE, TAG_SIZE
 from taciturn.program.c import REAL, array, literal
 
-CORE_SOURCES = tuple(f"taciturn_{part}.c" for part in ("packet", "inbox", "outbox", "node", "clock", "state"))
-CORE = ("taciturn.h", "taciturn_parts.h", *CORE_SOURCES)
+CORE_SOURCES = tuple(
+    f"taciturn_{part}.c" for part in ("hash", "packet", "proof", "inbox", "outbox", "node", "clock", "state")
+)
+CORE = ("taciturn.h", "taciturn_clock.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
 WAITING = 4  # size of the buffer for early packets of each link, a power of two

@@ -96,7 +96,8 @@ class Reception:
             return True
         session = self._known.setdefault((packet.link, packet.loop), _Session())
         if packet.epoch == session.epoch:
-            self.refused["replayed"] += packet.tick < session.first
+            if packet.tick < session.first:
+                self.refused["replayed"] += 1
             return packet.tick >= session.first
         self.refused["unproven"] += 1
         if session.nonce is None:

@@ -36,7 +36,7 @@ WAITING = 64  # steps that a packet may be early
 NO_MARKS = 0xFFFFFFFF
 COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
-    *REFUSALS, "unsent", "missed", "repeated",
+    *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated",
 )  # fmt: skip
 DROPPED: tuple[Handling, ...] = ("misdirected", "duplicate", "replayed", "ahead")
 ACCESS = """

@@ -190,7 +190,7 @@ static void point_as(tac_node *node, const tac_node *other) {
   node->input = other->input;
   node->sequences = other->sequences;
   node->places = other->places;
-  node->key = other->key;
+  (void)memcpy(node->keys, other->keys, sizeof node->keys);
   node->safe_input = other->safe_input;
 }
 

@@ -45,6 +45,8 @@
 #define tac_watch TAC_SIZED(tac_watch)
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
+#define tac_set_keys TAC_SIZED(tac_set_keys)
+#define tac_is_back TAC_SIZED(tac_is_back)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
@@ -56,12 +58,6 @@
 #define tac_save TAC_SIZED(tac_save)
 #define tac_restore TAC_SIZED(tac_restore)
 #define tac_degraded TAC_SIZED(tac_degraded)
-#define tac_clock_start TAC_SIZED(tac_clock_start)
-#define tac_clock_hear TAC_SIZED(tac_clock_hear)
-#define tac_clock_receive TAC_SIZED(tac_clock_receive)
-#define tac_clock_due TAC_SIZED(tac_clock_due)
-#define tac_clock_offset TAC_SIZED(tac_clock_offset)
-#define tac_clock_drift TAC_SIZED(tac_clock_drift)
 
 #ifndef TAC_CATCH_UP
 #define TAC_CATCH_UP 16 /* largest number of missed steps that one call of tac_step executes */
@@ -77,7 +73,7 @@ typedef float tac_real;
 typedef double tac_real;
 #endif
 
-enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT };         /* kinds of packets */
+enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_SAFE, TAC_CHALLENGE, TAC_ANSWER };
 enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links */
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
@@ -85,12 +81,14 @@ typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } t
 /* A packet, with `entries` values. */
 typedef struct {
   uint64_t tick;
+  uint64_t nonce; /* random number of a challenge, which its answer repeats */
   uint32_t sequence;
   uint32_t epoch;
   uint16_t loop;
   uint8_t kind;
   uint8_t link;
   uint8_t entries;
+  bool back; /* whether a mark, a challenge or an answer travels against the link; other kinds have one direction */
   tac_real values[TAC_VALUES];
 } tac_packet;
 
@@ -140,7 +138,7 @@ typedef struct {
 
 enum { TAC_SENDS = 2 }; /* largest number of packets that a node sends per step, which is the number of links */
 #define TAC_NO_MARKS UINT32_MAX
-#define TAC_FORMAT 1U /* version of the generated data and of saved states */
+#define TAC_FORMAT 2U /* version of the generated data and of saved states */
 
 /* A packet that the node sends: output `at` of a step is the decision, and the following outputs are the payload. */
 typedef struct {
@@ -213,7 +211,20 @@ typedef struct {
   uint64_t told; /* step of the packet to acknowledge */
   bool tells;
   uint32_t told_sequence; /* sequence number of the next acknowledgement */
+  uint64_t first;         /* with a key: first step whose packets are valid */
+  uint32_t proven;        /* epoch that the sender has proven */
+  bool has_proof;
+  bool challenged;        /* whether a challenge is open: its number is `challenges` of the node */
+  bool challenges;        /* whether a challenge is to be sent */
+  uint32_t challenge;     /* number of the open challenge */
 } tac_channel;
+
+/* The proof on a link that this node is running: an answer, and its last packets again. */
+typedef struct {
+  uint64_t nonce;
+  uint64_t repeated; /* number of the last step in which packets were sent again, plus one; 0: none */
+  uint8_t left;      /* packets of the proof that are not sent yet */
+} tac_proof;
 
 /* The marks that a node sends on a link. They report that the node is running and has finished a step. */
 typedef struct {
@@ -227,7 +238,8 @@ typedef struct {
  * and of two packets at one place of the buffer before the first step, the older packet is `late`. */
 typedef struct {
   uint32_t received, used, late, ahead, duplicate, replayed, misdirected, superseded, marks; /* packets */
-  uint32_t malformed, corrupted, foreign, forged;                                            /* datagrams */
+  uint32_t malformed, corrupted, foreign, forged, unproven;                                  /* datagrams */
+  uint32_t proofs;           /* challenges and answers */
   uint32_t unsent;           /* packets not sent because a value is not finite */
   uint32_t missed, repeated; /* steps */
 } tac_counters;
@@ -242,7 +254,7 @@ typedef struct {
   uint32_t *sequences;     /* sequence number of the next packet of each send */
   uint16_t *places;        /* values of the counters of the policy */
   uint64_t generator[4];
-  tac_key key;
+  tac_key keys[TAC_SENDS][2]; /* by link: the key in use, and a further key that is accepted */
   const tac_real *safe_input; /* input after the watchdog expires; NULL: the last input */
   uint32_t watchdog;          /* time-out of the watchdog in steps; 0: no watchdog */
   uint64_t tick;           /* last step */
@@ -253,6 +265,8 @@ typedef struct {
   uint32_t epoch;
   uint32_t mark_after; /* steps without a packet on a link after which a mark is sent; 0: in every step */
   tac_marks marks[TAC_SENDS]; /* by link */
+  tac_proof proofs[TAC_SENDS];
+  uint32_t challenges; /* challenges so far, from which the nonces are computed */
   uint16_t loop;
   tac_packet sending[TAC_SENDS]; /* the newest packet of each send */
   uint8_t pending;               /* bit i: the packet of send i is not sent yet */
@@ -265,9 +279,15 @@ typedef struct {
  * starts a node calls it; a program may repeat it. It covers all constants of the policy but 0 and 1, and no code. */
 bool tac_check(const tac_node_data *data);
 
-/* Initialize a node before its first step. `epoch` must increase with each start of a device without its memory; Unix
- * time in seconds is suitable. The generated function that calls this function sets the pointers of the node. */
+/* Initialize a node before its first step. Without a key, `epoch` must increase with each start of a device without its
+ * memory; Unix time in seconds is suitable. With a key, `epoch` must differ at each start, and may be random. `key` is
+ * that of all links. The generated function that calls this function sets the pointers of the node. */
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key);
+
+/* Set the key of a link, TAC_SENSOR_LINK or TAC_ACTUATOR_LINK, also while the node runs: `key` authenticates the
+ * packets that the node sends, and packets with `key` or `other` are accepted. To change a key without a stop, let
+ * all nodes accept the new key first, then use it, then accept it alone. `other` may be {NULL, 0}. */
+void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other);
 
 /* Set the watchdog: after `ticks` steps without a packet, the node is degraded, and the input is `safe_input`, or the
  * last input if NULL. With 0 steps, as after tac_start, there is no watchdog. For a node that receives packets. */
@@ -311,8 +331,13 @@ bool tac_ready(const tac_node *node);
 uint64_t tac_heard(const tac_node *node);
 
 /* Write the next datagram to send, of at most TAC_DATAGRAM bytes, and return its size, or 0 if there is none. After
- * missed steps, only the newest packet of each link is sent. */
+ * missed steps, only the newest packet of each link is sent. Call it after each received datagram too: with a key, the
+ * node challenges senders that have not proven that they are running, and answers challenges. A challenge or an
+ * acknowledgement goes to the node from which the packets of its link come: see tac_is_back. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
+
+/* Return whether a datagram that `tac_send` wrote goes back to the sender of the packets of its link. */
+bool tac_is_back(const uint8_t *datagram);
 
 /* Write the state of a node as bytes, which do not depend on the processor, and return their number; 0: `size` is too
  * small. As many bytes as the type of the node has suffice. The state includes neither the key nor what `tac_watch` and
@@ -322,48 +347,6 @@ size_t tac_save(tac_node *node, uint8_t *bytes, size_t size);
 /* Continue a started node from saved bytes: it does what the saved node would have done, bit for bit. Return false,
  * without changing the node, if the bytes are damaged, or belong to another policy, node, loop or format. */
 bool tac_restore(tac_node *node, const uint8_t *bytes, size_t size);
-
-/* An estimate of the beginning of steps by the readings of a timer, from the packets of the node that sets the time. It
- * needs no synchronised clocks: the timer may run up to 0.1 % faster or slower. A packet may be late but not early, so
- * the earliest packets determine the estimate. */
-typedef struct {
-  uint64_t zero;     /* reading at which step 0 began, modulo 2^64 */
-  uint64_t first;    /* its first estimate */
-  uint64_t last;     /* newest step of a packet */
-  uint64_t jump;     /* reading at which step 0 began, if the time has jumped */
-  uint64_t ticks[2]; /* steps from which the drift is measured, and the estimates then */
-  uint64_t zeros[2];
-  int64_t least;   /* least offset of the last packets, if all of them were late */
-  uint32_t period; /* counts of the timer in a step */
-  uint32_t agreed; /* consecutive packets that agree on a jump */
-  uint32_t late;   /* consecutive late packets */
-  uint32_t jumps;  /* jumps so far */
-  bool known;      /* whether a packet has arrived */
-} tac_clock;
-
-/* Initialize a clock. `period` is the length of a step in counts of the timer, from 1; use a timer with 1000 or more
- * counts in a step. */
-void tac_clock_start(tac_clock *clock, uint32_t period);
-
-/* Process a datagram as `tac_receive` does, and update the clock if it contains new data or a new mark. `now` is the
- * reading of the timer at its arrival; readings have 64 bits and do not go back. */
-bool tac_clock_receive(tac_clock *clock, tac_node *node, const uint8_t *datagram, size_t size, uint64_t now);
-
-/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than
- * 16 steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
- * cannot have begun. */
-bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now);
-
-/* Return the number of the newest step that has begun at the reading `now`, plus one; 0: none, or unknown. For a node
- * that waits for the packets of a step, subtract the waiting time, for example half a step, from the reading. */
-uint64_t tac_clock_due(const tac_clock *clock, uint64_t now);
-
-/* Return by how many counts the timer has advanced more than the steps have, since the first packet. */
-int64_t tac_clock_offset(const tac_clock *clock);
-
-/* Return by how many parts per million the timer is faster than the steps, over the last 8192 to 16384 steps. The error
- * is about the jitter of the packets, divided by that time. */
-int32_t tac_clock_drift(const tac_clock *clock);
 
 /* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);
@@ -375,5 +358,7 @@ bool tac_degraded(const tac_node *node);
 #ifdef __cplusplus
 }
 #endif
+
+#include "taciturn_clock.h"
 
 #endif

@@ -7,7 +7,8 @@
 #error "TAC_WAITING is no power of two from 4 on"
 #endif
 
-enum { WIDTH = 64 }; /* width of the window of sequence numbers */
+enum { LINK_AT = 6 }; /* position of the link in a datagram */
+enum { WIDTH = 64 };  /* width of the window of sequence numbers */
 
 typedef enum { NEW, DUPLICATE, REPLAYED } news;
 
@@ -102,7 +103,9 @@ static unsigned find_channel(const tac_node_data *data, const tac_packet *packet
   unsigned i = 0U;
   while (i < data->channel_count &&
          (data->channels[i].link != packet->link ||
-          (data->channels[i].kind != packet->kind && packet->kind != (uint8_t)TAC_MARK))) {
+          (data->channels[i].kind != packet->kind && packet->kind != (uint8_t)TAC_MARK) ||
+          (packet->kind == (uint8_t)TAC_MARK &&
+           packet->back != (data->channels[i].kind == (uint8_t)TAC_ACKNOWLEDGEMENT)))) {
     i++;
   }
   return i;
@@ -139,6 +142,9 @@ static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
   tac_channel *channel;
   news found;
+  if (packet->loop == node->loop && i < node->data->channel_count && !tac_is_admitted(node, i, packet)) {
+    return false;
+  }
   node->counters.received++;
   if (packet->loop != node->loop || i == node->data->channel_count) {
     node->counters.misdirected++;
@@ -184,11 +190,26 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
   }
 }
 
+/* Decode a datagram with the keys of its link. */
+static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
+  unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
+  const tac_key *keys = node->keys[(link < (unsigned)TAC_SENDS) ? link : 0U];
+  tac_verdict verdict = tac_decode(&node->data->wire, keys[0], datagram, size, packet);
+  if (verdict == TAC_FORGED && keys[1].bytes != NULL) {
+    verdict = tac_decode(&node->data->wire, keys[1], datagram, size, packet);
+  }
+  return verdict;
+}
+
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
   tac_packet packet;
-  tac_verdict verdict = tac_decode(&node->data->wire, node->key, datagram, size, &packet);
+  tac_verdict verdict = decode(node, datagram, size, &packet);
   if (verdict != TAC_OK) {
     count_refusal(&node->counters, verdict);
+    return false;
+  }
+  if (packet.kind == (uint8_t)TAC_CHALLENGE || packet.kind == (uint8_t)TAC_ANSWER) {
+    tac_take_proof(node, &packet);
     return false;
   }
   if (!take(node, &packet)) {

@@ -207,9 +207,17 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input) {
   node->safe_input = safe_input;
 }
 
+void tac_set_keys(tac_node *node, uint8_t link, tac_key key, tac_key other) {
+  node->keys[link][0] = key;
+  node->keys[link][1] = other;
+}
+
 void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   const tac_node_data *data = node->data;
-  node->key = key;
+  for (unsigned link = 0U; link < (unsigned)TAC_SENDS; link++) {
+    const tac_key none = {NULL, 0U};
+    tac_set_keys(node, (uint8_t)link, key, none);
+  }
   node->epoch = epoch;
   node->loop = loop;
   (void)memset(&node->counters, 0, sizeof node->counters);
@@ -222,6 +230,8 @@ void tac_start(tac_node *node, uint32_t epoch, uint16_t loop, tac_key key) {
   node->degraded_until = 0U;
   node->pending = 0U;
   (void)memset(node->marks, 0, sizeof node->marks);
+  (void)memset(node->proofs, 0, sizeof node->proofs);
+  node->challenges = 0U;
   (void)memset(node->sending, 0, sizeof node->sending);
   tac_watch(node, 0U, NULL);
   tac_mark_after(node, TAC_NO_MARKS);

@@ -1,4 +1,6 @@
 /* taciturn: the packets that a node sends: data, acknowledgements and marks, with their sequence numbers. */
+#include <string.h>
+
 #include "taciturn_parts.h"
 
 /* Begin a new epoch, in which all sequence numbers start at 0. */
@@ -26,7 +28,7 @@ static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, u
   } else {
     (*sequence)++;
   }
-  size = tac_encode(&node->data->wire, node->key, packet, datagram);
+  size = tac_encode(&node->data->wire, node->keys[packet->link][0], packet, datagram);
   if (size == 0U) {
     node->counters.unsent++;
   }
@@ -36,6 +38,7 @@ static size_t hand_out(tac_node *node, tac_packet *packet, uint32_t *sequence, u
 static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
   tac_channel *channel = &node->channels[i];
   tac_packet packet;
+  (void)memset(&packet, 0, sizeof packet);
   packet.kind = (uint8_t)TAC_ACKNOWLEDGEMENT;
   packet.link = node->data->channels[i].link;
   packet.entries = 0U;
@@ -44,13 +47,12 @@ static size_t acknowledge(tac_node *node, unsigned i, uint8_t *datagram) {
   return hand_out(node, &packet, &channel->told_sequence, datagram);
 }
 
-/* Return whether a node sends data or acknowledgements on a link. */
-static bool talks_on(const tac_node_data *data, uint8_t link) {
+bool tac_talks(const tac_node_data *data, uint8_t link, bool back) {
   bool found = false;
-  for (unsigned i = 0U; i < data->send_count; i++) {
+  for (unsigned i = 0U; !back && i < data->send_count; i++) {
     found = found || data->sends[i].link == link;
   }
-  for (unsigned i = 0U; i < data->channel_count; i++) {
+  for (unsigned i = 0U; back && i < data->channel_count; i++) {
     found = found || (data->channels[i].acknowledged && data->channels[i].link == link);
   }
   return found;
@@ -60,14 +62,18 @@ static bool talks_on(const tac_node_data *data, uint8_t link) {
 static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
   tac_marks *marks = &node->marks[link];
   uint64_t ticks = tac_count_ticks(node);
+  bool back = !tac_talks(node->data, link, false);
   tac_packet packet;
-  if (node->mark_after == TAC_NO_MARKS || !node->begun || marks->marked == ticks || !talks_on(node->data, link) ||
+  if (node->mark_after == TAC_NO_MARKS || !node->begun || marks->marked == ticks ||
+      (back && !tac_talks(node->data, link, true)) ||
       (marks->sent > 0U && ticks - marks->sent < node->mark_after)) {
     return 0U;
   }
   marks->marked = ticks;
   marks->sent = ticks;
+  (void)memset(&packet, 0, sizeof packet);
   packet.kind = (uint8_t)TAC_MARK;
+  packet.back = back;
   packet.link = link;
   packet.entries = 0U;
   packet.tick = node->tick;
@@ -75,7 +81,7 @@ static size_t mark(tac_node *node, uint8_t link, uint8_t *datagram) {
 }
 
 size_t tac_send(tac_node *node, uint8_t *datagram) {
-  size_t size = 0U;
+  size_t size = tac_send_proof(node, datagram);
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
     if (node->channels[i].tells) {
       size = acknowledge(node, i, datagram);

@@ -11,6 +11,12 @@
 #define tac_checksum TAC_SIZED(tac_checksum)
 #define tac_bits TAC_SIZED(tac_bits)
 #define tac_collect TAC_SIZED(tac_collect)
+#define tac_write_tag TAC_SIZED(tac_write_tag)
+#define tac_draw TAC_SIZED(tac_draw)
+#define tac_is_admitted TAC_SIZED(tac_is_admitted)
+#define tac_take_proof TAC_SIZED(tac_take_proof)
+#define tac_send_proof TAC_SIZED(tac_send_proof)
+#define tac_talks TAC_SIZED(tac_talks)
 
 #ifdef __cplusplus
 extern "C" {
@@ -30,6 +36,24 @@ uint64_t tac_get(const uint8_t *from, unsigned bytes);
 
 /* Return the CRC-32 of a content that continues a content with the CRC `before`; 0: there is none before. */
 uint32_t tac_checksum(uint32_t before, const uint8_t *content, size_t size);
+
+/* Write the tag of at least one byte of content: keyed BLAKE2s of 16 bytes with the personalization "taciturn". */
+void tac_write_tag(tac_key key, const uint8_t *content, size_t size, uint8_t *tag);
+
+/* Return 64 bits of the keyed hash of a content, which nobody without the key can predict. */
+uint64_t tac_draw(tac_key key, const uint8_t *content, size_t size);
+
+/* Return whether the sender of a packet of channel `i` has proven that it is running; if not, challenge it. */
+bool tac_is_admitted(tac_node *node, unsigned i, const tac_packet *packet);
+
+/* Handle a challenge or an answer. */
+void tac_take_proof(tac_node *node, const tac_packet *packet);
+
+/* Write the next datagram of the proofs: a challenge, an answer, or a packet sent again; return its size, or 0. */
+size_t tac_send_proof(tac_node *node, uint8_t *datagram);
+
+/* Return whether a node sends packets on a link: data along it, or (with `back`) acknowledgements against it. */
+bool tac_talks(const tac_node_data *data, uint8_t link, bool back);
 
 /* Return the bits of a number. */
 tac_word tac_bits(tac_real value);

@@ -182,6 +182,12 @@ static void pass_channel(cursor *c, const tac_node *node, unsigned i) {
   pass_long(c, &channel->told);
   pass_truth(c, &channel->tells);
   pass_word(c, &channel->told_sequence);
+  pass_truth(c, &channel->has_proof);
+  pass_word(c, &channel->proven);
+  pass_long(c, &channel->first);
+  pass_truth(c, &channel->challenged);
+  pass_truth(c, &channel->challenges);
+  pass_word(c, &channel->challenge);
 }
 
 /* Handle what the node has sent and is to send. */
@@ -195,6 +201,9 @@ static void pass_sends(cursor *c, tac_node *node) {
     pass_long(c, &node->marks[link].sent);
     pass_long(c, &node->marks[link].marked);
     pass_word(c, &node->marks[link].sequence);
+    pass_long(c, &node->proofs[link].nonce);
+    pass_long(c, &node->proofs[link].repeated);
+    node->proofs[link].left = (uint8_t)pass(c, node->proofs[link].left, 1U, 15U);
   }
   node->pending = (uint8_t)pass(c, node->pending, 1U, (1U << data->send_count) - 1U);
 }
@@ -209,6 +218,7 @@ static void pass_all(cursor *c, tac_node *node) {
   }
   (void)memcpy(&node->counters, counts, sizeof counts);
   pass_word(c, &node->epoch);
+  pass_word(c, &node->challenges);
   pass_long(c, &node->tick);
   pass_long(c, &node->heard);
   pass_long(c, &node->newest);

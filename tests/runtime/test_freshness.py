@@ -1,0 +1,275 @@
+"""With a key, only a running sender is believed: recorded packets, restarts, reflected datagrams and changed keys."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from runtime.test_packets import KEY
+from runtime.test_servers import POLICY, soon
+
+import taciturn
+from taciturn.errors import ProblemError
+from taciturn.runtime.keys import KeyFile, Keys
+from taciturn.runtime.node import Node
+from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.plant import SimulatedPlant
+from taciturn.runtime.reception import answer_to
+from taciturn.runtime.serve import NodeServer
+from taciturn.runtime.udp import Endpoint
+from taciturn.runtime.world import PlantServer
+
+WIRE = Wire(POLICY, key=KEY)
+TICK = 0.02
+FAR = 1_000_000  # step of an old recording
+
+
+class Actuator:
+    """The server of an actuator with a key, and an endpoint that plays its controller and its plant."""
+
+    def __init__(self, here: Endpoint, wire: Wire = WIRE, tick: float | None = TICK, epoch: int = 7) -> None:
+        """Start before the first step."""
+        self.here, self.wire, self.numbers = here, wire, iter(range(100))
+        node = Node(POLICY, "actuator", epoch=epoch, watchdog=10)
+        self.server = NodeServer(
+            [node], wire, Endpoint(("127.0.0.1", 0)), plant=here.address, tick=tick, draw=lambda: next(self.numbers)
+        )
+
+    def send(self, *packets: Packet, wire: Wire | None = None) -> list[Packet]:
+        """Send packets, and return what comes back."""
+        for packet in packets:
+            self.here.send((wire or self.wire).encode(packet), self.server.endpoint.address)
+        self.server.run(None, soon(0.02))
+        found = map(self.wire.decode, self.here.receive(time.monotonic() + 0.01))
+        return [packet for packet in found if isinstance(packet, Packet)]
+
+    def challenges(self, *packets: Packet) -> list[Packet]:
+        """Send packets, and return the challenges that come back."""
+        return [packet for packet in self.send(*packets) if packet.kind == "challenge"]
+
+
+@pytest.fixture
+def actuator() -> Iterator[Actuator]:
+    """Give a fresh actuator."""
+    with Endpoint(("127.0.0.1", 0)) as here:
+        made = Actuator(here)
+        with made.server.endpoint:
+            yield made
+
+
+def data(tick: int, sequence: int, epoch: int, value: float = 0.25) -> Packet:
+    """Return a command."""
+    return Packet("data", "actuator", tick, sequence, (value,), epoch)
+
+
+def test_an_old_recording_does_not_silence_a_fresh_node(actuator: Actuator) -> None:
+    """A packet of step 1,000,000 with the newest epoch of all changes neither clock nor inbox, and is never used."""
+    recorded = data(FAR, 5, epoch=2**31, value=9.0)
+    (first,) = actuator.challenges(recorded)
+    assert (first.link, first.back, first.tick) == ("actuator", True, 0)
+    assert not actuator.server.phase.known
+    assert actuator.server.report()["counters"] == {}
+    # the true controller, which was started when its clock showed an earlier time, answers
+    (again,) = actuator.challenges(data(40, 0, epoch=3))
+    assert again.nonce == first.nonce
+    actuator.send(answer_to(again, epoch=3, tick=40), data(40, 0, epoch=3))
+    assert actuator.server.phase.known
+    assert 40 <= actuator.server.nodes[0].tick < 60
+    assert actuator.server.nodes[0].counters["used"] + actuator.server.nodes[0].counters["late"] == 1
+    assert actuator.challenges(recorded)
+    report = actuator.server.report()
+    assert report["clock_jumps"] == 0
+    assert report["refused"] == {"unproven": 3}
+    assert report["proofs"] == {"challenges": 3, "proofs": 1}
+
+
+def test_an_answer_is_valid_once(actuator: Actuator) -> None:
+    """When the sender has started again, its former answer and its former packets are of no use to anybody."""
+    (asked,) = actuator.challenges(data(3, 0, epoch=3))
+    old = answer_to(asked, epoch=3, tick=3)
+    actuator.send(old, data(3, 0, epoch=3))
+    (asked,) = actuator.challenges(data(4, 0, epoch=2))
+    assert asked.nonce == 1
+    actuator.send(answer_to(asked, epoch=2, tick=4), data(4, 0, epoch=2))
+    used = dict(actuator.server.nodes[0].counters)
+    assert actuator.challenges(old, data(5, 1, epoch=3, value=9.0))
+    actuator.send(old)
+    assert actuator.server.nodes[0].counters == used
+    assert actuator.server.report()["proofs"] == {"challenges": 3, "proofs": 2, "unasked": 2}
+
+
+def test_packets_before_the_proof_are_refused(actuator: Actuator) -> None:
+    """A node that starts without its state cannot know which packets of this epoch have been used before."""
+    (asked,) = actuator.challenges(data(80, 9, epoch=3))
+    actuator.send(
+        answer_to(asked, epoch=3, tick=80), data(80, 9, epoch=3), *(data(k, k // 9, 3, 9.0) for k in range(79))
+    )
+    counters = actuator.server.report()["counters"]
+    assert counters["received"] == 1
+    assert actuator.server.report()["refused"]["replayed"] == 79
+
+
+def test_what_a_node_has_sent_is_no_proof_for_itself(actuator: Actuator) -> None:
+    """Its own challenge, and marks that travel in its own direction, come back: they are misdirected."""
+    (asked,) = actuator.challenges(data(3, 0, epoch=3))
+    own = asked._replace(kind="answer", epoch=7)
+    actuator.send(asked, own, Packet("mark", "actuator", 3, 0, (), 3, back=True))
+    assert actuator.server.report()["refused"] == {"unproven": 1, "misdirected": 3}
+    assert actuator.server.report()["proofs"] == {"challenges": 1}
+
+
+def test_a_sender_answers_and_repeats_its_last_packets() -> None:
+    """The answer names the step before the last one; the packets of these steps follow, with their sequences."""
+    node = Node(POLICY, "controller", epoch=5)
+    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
+        server = NodeServer([node], WIRE, there, peer=here.address, plant=here.address, draw=lambda: 11)
+        measured = [Packet("measurement", "plant", k, k, (0.5, -0.5), 100) for k in range(3)]
+        asked = Packet("challenge", "actuator", 0, 0, back=True, nonce=77)
+        here.send(WIRE.encode(asked), there.address)
+        here.send(WIRE.encode(measured[0]), there.address)
+        server.run(None, soon(0.05))
+        early, plea = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.1)]
+        assert early == Packet("answer", "actuator", 0, 0, (), 5, nonce=77)
+        assert isinstance(plea, Packet)
+        assert (plea.kind, plea.link, plea.back, plea.nonce) == ("challenge", "plant", True, 11)
+        here.send(WIRE.encode(answer_to(plea, epoch=100, tick=0)), there.address)
+        for packet in measured:
+            here.send(WIRE.encode(packet), there.address)
+        server.run(3, soon(5.0))
+        sent = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.1)]
+        here.send(WIRE.encode(asked), there.address)
+        server.run(None, soon(0.1))
+        answer, *again = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.1)]
+    assert answer == Packet("answer", "actuator", 1, 0, (), 5, nonce=77)
+    assert again == [packet for packet in sent if isinstance(packet, Packet) and packet.tick > 0]
+    assert len(again) >= 2
+
+
+def test_a_restored_node_needs_no_new_proof(tmp_path: Path) -> None:
+    """The proof is part of the saved state; a node without its state asks again."""
+    from taciturn.runtime.service import FileStorage
+
+    storage = FileStorage(tmp_path / "state.json")
+    with Endpoint(("127.0.0.1", 0)) as here:
+        for kept, expected in ((storage, 1), (storage, 0), (None, 1)):
+            with Endpoint(("127.0.0.1", 0)) as there:
+                server = NodeServer(
+                    [Node(POLICY, "actuator", epoch=7)], WIRE, there, plant=here.address, tick=TICK, keep=kept,
+                    draw=lambda: 5,
+                )  # fmt: skip
+                here.send(WIRE.encode(data(40, expected, epoch=3)), there.address)
+                here.send(
+                    WIRE.encode(answer_to(Packet("challenge", "actuator", 0, 0, back=True, nonce=5), 3, 40)),
+                    there.address,
+                )
+                here.send(WIRE.encode(data(40, 7 + expected, epoch=3)), there.address)
+                server.run(None, soon(0.1))
+                assert server.report()["proofs"].get("challenges", 0) == expected
+                assert server.report()["counters"]["received"] >= 1
+
+
+def test_a_plant_believes_only_a_running_actuator() -> None:
+    """An input that was recorded earlier is not applied; the plant also answers the challenge of its sensor."""
+    problem = taciturn.load("two-mass-lqg")
+    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
+        plant = SimulatedPlant(problem.close(POLICY))
+        server = PlantServer([plant], WIRE, there, here.address, tick=0.2, epoch=50, draw=lambda: 9)
+        given = Packet("input", "plant", 0, 0, (3.0,), 60)
+        asked = Packet("challenge", "plant", 0, 0, back=True, nonce=4)
+        for packet in (given, asked, asked._replace(back=False)):
+            here.send(WIRE.encode(packet), there.address)
+        server.run(1, lambda: False)
+        found = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.1)]
+        kinds = [packet.kind for packet in found if isinstance(packet, Packet)]
+        assert sorted(kinds) == ["answer", "challenge", "measurement", "measurement"]
+        assert server.inputs == [(0.0,)]
+        assert server.refused == {"unproven": 1, "misdirected": 1}
+        for packet in (Packet("answer", "plant", 0, 0, (), 2, back=True, nonce=9), given._replace(epoch=2)):
+            here.send(WIRE.encode(packet), there.address)
+        server.run(1, lambda: False)
+    assert server.inputs == [(3.0,)]
+
+
+def test_a_safe_input_is_that_of_an_actuator_that_hears_nothing() -> None:
+    """It is applied at once, unless an input of a later step has been; the next input of a step replaces it."""
+    problem, wire = taciturn.load("two-mass-lqg"), Wire(POLICY)
+    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
+        server = PlantServer([SimulatedPlant(problem.close(POLICY))], wire, there, here.address, tick=0.05, epoch=50)
+
+        def after(*packets: Packet) -> float:
+            for packet in packets:
+                here.send(wire.encode(packet), there.address)
+            server.run(2, lambda: False)
+            return server.inputs[0][0]
+
+        assert after(Packet("input", "plant", 0, 0, (3.0,), 60)) == 3.0
+        assert after(Packet("safe", "plant", 0, 0, (0.5,), 60)) == 0.5
+        assert after(Packet("input", "plant", 1, 1, (4.0,), 60)) == 4.0
+        assert after(Packet("safe", "plant", 0, 1, (0.5,), 60)) == 4.0  # of before the last input
+        assert after(Packet("safe", "plant", 0, 0, (0.75,), 61)) == 0.75  # of a node that has started again
+        assert server.refused == {"late": 1}
+
+
+def test_keys_change_without_a_stop(tmp_path: Path) -> None:
+    """Accept the new key, use it, accept it alone: at each time a neighbour with the former file is understood."""
+    old, new, path = "01" * 16, "02" * 32, tmp_path / "keys"
+
+    def write(text: str) -> None:
+        path.write_text(text)
+        path.chmod(0o600)
+        os.utime(path, ns=(next(times), next(times)))
+
+    times = iter(range(10**18, 10**18 + 100))
+    write(f"# both links\nactuator: {old}\nplant: {old}\n")
+    keys = KeyFile(path)
+    told = [keys.renew()]
+    wires = {"old": Wire(POLICY, key=bytes.fromhex(old)), "new": Wire(POLICY, key=bytes.fromhex(new))}
+    wire, packet = Wire(POLICY, key=keys), data(3, 0, epoch=3)
+
+    def understood() -> tuple[list[str], str]:
+        accepted = [name for name, one in wires.items() if wire.decode(one.encode(packet)) == packet]
+        used = [name for name, one in wires.items() if one.decode(wire.encode(packet)) == packet]
+        return accepted, *used  # type: ignore[return-value]
+
+    def renew(text: str) -> None:
+        write(text)
+        keys._looked -= 10.0
+        told.append(keys.renew())
+
+    found = [understood()]
+    for of_link in (f"{old} {new}", f"{new} {old}", new):
+        renew(f"actuator: {of_link}\nplant: {of_link}\n")
+        found.append(understood())
+    assert found == [(["old"], "old"), (["old", "new"], "old"), (["old", "new"], "new"), (["new"], "new")]
+    renew(f"plant: {new}\n")
+    assert understood() == (["new"], "new")
+    path.chmod(0o644)
+    keys._looked -= 10.0
+    told.append(keys.renew())
+    assert told[0] is None
+    assert all("the new keys are in use" in str(sentence) for sentence in told[1:4])
+    assert "none for the actuator link" in str(told[4])
+    assert "can read it" in str(told[5])
+    assert all("the former keys remain in use" in str(sentence) for sentence in told[4:])
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "contains no key"),
+        ("bus: " + "01" * 16, "names the link 'bus'; expected one of sensor, actuator, plant"),
+        ("sensor: " + "01" * 16 + "\nsensor: " + "02" * 16, "two lines for the sensor link"),
+        ("sensor: 0102", "holds 2 bytes"),
+        ("sensor: secret", "other characters than hexadecimal digits"),
+    ],
+)
+def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
+    """In a sentence; a node also refuses to start without the key of a link that it uses."""
+    with pytest.raises(ProblemError, match=sentence):
+        Keys.parse(text)
+    only = Wire(POLICY, key=Keys.parse("plant: " + "01" * 16))
+    with Endpoint(("127.0.0.1", 0)) as there, pytest.raises(ProblemError, match="none for the actuator link"):
+        NodeServer([Node(POLICY, "actuator")], only, there, plant=("127.0.0.1", 1))
