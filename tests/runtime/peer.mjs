@@ -8,120 +8,16 @@
 // The options are --bind, --peer, --plant and --key as for `taciturn node`. After --ticks steps, or on SIGINT or
 // SIGTERM, it prints its counters as one JSON line. It needs Node.js 20.15 or later, and no packages.
 
-import { timingSafeEqual } from "node:crypto";
+import { randomBytes } from "node:crypto";
 import { createSocket } from "node:dgram";
 import { lookup } from "node:dns/promises";
 import { readFileSync } from "node:fs";
 import { parseArgs } from "node:util";
-import { crc32 } from "node:zlib";
 
-const DATA = 0, ACKNOWLEDGEMENT = 1, MARK = 2, MEASUREMENT = 3, INPUT = 4; // kinds
+import { ACKNOWLEDGEMENT, ANSWER, CHALLENGE, DATA, EITHER, INPUT, MARK, MEASUREMENT, NONCE, Wire } from "./wire.mjs";
+
 const PLANT = 2; // link
-const HEADER = 32, CRC = 4, TAG = 16, TAGGED = 128;
-const ENTRIES = [[8, "DoubleBE"], [4, "FloatBE"], [2, "Int16BE"]]; // bytes of an entry, and its name in Node.js
 const REPEAT_MS = 50, LINGER_MS = 600; // least between repetitions; and after the last step, if nobody asks again
-
-// ---- tag ------------------------------------------------------------------------------------------------------------
-
-const BLAKE_START = Uint32Array.of(
-  0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19);
-const BLAKE_ORDERS = [
-  "0123456789abcdef", "ea489fd61c02b753", "b8c052fdae367194", "7931dcbe265a40f8", "905724afe1bc683d",
-  "2c6a0b834d75fe19", "c51fed4a0763928b", "db7ec13950f4862a", "6fe9b308c2d714a5", "a2847615fb9e3cd0",
-].map((order) => [...order].map((digit) => parseInt(digit, 16)));
-const BLAKE_MIXES = [[0, 4, 8, 12], [1, 5, 9, 13], [2, 6, 10, 14], [3, 7, 11, 15],
-  [0, 5, 10, 15], [1, 6, 11, 12], [2, 7, 8, 13], [3, 4, 9, 14]];
-
-/** Keyed BLAKE2s (RFC 7693) with a digest of 16 bytes and a person of 8 bytes, which node:crypto does not offer. */
-function blake2s(bytes, key, person) {
-  const parameters = Buffer.alloc(32);
-  parameters.set([TAG, key.length, 1, 1]);
-  parameters.write(person, 24, "latin1");
-  const state = BLAKE_START.map((word, i) => word ^ parameters.readUInt32LE(4 * i));
-  const padded = Buffer.alloc(64 * (1 + Math.ceil(bytes.length / 64)));
-  padded.set(key, 0);
-  padded.set(bytes, 64);
-  const rotate = (word, bits) => (word >>> bits) | (word << (32 - bits));
-  for (let start = 0; start < padded.length; start += 64) {
-    const last = start + 64 === padded.length, v = Uint32Array.of(...state, ...BLAKE_START);
-    v[12] ^= last ? 64 + bytes.length : start + 64;
-    if (last) v[14] = ~v[14];
-    for (const order of BLAKE_ORDERS) {
-      BLAKE_MIXES.forEach(([a, b, c, d], i) => {
-        for (const [half, first, second] of [[0, 16, 12], [1, 8, 7]]) {
-          v[a] += v[b] + padded.readUInt32LE(start + 4 * order[2 * i + half]);
-          v[d] = rotate(v[d] ^ v[a], first);
-          v[c] += v[d];
-          v[b] = rotate(v[b] ^ v[c], second);
-        }
-      });
-    }
-    state.forEach((word, i) => (state[i] = word ^ v[i] ^ v[i + 8]));
-  }
-  const digest = Buffer.alloc(32);
-  state.forEach((word, i) => digest.writeUInt32LE(word, 4 * i));
-  return digest.subarray(0, TAG);
-}
-
-// ---- packets --------------------------------------------------------------------------------------------------------
-
-/** Encodes and decodes the datagrams of one policy. */
-class Wire {
-  constructor(description, key) {
-    this.key = key;
-    this.person = description.wire.tag_person;
-    this.fingerprint = BigInt("0x" + description.fingerprint);
-    this.shapes = new Map(description.packets.map((packet) => [`${packet.kind} ${packet.link}`, packet]));
-  }
-
-  encode({ kind, link, tick, sequence, epoch, values = [] }) {
-    const { encoding, ranges } = this.shapes.get(`${kind} ${link}`), [bytes, name] = ENTRIES[encoding];
-    const body = Buffer.alloc(HEADER + values.length * bytes);
-    body.writeUInt32BE(sequence, 0);
-    body.set([1, kind, link, encoding | (this.key ? TAGGED : 0), 0, 0, values.length, 0], 4);
-    body.writeUInt32BE(epoch, 12);
-    body.writeBigUInt64BE(BigInt(tick), 16);
-    body.writeBigUInt64BE(this.fingerprint, 24);
-    values.forEach((value, i) => {
-      body[`write${name}`](encoding === 2 ? toInteger((32767 * value) / ranges[i]) : value, HEADER + bytes * i);
-    });
-    const crc = Buffer.alloc(CRC);
-    crc.writeUInt32BE(crc32(body));
-    const summed = Buffer.concat([body, crc]);
-    return this.key ? Buffer.concat([summed, blake2s(summed, this.key, this.person)]) : summed;
-  }
-
-  /** The packet of a datagram, or the name under which it is refused; the checks are in the order of the page. */
-  decode(datagram) {
-    const end = datagram.length - CRC - (this.key ? TAG : 0);
-    if (end < HEADER) return "malformed";
-    if (datagram[4] !== 1 || datagram[7] >= TAGGED !== Boolean(this.key)) return "foreign";
-    if (datagram.readUInt32BE(end) !== crc32(datagram.subarray(0, end))) return "corrupted";
-    if (datagram.readBigUInt64BE(24) !== this.fingerprint) return "foreign";
-    if (this.key) {
-      const tag = blake2s(datagram.subarray(0, end + CRC), this.key, this.person);
-      if (!timingSafeEqual(tag, datagram.subarray(end + CRC))) return "forged";
-    }
-    const [kind, link, encoding, entries] = [datagram[5], datagram[6], datagram[7] & 127, datagram[10]];
-    const shape = this.shapes.get(`${kind} ${link}`);
-    if (!shape || shape.encoding !== encoding || shape.entries !== entries || datagram[11]) return "malformed";
-    const [bytes, name] = ENTRIES[encoding];
-    if (end !== HEADER + entries * bytes) return "malformed";
-    const scale = (i) => (encoding === 2 ? shape.ranges[i] / 32767 : 1);
-    const values = Array.from({ length: entries }, (_, i) => datagram[`read${name}`](HEADER + bytes * i) * scale(i));
-    if (!values.every(Number.isFinite)) return "malformed";
-    return {
-      kind, link, values, loop: datagram.readUInt16BE(8), sequence: datagram.readUInt32BE(0),
-      epoch: datagram.readUInt32BE(12), tick: Number(datagram.readBigUInt64BE(16)),
-    };
-  }
-}
-
-/** The nearest integer, ties to even, clipped to ±32767. */
-function toInteger(x) {
-  const below = Math.floor(x), up = x - below > 0.5 || (x - below === 0.5 && below % 2 !== 0);
-  return Math.max(-32767, Math.min(32767, up ? below + 1 : below));
-}
 
 /** Whether a packet was sent after another one of its kind and link. */
 function later(one, other) {
@@ -240,15 +136,17 @@ class Computation {
 class Peer {
   tick = 0; // the next step
   began = false; // whether any packet has arrived
-  last = []; // the packets of the last step
-  repeated = -Infinity; // when they were sent again
+  last = [[], []]; // the packets of the last two steps
+  repeated = new Map(); // when they were sent again, by link
+  sessions = new Map(); // of each link: the proven epoch, its first valid step, and the nonce of the open challenge
   counters = {};
 
-  constructor(description, role, ticks, send) {
+  /** With `keyed`, senders must prove that they are running; `challenge(packet, sender)` sends a challenge back. */
+  constructor(description, role, ticks, send, keyed, challenge) {
     this.node = description.nodes.find((node) => node.role === role);
     if (!this.node) throw new Error(`the policy has no node ${role}`);
     const { links, steps_ahead: ahead, window: width } = description.wire;
-    Object.assign(this, { ticks, send, links, ahead, width, lossless: description.lossless });
+    Object.assign(this, { keyed, challenge, ticks, send, links, ahead, width, lossless: description.lossless });
     this.computation = new Computation(this.node);
     this.sending = this.node.sends.map(({ link }) => link);
     for (const { link, acknowledge } of this.node.receives) if (acknowledge) this.sending.push(link);
@@ -260,7 +158,46 @@ class Peer {
     this.count = (name) => void (this.counters[name] = (this.counters[name] ?? 0) + 1);
   }
 
-  receive(packet) {
+  /** Whether this node sends packets along a link; on all other links they travel against it. */
+  along(link) {
+    return this.node.sends.some((send) => send.link === link);
+  }
+
+  sends(link) {
+    return this.sending.includes(link) || (link === PLANT && Boolean(this.node.applies));
+  }
+
+  /** Handles challenges, answers, and packets whose sender has not proven that it is running; returns whether so. */
+  prove(packet, sender) {
+    const { kind, link, epoch, tick, back, nonce } = packet;
+    const strange = packet.loop !== 0 || (EITHER.includes(kind) && back !== this.along(link));
+    if (strange || (kind === CHALLENGE && !this.sends(link))) return this.count("misdirected"), true;
+    if (kind === CHALLENGE) {
+      const first = Math.max(this.tick - 2, 0); // this.tick is the next step
+      this.send({ kind: ANSWER, link, tick: first, sequence: 0, epoch: this.epoch, back: !back, nonce });
+      this.repeat(link);
+      return true;
+    }
+    const session = this.sessions.get(link) ?? {};
+    this.sessions.set(link, session);
+    if (kind === ANSWER) {
+      if (session.nonce === undefined || session.nonce !== nonce) return true;
+      const old = session.epoch === epoch ? [] : [...this.windows.keys()].filter((one) => one.endsWith(` ${link}`));
+      old.forEach((one) => this.windows.delete(one));
+      this.sessions.set(link, { epoch, first: tick });
+      return true;
+    }
+    if (!this.keyed || (session.epoch === epoch && tick >= session.first)) return false;
+    if (session.epoch === epoch) return this.count("replayed"), true;
+    this.count("unproven");
+    session.nonce ??= randomBytes(NONCE).readBigUInt64BE();
+    const challenge = { kind: CHALLENGE, link, tick: 0, sequence: 0, epoch: 0, back: !back, nonce: session.nonce };
+    this.challenge(challenge, sender);
+    return true;
+  }
+
+  receive(packet, sender) {
+    if (this.prove(packet, sender)) return;
     const { kind, link, tick } = packet, stream = `${kind} ${link}`;
     const mailbox = this.mailboxes.find((box) => box.kind === kind && box.link === link);
     const physical = kind === MEASUREMENT && this.node.measurement > 0;
@@ -308,7 +245,7 @@ class Peer {
       }
     });
     this.measurements.delete(tick);
-    this.last = [];
+    this.last = [this.last[1], []];
     for (const { link, output, entries } of node.sends)
       if (results[output]) this.post(DATA, link, tick, results.slice(output + 1, output + 1 + entries));
     for (const packet of read) this.post(ACKNOWLEDGEMENT, packet.link, packet.tick);
@@ -335,18 +272,19 @@ class Peer {
     const { sequence: sent, epoch } = this.streams.get(stream) ?? { sequence: -1, epoch: this.epoch };
     const next = sent < 2 ** 32 - 1 ? { sequence: sent + 1, epoch } : { sequence: 0, epoch: epoch + 1 };
     this.streams.set(stream, next); // an input of step k has sequence k too, since a node has one input in each step
-    const packet = { kind, link, tick, ...next, values };
+    const packet = { kind, link, tick, ...next, values, back: kind === MARK && !this.along(link) };
     if (kind !== INPUT) this.count(`sent ${["data", "acknowledgement", "mark"][kind]} ${this.links[link]}`);
-    this.last.push(packet);
+    this.last[1].push(packet);
     this.send(packet);
   }
 
-  /** Sends the packets of the last step again. */
-  repeat() {
-    if (performance.now() < this.repeated + REPEAT_MS || this.last.length === 0) return;
-    this.repeated = performance.now();
+  /** Sends the packets of the last two steps again: those of one link, or of all links. */
+  repeat(link = null) {
+    const packets = this.last.flat().filter((packet) => link === null || packet.link === link);
+    if (performance.now() < (this.repeated.get(link) ?? -Infinity) + REPEAT_MS || packets.length === 0) return;
+    this.repeated.set(link, performance.now());
     this.count("repeated");
-    this.last.forEach((packet) => this.send(packet));
+    packets.forEach((packet) => this.send(packet));
   }
 }
 
@@ -372,11 +310,12 @@ async function main() {
   const socket = createSocket("udp4"), datagrams = { sent: 0, received: 0 }, refused = {};
   let ending;
 
-  const peer = new Peer(description, role, ticks, (packet) => {
-    const { host, port } = others[packet.link === PLANT ? "plant" : "peer"];
+  const send = (packet, { host, port }) => {
     datagrams.sent += 1;
     socket.send(wire.encode(packet), port, host);
-  });
+  };
+  const usual = (packet) => send(packet, others[packet.link === PLANT ? "plant" : "peer"]);
+  const peer = new Peer(description, role, ticks, usual, key !== null, send);
 
   function end() {
     socket.close();
@@ -384,11 +323,11 @@ async function main() {
     process.exit();
   }
 
-  socket.on("message", (datagram) => {
+  socket.on("message", (datagram, { address: host, port }) => {
     datagrams.received += 1;
     const packet = wire.decode(datagram);
     if (typeof packet === "string") refused[packet] = (refused[packet] ?? 0) + 1;
-    else peer.receive(packet);
+    else peer.receive(packet, { host, port });
     if (peer.tick < ticks) return;
     clearTimeout(ending);
     ending = setTimeout(end, LINGER_MS);
