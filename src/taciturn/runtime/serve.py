@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.errors import ProblemError
-from taciturn.runtime.clock import JUMPED, Phase
+from taciturn.runtime.clock import JUMPED, LATE, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE, packet_of
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet, Wire
@@ -101,9 +101,10 @@ class NodeServer:
         self._answered = [0.0 for _ in nodes]  # time of the last retransmission
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
-        self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
-        self._turned = self._began  # time of the last turn
-        self._unsure: float | None = None  # time of a gap that no packet has explained
+        self._patience = (tick or 0.0) * (first.watchdog or 0)
+        self._expires = self._began + self._patience  # time at which the watchdog expires while no step begins
+        self._turned, self._confirmed = self._began, 0  # time of the last turn, and confirmations of the phase until it
+        self._strayed = 0.0  # seconds that have passed unexpectedly since a packet confirmed the phase
         self._physical = 0
         self.measured = 0  # measurements that were stored for their step
         kept = None if keep is None else keep.read()
@@ -121,9 +122,10 @@ class NodeServer:
     def turns(self, ended: Callable[[], bool]) -> Turns:
         """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
         while not ended():
-            touched = self._take((yield self._until()))
+            until = self._until()
+            touched = self._take((yield until))
             now = self._clock()
-            self._notice(now)
+            self._notice(now, until)
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
@@ -202,7 +204,9 @@ class NodeServer:
             self.phase.hear(packet.tick, now)
         if handling not in USABLE:
             self._answer_again(loop, now, repeated)
-        elif packet.kind == "data":
+            return
+        self._expires = now + self._patience
+        if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
                 self._news[loop].setdefault(packet.link, []).append(packet.sequence)
@@ -245,24 +249,25 @@ class NodeServer:
                 self._told(self._line(node, measurement, packets, given))
             now = self._clock()
 
-    def _notice(self, now: float) -> None:
-        """Notice that many steps have passed at once: the process was suspended, or the clock has jumped.
+    @property
+    def _unsure(self) -> bool:
+        """Whether the process was suspended, or its clock has jumped, and no packet has shown which."""
+        return self._tick is not None and not self.nodes[0].measures and self._strayed > JUMPED * self._tick
 
-        Only the packets of other nodes show which. The node does not begin steps before one of them confirms the phase,
-        or the time of the watchdog has passed.
+    def _notice(self, now: float, until: float) -> None:
+        """Add up the time that has passed beyond that for which the server waited, until a packet confirms the phase.
+
+        The process was suspended, or its clock has jumped. After too much of it the node begins no step, because a node
+        that runs ahead of time would have to wait until its steps come.
         """
-        if self._tick is None or self.nodes[0].measures:
-            return
-        if now - self._turned > JUMPED * self._tick:
-            self._unsure = now
-        if self._unsure is not None and (self.phase.confirmed >= self._unsure or now >= self._sure_at(self._unsure)):
-            self._unsure = None
-        self._turned = now
-
-    def _sure_at(self, unsure: float) -> float:
-        """Return when the node no longer waits for the confirmation of its phase: packets that deny it prolong this."""
-        steps = self.nodes[0].watchdog or int(JUMPED)
-        return max(unsure, self.phase.doubted) + steps * (self._tick or 0.0)
+        if self.phase.confirmations > self._confirmed:
+            self._strayed = min(self._strayed, self.phase.late)
+        else:
+            passed, knew = now - max(until, self._turned), not self._unsure
+            self._strayed += passed if passed > LATE * self.phase.tick else 0.0
+            if knew and self._unsure:
+                self._expires = now + self._patience
+        self._turned, self._confirmed = now, self.phase.confirmations
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -275,33 +280,41 @@ class NodeServer:
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None
-        if not self.phase.known or self._unsure is not None:
+        if not self.phase.known or self._unsure:
             return None
-        tick = self._coming(node.tick, now)
-        if now >= self.phase.begins(tick) + self._wait * self._tick:
-            return tick
         prompt = [link for link, lag in node.listens.items() if lag == 0]
-        return tick if prompt and all(node.inbox.settled(link, tick) for link in prompt) else None
 
-    def _coming(self, last: int, now: float) -> int:
+        def settled(tick: int) -> bool:
+            return bool(prompt) and all(node.inbox.settled(link, tick) for link in prompt)
+
+        come = node.tick
+        while come >= 0 and settled(come + 1):  # a slow clock may be behind the packets
+            come += 1
+        tick = self._coming(node.tick, max(self.phase.now(now), come))
+        return tick if settled(tick) or now >= self.phase.begins(tick) + self._wait * self._tick else None
+
+    def _coming(self, last: int, present: int) -> int:
         """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
-        present = self.phase.now(now)
         return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
 
     def _expire(self, now: float) -> None:
-        """Apply the safe inputs if nothing usable has arrived since the start, and again after each such time."""
-        limit = self.nodes[0].watchdog
-        if self._tick is None or limit is None or self.phase.known or now < self._expires:
+        """Apply the safe inputs if no step begins and nothing usable has arrived, and again after each such time."""
+        if not self._patience or now < self._expires or not self._waits:
             return
         for node in self.nodes:
             known = node.silent
             given = node.expire()
             if not known:
                 self._report_silence(node)
-            if given is not None:
-                # its epoch is before that of the steps, so that the plant prefers every input of a step
-                self._send([Packet("input", "plant", 0, self._expiries, given, max(node.epoch - 1, 0), node.loop)])
-        self._expires, self._expiries = now + limit * self._tick, self._expiries + 1
+            if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
+                tick = node.tick + 1
+                self._send([Packet("input", "plant", tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)])
+        self._expires = now + self._patience
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the node begins no step before a packet tells the time."""
+        return not self.phase.known or self._unsure
 
     def _report_silence(self, node: Node) -> None:
         """Print why a node has received nothing usable."""
@@ -317,13 +330,11 @@ class NodeServer:
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
         idle = self._clock() + IDLE
-        if self._tick is not None and self.nodes[0].watchdog is not None and not self.phase.known:
+        if self._patience and self._waits:
             return min(idle, self._expires)
-        if self._tick is None or self.nodes[0].measures or not self.phase.known:
+        if self._tick is None or self.nodes[0].measures or self._waits:
             return idle
-        if self._unsure is not None:
-            return min(idle, self._sure_at(self._unsure))
-        tick = self._coming(min(node.tick for node in self.nodes), self._clock())
+        tick = self._coming(min(node.tick for node in self.nodes), self.phase.now(self._clock()))
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
     def _repeat(self, loop: int) -> None:

@@ -122,7 +122,7 @@ class DeviceCode:
         for name in ("shim_size", "tac_send"):
             getattr(self.code, name).restype = c.c_size_t
         self.code.tac_behind.restype = c.c_uint64
-        for name in ("tac_receive", "tac_step", "tac_degraded"):
+        for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent"):
             getattr(self.code, name).restype = c.c_bool
         self.role, self.wire = role, Wire(policy, network)
         self.datagram = c.create_string_buffer(4096)
@@ -179,7 +179,12 @@ class DeviceNode(Node):
     @property
     def degraded(self) -> bool:
         """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
-        return self._unheard or self._code.tac_degraded(self._self)
+        return self._code.tac_degraded(self._self)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the watchdog of the device has expired."""
+        return self._code.tac_silent(self._self)
 
     def sort_in(self, packet: Packet) -> Handling:
         """Give a packet to the device, and return how it was handled."""
@@ -224,6 +229,12 @@ class DeviceNode(Node):
         self._count()
         return Stepped(self._sent(), self._output())
 
+    def expire(self) -> Values | None:
+        """Let the watchdog of the device expire while no step begins; return its safe input."""
+        given = super().expire()
+        self._code.tac_expire(self._self)
+        return None if given is None else self._output()
+
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
         """Return the marks of the device."""
         self._code.tac_mark_after(self._self, c.c_uint32(every))
@@ -255,8 +266,8 @@ class DeviceNode(Node):
         return tuple(found)
 
     def _output(self) -> Values | None:
-        if not self.actuates or self.tick < 0:
-            return super()._output()
+        if not self.actuates:
+            return None
         found = self._code.tac_input(self._self)
         return tuple((c.c_double * self.policy.model.inputs).from_address(found))
 
