@@ -7,8 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-
 from taciturn._arrays import Array
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
@@ -112,10 +110,11 @@ class PlantServer:
                 yield from self._wait(zero + (tick + 1) * self._tick)
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
-                before = plant.state.tolist()
+                before = plant.state
                 self.held += self._given[loop][1] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
-                self.largest = max(self.largest, float(np.abs(plant.state).max()))
+                after = plant.state.tolist()
+                self.largest = max(self.largest, *map(abs, after))
                 if self._told is not None:
                     line = {
                         "timestamp": tick * plant.tick_length,
@@ -124,8 +123,8 @@ class PlantServer:
                         "loop": loop,
                     }
                     line |= {
-                        "from": before,
-                        "x": plant.state.tolist(),
+                        "from": before.tolist(),
+                        "x": after,
                         "u": list(self.inputs[loop]),
                         "cost": self.costs[loop][-1],
                     }
@@ -153,9 +152,10 @@ class PlantServer:
                 self.endpoint.send(self.wire.encode(packet), self.sensor)
 
     def _adopt(self, loop: int, tick: int) -> None:
-        """Apply the input of a step from now on, if it has arrived."""
-        if tick in self._waiting[loop]:
-            self._apply(self._waiting[loop].pop(tick))
+        """Apply the input of a step from now on, if it has arrived and its sender has not started again since."""
+        packet = self._waiting[loop].pop(tick, None)
+        if packet is not None and (packet.epoch, packet.tick) > self._given[loop]:
+            self._apply(packet)
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> Turns:
         """Wait for the inputs of a step; send the measurement again while no input arrives."""

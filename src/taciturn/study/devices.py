@@ -165,6 +165,7 @@ class DeviceNode(Node):
         """Start the code."""
         super().__init__(policy, role, network=network, epoch=epoch, seed=seed, watchdog=watchdog, safe=safe)
         self._device, self._code = device, device.code
+        self._counted: list[int] = []
         self._self = device.start(self.epoch, self.loop)
         if self.watchdog is not None:
             self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
@@ -188,11 +189,11 @@ class DeviceNode(Node):
 
     def sort_in(self, packet: Packet) -> Handling:
         """Give a packet to the device, and return how it was handled."""
-        datagram, before = self._device.wire.encode(packet), dict(self.counters)
+        datagram, before = self._device.wire.encode(packet), [self.counters[name] for name in DROPPED]
         usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
         self._count()
         if not usable:
-            return next(name for name in DROPPED if self.counters[name] > before.get(name, 0))
+            return next(name for name, number in zip(DROPPED, before, strict=True) if self.counters[name] > number)
         self._heard_at, self._unheard = self.tick + 1, False
         if packet.kind == "mark":
             self.inbox.marked[packet.link] = max(self.inbox.marked[packet.link], packet.tick)
@@ -272,8 +273,11 @@ class DeviceNode(Node):
         return tuple((c.c_double * self.policy.model.inputs).from_address(found))
 
     def _count(self) -> None:
-        found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))
-        self.counters.update({name: number - self.counters[name] for name, number in zip(COUNTERS, found, strict=True)})
+        found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))[:]
+        if found != self._counted:
+            for name, number in zip(COUNTERS, found, strict=True):
+                self.counters[name] = number
+            self._counted = found
 
 
 @lru_cache(maxsize=8)
