@@ -206,7 +206,7 @@ class Device:
         return self.code.tac_silent(self.node)
 
     def expire(self) -> None:
-        """Let its watchdog expire before the first step."""
+        """Let its watchdog expire while no step begins."""
         self.code.tac_expire(self.node)
 
     def send(self) -> list[bytes]:

@@ -81,8 +81,8 @@ def test_a_program_reads_that_the_watchdog_has_expired(safe: tuple[float, ...] |
         assert node.silent == (tick in (3, 4, 5, 6, 10, 11))
 
 
-def test_a_watchdog_expires_before_the_first_step() -> None:
-    """The program says so, since nobody counts steps yet; a refused packet changes nothing, and a mark ends it."""
+def test_a_watchdog_expires_while_no_step_begins() -> None:
+    """The program says so, since nobody counts steps; a refused packet changes nothing, and a mark ends it."""
     loop = LOOPS["ideal"]()
     wire, node = Wire(loop.policy, loop.network), Device(compiled("ideal", "actuator"), None, 9, LOOP)
     host = Node(loop.policy, "actuator", network=loop.network, loop=LOOP, watchdog=3, safe=[0.5])
@@ -97,11 +97,14 @@ def test_a_watchdog_expires_before_the_first_step() -> None:
     host.sort_in(mark)
     assert node.receive(wire.encode(mark))
     assert (node.silent, host.silent, node.input) == (False, False, (0.0,))
-    node.expire()  # the steps count the silence now
-    assert not node.silent
     assert node.step(40)
     host.step(40)
     assert (node.silent, node.degraded) == (host.silent, host.degraded)
+    node.expire()  # the device was stopped, and no packet tells for how long
+    assert host.expire() == node.input == (0.5,)
+    assert (node.silent, node.degraded) == (host.silent, host.degraded) == (True, True)
+    assert node.receive(wire.encode(mark._replace(tick=42, sequence=1)))
+    assert not node.silent
 
 
 PERIOD = 10_000  # counts of the timer in a step

@@ -193,26 +193,6 @@ def test_a_plant_believes_only_a_running_actuator() -> None:
     assert server.inputs == [(3.0,)]
 
 
-def test_a_safe_input_is_that_of_an_actuator_that_hears_nothing() -> None:
-    """It is applied at once, unless an input of a later step has been; the next input of a step replaces it."""
-    problem, wire = taciturn.load("two-mass-lqg"), Wire(POLICY)
-    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
-        server = PlantServer([SimulatedPlant(problem.close(POLICY))], wire, there, here.address, tick=0.05, epoch=50)
-
-        def after(*packets: Packet) -> float:
-            for packet in packets:
-                here.send(wire.encode(packet), there.address)
-            server.run(2, lambda: False)
-            return server.inputs[0][0]
-
-        assert after(Packet("input", "plant", 0, 0, (3.0,), 60)) == 3.0
-        assert after(Packet("safe", "plant", 0, 0, (0.5,), 60)) == 0.5
-        assert after(Packet("input", "plant", 1, 1, (4.0,), 60)) == 4.0
-        assert after(Packet("safe", "plant", 0, 1, (0.5,), 60)) == 4.0  # of before the last input
-        assert after(Packet("safe", "plant", 0, 0, (0.75,), 61)) == 0.75  # of a node that has started again
-        assert server.refused == {"late": 1}
-
-
 def test_keys_change_without_a_stop(tmp_path: Path) -> None:
     """Accept the new key, use it, accept it alone: at each time a neighbour with the former file is understood."""
     old, new, path = "01" * 16, "02" * 32, tmp_path / "keys"

@@ -3,10 +3,10 @@
 import { timingSafeEqual } from "node:crypto";
 import { crc32 } from "node:zlib";
 
-export const DATA = 0, ACKNOWLEDGEMENT = 1, MARK = 2, MEASUREMENT = 3, INPUT = 4, SAFE = 5; // kinds
-export const CHALLENGE = 6, ANSWER = 7, EITHER = [MARK, CHALLENGE, ANSWER]; // kinds; and those of both directions
+export const DATA = 0, ACKNOWLEDGEMENT = 1, MARK = 2, MEASUREMENT = 3, INPUT = 4; // kinds
+export const CHALLENGE = 5, ANSWER = 6, EITHER = [MARK, CHALLENGE, ANSWER]; // kinds; and those of both directions
 export const NONCE = 8; // bytes
-const BACK = [ACKNOWLEDGEMENT, INPUT, SAFE]; // kinds that travel against their link
+const BACK = [ACKNOWLEDGEMENT, INPUT]; // kinds that travel against their link
 const VERSION = 2, BYTES = 3;
 const HEADER = 32, CRC = 4, TAG = 16, TAGGED = 128;
 const ENTRIES = [[8, "DoubleBE"], [4, "FloatBE"], [2, "Int16BE"]]; // bytes of an entry, and its name in Node.js

@@ -347,7 +347,7 @@ the input of the plant. Call `begin` once, and `step` in each step.
   still affects the node. `node->counters` count what happened to packets. Use `tac_watch(node, ticks, safe_input)`: it
   applies a safe input after `ticks` steps without a packet. Use `tac_mark_after(node, ticks)` at the sender, with a
   third of these steps, so that the watchdog does not expire while the policy is silent. `tac_silent(node)` returns
-  whether it has expired. `tac_expire(node)` lets it expire before the first step.
+  whether it has expired. `tac_expire(node)` lets it expire while no step begins.
 {mission}
 Compile with `-ffp-contract=off`, and without `-ffast-math` or any part of it. Two policies on one device share the
 core; compile it with the larger sizes of their two `taciturn_config.h`.

@@ -38,7 +38,6 @@ def packet_shapes(policy: Policy, network: Network) -> dict[tuple[PacketKind, st
     shapes |= {
         ("measurement", "plant"): (exact, policy.model.outputs),
         ("input", "plant"): (exact, policy.model.inputs),
-        ("safe", "plant"): (exact, policy.model.inputs),
     }
     return {**shapes, ("mark", "plant"): (exact, 0)}
 

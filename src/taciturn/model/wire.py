@@ -15,21 +15,12 @@ from taciturn._display import Displayed
 from taciturn.errors import ProblemError
 
 EncodingName = Literal["float64", "float32", "int16"]
-PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "safe", "challenge", "answer"]
-KINDS: tuple[PacketKind, ...] = (
-    "data",
-    "acknowledgement",
-    "mark",
-    "measurement",
-    "input",
-    "safe",
-    "challenge",
-    "answer",
-)
+PacketKind = Literal["data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer"]
+KINDS: tuple[PacketKind, ...] = ("data", "acknowledgement", "mark", "measurement", "input", "challenge", "answer")
 LINKS = ("sensor", "actuator", "plant")
 CODES: dict[EncodingName, str] = {"float64": "d", "float32": "f", "int16": "h"}  # format characters of struct
 BYTES = len(CODES)  # encoding of a payload of raw bytes
-BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input", "safe"})  # kinds that travel against their link
+BACK: frozenset[PacketKind] = frozenset({"acknowledgement", "input"})  # kinds that travel against their link
 EITHER: frozenset[PacketKind] = frozenset({"mark", "challenge", "answer"})  # kinds that both ends of a link send
 PROOFS: frozenset[PacketKind] = frozenset({"challenge", "answer"})  # kinds whose payload is a nonce
 VERSION = 2

@@ -38,8 +38,8 @@ class Phase:
         self._last, self._jump, self._agreed = 0, float("nan"), 0
         self._behind, self._least = 0, float("inf")  # consecutive late packets, and their smallest offset
         self.jumps = 0
-        self.confirmed = float("nan")  # time of the last packet that agreed with the estimate
-        self.doubted = -float("inf")  # time of the last packet that showed a jump
+        self.confirmations = 0  # packets that agreed with the estimate, or made it follow a jump
+        self.late = 0.0  # offset in seconds by which the last of them was late
 
     @property
     def known(self) -> bool:
@@ -50,19 +50,21 @@ class Phase:
         """Update the estimate with a packet of a step received now; return whether that step can have begun."""
         found = now - tick * self.tick
         if not self.known:
-            self.zero, self._last, self.confirmed = found, tick, now
+            self._confirm(0.0)
+            self.zero, self._last = found, tick
             return True
         off = found - self.zero
         if abs(off) > JUMPED * self.tick:
             agrees = abs(found - self._jump) < JUMPED * self.tick
             self._jump, self._agreed = found, self._agreed + 1 if agrees else 1
             if self._agreed < AGREED:
-                self.doubted = now
                 return off > 0
-            self.zero, self._last, self._agreed, self.confirmed = found, tick, 0, now
+            self._confirm(0.0)
+            self.zero, self._last, self._agreed = found, tick, 0
             self.jumps += 1
             return True
-        self._agreed, self.confirmed = 0, now
+        self._confirm(max(off, 0.0))
+        self._agreed = 0
         if off < 0:
             self.zero = found
         else:
@@ -70,6 +72,9 @@ class Phase:
         self._last = max(self._last, tick)
         self._follow(off)
         return True
+
+    def _confirm(self, late: float) -> None:
+        self.confirmations, self.late = self.confirmations + 1, late
 
     def _follow(self, off: float) -> None:
         """Move the estimate if the last packets were all late, so that it was too early for each of them."""

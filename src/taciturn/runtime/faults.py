@@ -17,6 +17,7 @@ from taciturn._display import Displayed
 from taciturn.runtime.relay import flip_bits, uniform
 
 _LOSS, _DELAY, _TIME, _COPY, _HARM = range(21, 26)
+CUT = 40  # steps for which a process is cut at least when it starts again, continues, or its clock jumps
 DRIFT = 4e-4  # largest relative error of a clock's speed, so that two clocks differ by less than 0.1 %
 Path: TypeAlias = tuple[str, str]  # names of the processes that send and receive
 Flights: TypeAlias = list[tuple[float, bytes]]  # delay in steps and content of every copy of a datagram
@@ -253,7 +254,10 @@ class Skew(ProcessFault):
 
 
 def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: int) -> tuple[Fault, ...]:
-    """Return one to five random faults. Half of the replays begin when a process starts again, if one does.
+    """Return one to five random faults, of which some are moved to where they harm most.
+
+    Half of the replays begin when a process starts again, if one does. Half of the losses cut a process when it starts
+    again, continues, or its clock jumps.
 
     Args:
         seed: seed of the choice.
@@ -263,14 +267,20 @@ def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: 
     """
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(2,)))
     found = [_draw(draws, paths, roles, within) for _ in range(draws.integers(1, 6))]
-    starts = [fault.first + fault.steps for fault in found if isinstance(fault, Crash)]
-    moved = [bool(draws.integers(2)) for _ in found]
-    return tuple(
-        replace(fault, first=starts[0] - 1, steps=fault.steps + 1)
-        if starts and isinstance(fault, Replay) and move
-        else fault
-        for fault, move in zip(found, moved, strict=True)
-    )
+    woken = [fault for fault in found if isinstance(fault, Crash | Pause | Jump)]
+    return tuple(_move(fault, paths, woken) if draws.integers(2) else fault for fault in found)
+
+
+def _move(fault: Fault, paths: Sequence[Path], woken: Sequence[ProcessFault]) -> Fault:
+    """Return a fault of a link that begins when a process is surprised."""
+    crash = next((one for one in woken if isinstance(one, Crash)), None)
+    if isinstance(fault, Replay) and crash is not None:
+        return replace(fault, first=crash.first + crash.steps - 1, steps=fault.steps + 1)
+    if isinstance(fault, Loss) and woken:
+        path = next(path for path in paths if path[1] == woken[0].role)
+        first = woken[0].first + woken[0].steps - 1
+        return replace(fault, first=first, steps=fault.steps + CUT, path=path, share=1.0)
+    return fault
 
 
 def _draw(draws: np.random.Generator, paths: Sequence[Path], roles: Sequence[str], within: int) -> Fault:

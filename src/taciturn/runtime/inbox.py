@@ -8,7 +8,7 @@
 | has arrived before | `duplicate`, dropped |
 | belongs to an earlier epoch, or is far behind the newest packet | `replayed`, dropped |
 | belongs to another loop or link | `misdirected`, dropped |
-| is older than another packet of the same step | `superseded`, dropped |
+| is older than another packet of the same step, or waits while a later epoch begins | `superseded`, dropped |
 | is a mark: its sender is running and has finished a step | `marks` |
 
 The counter `received` is the sum of all other counters and the number of waiting packets.
@@ -96,7 +96,10 @@ class Inbox:
             self.counters["misdirected"] += 1
             return "misdirected"
         window = self.marks[packet.link] if stream is None else stream.window
+        begun = window.epoch
         news = window.admit(packet.epoch, packet.sequence)
+        if stream is not None and window.epoch > begun:
+            self._forget(stream)
         if news != "new":
             self.counters[news] += 1
             return news
@@ -153,6 +156,7 @@ class Inbox:
         """Begin new windows for the packets of a link, whose sender has begun another epoch."""
         for (_, of), stream in self.streams.items():
             if of == link:
+                self._forget(stream)
                 stream.window, stream.missing = Window(), 0
         if link in self.marks:
             self.marks[link], self.marked[link] = Window(), -1
@@ -191,6 +195,12 @@ class Inbox:
             stream.waiting[packet.tick] = packet
         if len(stream.waiting) > 2 * AHEAD:  # only before the first step of the node
             self._miss(stream, stream.waiting.pop(min(stream.waiting)))
+
+    def _forget(self, stream: Stream) -> None:
+        """Drop the early packets of a sender that has started again: they are older than all that it sends now."""
+        self.counters["superseded"] += len(stream.waiting)
+        stream.waiting.clear()
+        stream.behind = None
 
     def _miss(self, stream: Stream, packet: Packet) -> None:
         self.counters["late"] += 1

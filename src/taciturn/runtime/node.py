@@ -117,7 +117,7 @@ class Node:
         self._sequences: Counter[str] = Counter()
         self._input: Values = (0.0,) * policy.model.inputs
         self._heard_at, self._degraded_until = -1, -1
-        self._unheard = False  # whether the watchdog expired before the first step
+        self._unheard = False  # whether the watchdog has expired while no step begins
         self._sent_at: dict[str, int] = {}  # last step with a packet, by link
         self.options: dict[str, float] = {}
 
@@ -238,11 +238,11 @@ class Node:
         return handling
 
     def expire(self) -> Values | None:
-        """Record that the watchdog has expired before the first step; return the safe input, or None without one."""
+        """Record that the watchdog has expired while no step begins; return the safe input unless the last is held."""
         if not self._unheard:
+            self._degrade("silent", counted=not self.silent)
             self._unheard = True
-            self._degrade("silent")
-        return None if self._follows else self._output()
+        return self._safe if self.actuates else None
 
     def save(self) -> dict[str, Any]:
         """Return the complete state of the node as values that JSON can represent."""

@@ -54,8 +54,8 @@ class Packet(NamedTuple):
 
     Args:
         kind: ``"data"``, ``"acknowledgement"``, ``"mark"`` (its sender has finished the step), ``"challenge"`` or
-            ``"answer"`` (proof that its sender is running), or, between plant and nodes, ``"measurement"``,
-            ``"input"`` or ``"safe"`` (an input that belongs to no step).
+            ``"answer"`` (proof that its sender is running), or, between plant and nodes, ``"measurement"`` or
+            ``"input"``.
         link: ``"sensor"``, ``"actuator"`` or ``"plant"``.
         tick: number of the step that the packet belongs to.
         sequence: sequence number among the packets of this kind on this link.

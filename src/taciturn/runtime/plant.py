@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,7 @@ class SimulatedPlant:
         self._y = [i for i, name in enumerate(outputs) if name.startswith("y ")]
         self._x = [i for i, state in enumerate(program.states) if state.name == "x"]
         plant = loop.problem.plant
+        self._nonlinear = plant.function is not None
         spread: Array = factor(plant.V)
         draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1,)))
         noise: Array = spread @ draws.standard_normal((spread.shape[1],))
@@ -79,18 +81,18 @@ class SimulatedPlant:
         """
         if len(inputs) != self.inputs:
             raise ProblemError(f"the input has {len(inputs)} entries; expected {self.inputs}, as for the plant")
-        before, u = self.state, [float(value) for value in inputs]
+        before, u = self._states, [float(value) for value in inputs]
         self._states, outputs = self._turn(self._states, u)
         self.measurement = tuple(outputs[i] for i in self._y)
         self.tick += 1
-        lost = np.flatnonzero(~np.isfinite(self.state))
-        if lost.size and self.loop.problem.plant.function is not None and np.isfinite(u).all():
+        lost = [i for i, number in enumerate(self.state) if not isfinite(number)] if self._nonlinear else []
+        if lost and all(map(isfinite, u)):
             raise ProblemError(
                 f"the loop drives the plant to a point where its function gives {self.state[lost[0]]} as state "
-                f"{lost[0] + 1} at step {self.tick}, from x = {before.round(6).tolist()}, u = {u}; expected finite "
-                "numbers: send more often, limit the inputs (input_limit), or correct the function"
+                f"{lost[0] + 1} at step {self.tick}, from x = {[round(before[i], 6) for i in self._x]}, u = {u}; "
+                "expected finite numbers: send more often, limit the inputs (input_limit), or correct the function"
             )
-        if not np.isfinite(outputs[self._cost]) or not np.isfinite(self.measurement).all():
+        if not (isfinite(outputs[self._cost]) and all(map(isfinite, self.measurement))):
             raise ProblemError(
                 f"the state of the plant exceeds the range of numbers at step {self.tick}: the loop is unstable; "
                 "expected a policy that stabilises the plant over this network"

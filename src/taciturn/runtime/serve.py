@@ -18,13 +18,13 @@ import numpy as np
 
 from taciturn.errors import ProblemError
 from taciturn.model.wire import EITHER
-from taciturn.runtime.clock import JUMPED, Phase
+from taciturn.runtime.clock import JUMPED, LATE, Phase
 from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.outbox import PLANT, Outbox
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.reception import Reception, answer_to
-from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, take_until
+from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, log_line, take_until
 from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
 
@@ -106,9 +106,10 @@ class NodeServer:
         self._outbox = Outbox(wire, endpoint, peer, plant, len(nodes))
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
-        self._expires, self._expiries = self._began + (tick or 0.0) * (first.watchdog or 0), 0
-        self._turned = self._began  # time of the last turn
-        self._unsure: float | None = None  # time of a gap that no packet has explained
+        self._patience = (tick or 0.0) * (first.watchdog or 0)
+        self._expires = self._began + self._patience  # time at which the watchdog expires while no step begins
+        self._turned, self._confirmed = self._began, 0  # time of the last turn, and confirmations of the phase until it
+        self._strayed = 0.0  # seconds that have passed unexpectedly since a packet confirmed the phase
         self._physical = 0
         self.measured = 0  # measurements that were stored for their step
         kept = None if keep is None else keep.read()
@@ -126,9 +127,10 @@ class NodeServer:
     def turns(self, ended: Callable[[], bool]) -> Turns:
         """Execute the steps that may begin, whenever datagrams arrive or the time has come for which this waits."""
         while not ended():
-            touched = self._take((yield self._until()))
+            until = self._until()
+            touched = self._take((yield until))
             now = self._clock()
-            self._notice(now)
+            self._notice(now, until)
             for node in (self.nodes[loop] for loop in touched) if self.nodes[0].measures else self.nodes:
                 self._go_on(node, now)
             self._expire(now)
@@ -222,7 +224,9 @@ class NodeServer:
             self.phase.hear(packet.tick, now)
         if handling not in USABLE:
             self._answer_again(loop, now, repeated)
-        elif packet.kind == "data":
+            return
+        self._expires = now + self._patience
+        if packet.kind == "data":
             self.arrived[packet.link] += 1
             if self._told is not None:
                 self._news[loop].setdefault(packet.link, []).append(packet.sequence)
@@ -258,27 +262,30 @@ class NodeServer:
             if self._tick is not None and self.phase.known:
                 self._lateness.append(self._clock() - self.phase.begins(tick))
             if self._told is not None:
-                self._told(self._line(node, measurement, packets, given))
+                news, self._news[loop] = self._news[loop], {}
+                several = loop if len(self.nodes) > 1 else None
+                self._told(log_line(node, measurement, packets, given, news, several))
             now = self._clock()
 
-    def _notice(self, now: float) -> None:
-        """Notice that many steps have passed at once: the process was suspended, or the clock has jumped.
+    @property
+    def _unsure(self) -> bool:
+        """Whether the process was suspended, or its clock has jumped, and no packet has shown which."""
+        return self._tick is not None and not self.nodes[0].measures and self._strayed > JUMPED * self._tick
 
-        Only the packets of other nodes show which. The node does not begin steps before one of them confirms the phase,
-        or the time of the watchdog has passed.
+    def _notice(self, now: float, until: float) -> None:
+        """Add up the time that has passed beyond that for which the server waited, until a packet confirms the phase.
+
+        The process was suspended, or its clock has jumped. After too much of it the node begins no step, because a node
+        that runs ahead of time would have to wait until its steps come.
         """
-        if self._tick is None or self.nodes[0].measures:
-            return
-        if now - self._turned > JUMPED * self._tick:
-            self._unsure = now
-        if self._unsure is not None and (self.phase.confirmed >= self._unsure or now >= self._sure_at(self._unsure)):
-            self._unsure = None
-        self._turned = now
-
-    def _sure_at(self, unsure: float) -> float:
-        """Return when the node no longer waits for the confirmation of its phase: packets that deny it prolong this."""
-        steps = self.nodes[0].watchdog or int(JUMPED)
-        return max(unsure, self.phase.doubted) + steps * (self._tick or 0.0)
+        if self.phase.confirmations > self._confirmed:
+            self._strayed = min(self._strayed, self.phase.late)
+        else:
+            passed, knew = now - max(until, self._turned), not self._unsure
+            self._strayed += passed if passed > LATE * self.phase.tick else 0.0
+            if knew and self._unsure:
+                self._expires = now + self._patience
+        self._turned, self._confirmed = now, self.phase.confirmations
 
     def _next(self, node: Node, now: float) -> int | None:
         """Return the step that a node may begin now, or None."""
@@ -291,35 +298,41 @@ class NodeServer:
         if node.measures:
             known = self._measurements[loop]
             return min(known) if known else None
-        if not self.phase.known or self._unsure is not None:
+        if not self.phase.known or self._unsure:
             return None
-        tick = self._coming(node.tick, now)
-        if now >= self.phase.begins(tick) + self._wait * self._tick:
-            return tick
         prompt = [link for link, lag in node.listens.items() if lag == 0]
-        return tick if prompt and all(node.inbox.settled(link, tick) for link in prompt) else None
 
-    def _coming(self, last: int, now: float) -> int:
+        def settled(tick: int) -> bool:
+            return bool(prompt) and all(node.inbox.settled(link, tick) for link in prompt)
+
+        come = node.tick
+        while come >= 0 and settled(come + 1):  # a slow clock may be behind the packets
+            come += 1
+        tick = self._coming(node.tick, max(self.phase.now(now), come))
+        return tick if settled(tick) or now >= self.phase.begins(tick) + self._wait * self._tick else None
+
+    def _coming(self, last: int, present: int) -> int:
         """Return the step that follows the last one in real time: the present step at the start, or if it is late."""
-        present = self.phase.now(now)
         return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
 
     def _expire(self, now: float) -> None:
-        """Apply the safe inputs if nothing usable has arrived since the start, and again after each such time."""
-        limit = self.nodes[0].watchdog
-        if self._tick is None or limit is None or self.phase.known or now < self._expires:
+        """Apply the safe inputs if no step begins and nothing usable has arrived, and again after each such time."""
+        if not self._patience or now < self._expires or not self._waits:
             return
-        self._expires, self._expiries = now + limit * self._tick, self._expiries + 1
         for node in self.nodes:
             known = node.silent
             given = node.expire()
             if not known:
                 self._report_silence(node)
-            self._save(node)
-            if given is not None:
-                self._outbox.send(
-                    [Packet("safe", PLANT, max(node.tick, 0), self._expiries, given, node.epoch, node.loop)]
-                )
+            if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
+                tick = node.tick + 1
+                self._outbox.send([Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)])
+        self._expires = now + self._patience
+
+    @property
+    def _waits(self) -> bool:
+        """Whether the node begins no step before a packet tells the time."""
+        return not self.phase.known or self._unsure
 
     def _report_silence(self, node: Node) -> None:
         """Print why a node has received nothing usable."""
@@ -335,13 +348,11 @@ class NodeServer:
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
         idle = self._clock() + IDLE
-        if self._tick is not None and self.nodes[0].watchdog is not None and not self.phase.known:
+        if self._patience and self._waits:
             return min(idle, self._expires)
-        if self._tick is None or self.nodes[0].measures or not self.phase.known:
+        if self._tick is None or self.nodes[0].measures or self._waits:
             return idle
-        if self._unsure is not None:
-            return min(idle, self._sure_at(self._unsure))
-        tick = self._coming(min(node.tick for node in self.nodes), self._clock())
+        tick = self._coming(min(node.tick for node in self.nodes), self.phase.now(self._clock()))
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)
 
     def _save(self, node: Node) -> None:
@@ -353,7 +364,6 @@ class NodeServer:
             "measured": self._measured[0].save(),
             "outbox": self._outbox.save(),
             "sessions": self.reception.save(),
-            "expiries": self._expiries,
         }
         self._keep.write(json.dumps(kept).encode())
 
@@ -364,7 +374,6 @@ class NodeServer:
             self._measured[0].restore(kept["measured"])
             self._outbox.restore(kept["outbox"])
             self.reception.restore(kept["sessions"])
-            self._expiries = kept["expiries"]
         except ProblemError:
             raise
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -373,25 +382,3 @@ class NodeServer:
             ) from None
         if self._tick is None:
             self._outbox.repeat(0, self._began)  # the process may have ended after saving and before sending
-
-    def _line(
-        self, node: Node, measurement: Values | None, packets: Sequence[Packet], given: Values | None
-    ) -> dict[str, Any]:
-        line: dict[str, Any] = {
-            "timestamp": node.tick * (node.policy.model.dt or 1.0),
-            "tick": node.tick,
-            "role": node.role,
-        }
-        if len(self.nodes) > 1:
-            line["loop"] = node.loop
-        if measurement is not None:
-            line["y"] = list(measurement)
-        for link in node.program.sends:
-            line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
-        for link in node.program.hears:
-            line[f"arrived_{link}"] = self._news[node.loop].pop(link, [])
-        line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
-        line["memory"] = node.memory
-        if given is not None:
-            line["u"] = list(given)
-        return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.waiting}

@@ -12,6 +12,8 @@ from typing import Any, Protocol, TypeAlias
 
 from taciturn._files import write_whole
 from taciturn.errors import ProblemError
+from taciturn.runtime.node import Node, Values
+from taciturn.runtime.packet import Packet
 from taciturn.runtime.udp import Address, Endpoint, parse_address
 
 Turns: TypeAlias = Generator[float, Sequence[bytes], None]
@@ -152,6 +154,35 @@ def logged(target: str | None, part: int | None = None) -> Generator[Told | None
     else:
         with closing(_Log(Path(target), part)) as log:
             yield log.write
+
+
+def log_line(
+    node: Node,
+    measurement: Values | None,
+    packets: Sequence[Packet],
+    given: Values | None,
+    arrived: Mapping[str, list[int]],
+    loop: int | None,
+) -> dict[str, Any]:
+    """Return the log line of a step: its inputs and outputs, and the sequence numbers that have arrived by link."""
+    line: dict[str, Any] = {
+        "timestamp": node.tick * (node.policy.model.dt or 1.0),
+        "tick": node.tick,
+        "role": node.role,
+    }
+    if loop is not None:
+        line["loop"] = loop
+    if measurement is not None:
+        line["y"] = list(measurement)
+    for link in node.program.sends:
+        line[f"sent_{link}"] = int(any(packet.kind == "data" and packet.link == link for packet in packets))
+    for link in node.program.hears:
+        line[f"arrived_{link}"] = arrived.get(link, [])
+    line |= {f"option_{name.replace(' ', '_')}": value for name, value in node.options.items()}
+    line["memory"] = node.memory
+    if given is not None:
+        line["u"] = list(given)
+    return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.waiting}
 
 
 def name_of_part(log: Path) -> Path:

@@ -6,8 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
-
 from taciturn._arrays import Array
 from taciturn.model.wire import BACK, PROOFS
 from taciturn.runtime.inbox import AHEAD
@@ -90,7 +88,8 @@ class PlantServer:
         self.inputs: list[Values] = [(0.0,) * plant.inputs for plant in plants]
         self._given = [(-1, -1)] * len(plants)  # epoch and step number of the last input
         self._waiting: list[dict[int, Packet]] = [{} for _ in plants]  # inputs by step: a node may be one step ahead
-        self._windows = [{"input": Window(), "safe": Window()} for _ in plants]
+        self._windows = [Window() for _ in plants]
+        self._shift = 0  # number of the first step, which nodes that already run determine
         self._clock, self._now, self._epoch = clock, 0, int(time.time()) if epoch is None else epoch
         self.taken = 0  # inputs that were applied or stored for their step
         self.costs: list[list[float]] = [[] for _ in plants]
@@ -108,21 +107,24 @@ class PlantServer:
     def turns(self, ticks: int, stopped: Callable[[], bool]) -> Turns:
         """Execute ``ticks`` steps, or fewer if stopped, waiting for datagrams in between."""
         zero = self._clock()
-        for tick in range(ticks):
+        for count in range(ticks):
             if stopped():
                 break
-            self._now = tick
-            self._measure(tick)
+            self._now = count + self._shift
+            self._measure(self._now)
             if self._tick is None:
-                yield from self._await(tick, stopped)
+                yield from self._await(self._now, stopped)
             else:
-                yield from self._wait(zero + (tick + 1) * self._tick)
+                yield from self._wait(zero + (count + 1) * self._tick)
+            self._shift = self._now - count
+            tick = self._now
             for loop, plant in enumerate(self.plants):
                 self._adopt(loop, tick)
-                before = plant.state.tolist()
+                before = plant.state
                 self.held += self._given[loop][1] < tick
                 self.costs[loop].append(plant.move(self.inputs[loop]))
-                self.largest = max(self.largest, float(np.abs(plant.state).max()))
+                after = plant.state.tolist()
+                self.largest = max(self.largest, *map(abs, after))
                 if self._told is not None:
                     line = {
                         "timestamp": tick * plant.tick_length,
@@ -131,8 +133,8 @@ class PlantServer:
                         "loop": loop,
                     }
                     line |= {
-                        "from": before,
-                        "x": plant.state.tolist(),
+                        "from": before.tolist(),
+                        "x": after,
                         "u": list(self.inputs[loop]),
                         "cost": self.costs[loop][-1],
                     }
@@ -161,9 +163,10 @@ class PlantServer:
                 self.endpoint.send(self.wire.encode(packet), self.sensor)
 
     def _adopt(self, loop: int, tick: int) -> None:
-        """Apply the input of a step from now on, if it has arrived."""
-        if tick in self._waiting[loop]:
-            self._apply(self._waiting[loop].pop(tick))
+        """Apply the input of a step from now on, if it has arrived and its sender has not started again since."""
+        packet = self._waiting[loop].pop(tick, None)
+        if packet is not None and (packet.epoch, packet.tick) > self._given[loop]:
+            self._apply(packet)
 
     def _await(self, tick: int, stopped: Callable[[], bool]) -> Turns:
         """Wait for the inputs of a step; send the measurement again while no input arrives."""
@@ -207,27 +210,18 @@ class PlantServer:
             return False
         if packet.kind == "answer":
             if self.reception.accepts(packet):
-                self._windows[packet.loop] = {"input": Window(), "safe": Window()}
+                self._windows[packet.loop] = Window()
                 self._given[packet.loop] = (-1, -1)
             return False
         return self.reception.admits(packet, sender)
 
     def _sort(self, packet: Packet) -> None:
-        """Store an input for its step; apply a late input immediately unless a later one has been applied.
-
-        A safe input belongs to no step, and is applied unless an input of a later step has been.
-        """
-        loop, news = packet.loop, self._windows[packet.loop][packet.kind].admit(packet.epoch, packet.sequence)
+        """Store an input for its step; apply a late input immediately unless a later one has been applied."""
+        loop, news = packet.loop, self._windows[packet.loop].admit(packet.epoch, packet.sequence)
+        if self._tick is not None and not self.taken and news == "new" and packet.tick > self._now + 1:
+            self._now = packet.tick  # the nodes run already, and this plant has started again
         if news != "new":
             self.refused[news] += 1
-        elif packet.kind == "safe":
-            known = self._given[loop]
-            if (packet.epoch, packet.tick) >= known:
-                self._apply(packet)
-                self._given[loop] = max(known, (packet.epoch, packet.tick - 1))
-                self.taken += 1
-            else:
-                self.refused["late"] += 1
         elif packet.tick > self._now + AHEAD:
             self.refused["ahead"] += 1
         elif packet.tick >= self._now:

@@ -122,7 +122,7 @@ class DeviceCode:
         for name in ("shim_size", "tac_send"):
             getattr(self.code, name).restype = c.c_size_t
         self.code.tac_behind.restype = c.c_uint64
-        for name in ("tac_receive", "tac_step", "tac_degraded"):
+        for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent"):
             getattr(self.code, name).restype = c.c_bool
         self.role, self.wire = role, Wire(policy, network)
         self.datagram = c.create_string_buffer(4096)
@@ -165,6 +165,7 @@ class DeviceNode(Node):
         """Start the code."""
         super().__init__(policy, role, network=network, epoch=epoch, seed=seed, watchdog=watchdog, safe=safe)
         self._device, self._code = device, device.code
+        self._counted: list[int] = []
         self._self = device.start(self.epoch, self.loop)
         if self.watchdog is not None:
             self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
@@ -179,15 +180,20 @@ class DeviceNode(Node):
     @property
     def degraded(self) -> bool:
         """Whether the loop still depends on an event that violated an assumption of the policy's theory."""
-        return self._unheard or self._code.tac_degraded(self._self)
+        return self._code.tac_degraded(self._self)
+
+    @property
+    def silent(self) -> bool:
+        """Whether the watchdog of the device has expired."""
+        return self._code.tac_silent(self._self)
 
     def sort_in(self, packet: Packet) -> Handling:
         """Give a packet to the device, and return how it was handled."""
-        datagram, before = self._device.wire.encode(packet), dict(self.counters)
+        datagram, before = self._device.wire.encode(packet), [self.counters[name] for name in DROPPED]
         usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
         self._count()
         if not usable:
-            return next(name for name in DROPPED if self.counters[name] > before.get(name, 0))
+            return next(name for name, number in zip(DROPPED, before, strict=True) if self.counters[name] > number)
         self._heard_at, self._unheard = self.tick + 1, False
         if packet.kind == "mark":
             self.inbox.marked[packet.link] = max(self.inbox.marked[packet.link], packet.tick)
@@ -224,6 +230,12 @@ class DeviceNode(Node):
         self._count()
         return Stepped(self._sent(), self._output())
 
+    def expire(self) -> Values | None:
+        """Let the watchdog of the device expire while no step begins; return its safe input."""
+        given = super().expire()
+        self._code.tac_expire(self._self)
+        return None if given is None else self._output()
+
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
         """Return the marks of the device."""
         self._code.tac_mark_after(self._self, c.c_uint32(every))
@@ -255,14 +267,17 @@ class DeviceNode(Node):
         return tuple(found)
 
     def _output(self) -> Values | None:
-        if not self.actuates or self.tick < 0:
-            return super()._output()
+        if not self.actuates:
+            return None
         found = self._code.tac_input(self._self)
         return tuple((c.c_double * self.policy.model.inputs).from_address(found))
 
     def _count(self) -> None:
-        found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))
-        self.counters.update({name: number - self.counters[name] for name, number in zip(COUNTERS, found, strict=True)})
+        found = (c.c_uint32 * len(COUNTERS)).from_address(self._code.shim_counters(self._self))[:]
+        if found != self._counted:
+            for name, number in zip(COUNTERS, found, strict=True):
+                self.counters[name] = number
+            self._counted = found
 
 
 @lru_cache(maxsize=8)

@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from taciturn.runtime.clock import JUMPED
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.serve import LEFT_BEHIND, NodeServer
@@ -21,6 +22,7 @@ Order: TypeAlias = tuple[int, int]  # epoch and step of a packet
 Entry: TypeAlias = tuple[str, str, int]  # role, signal and index of a stored number
 BEFORE: Order = (-1, -1)
 CLOSE = 1e-9  # largest relative difference of two copies of a number
+EARLY = 2 * JUMPED + 1.0  # steps by which a node may be ahead of the plant: its clock and its sender's may be fast
 UNCOUNTED = ("sent ", "missed", "repeated", "received")  # counters of a node that do not count handled packets
 
 
@@ -64,14 +66,19 @@ class Monitor:
         watchdog: steps without a usable packet after which a node must be silent.
         heartbeat: steps without a packet on a link after which a mark is sent.
         patience: steps by which a node may report its silence later.
+        zero: whether the safe input is 0.
     """
 
-    def __init__(self, step: Callable[[], float], watchdog: int, heartbeat: int, patience: int) -> None:
+    def __init__(
+        self, step: Callable[[], float], watchdog: int, heartbeat: int, patience: int, zero: bool = False
+    ) -> None:
         """Start without processes."""
+        self._zero = zero
         self._step, self._watchdog, self._heartbeat, self._patience = step, watchdog, heartbeat, patience
         self.lives: dict[str, Life] = {}
         self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
         self._last: dict[tuple[str, int], int] = {}  # last step with a packet, by link and epoch of its sender
+        self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
         self._applied = BEFORE
         self.data: dict[str, list[tuple[int, Values]]] = defaultdict(list)  # step and payload of the data, by link
         self.used: dict[str, dict[Values, int]] = defaultdict(dict)  # step that has read a payload, by link
@@ -99,7 +106,14 @@ class Monitor:
             bisect.insort(self._sent[packet.kind, packet.link, packet.values], order)
         if packet.kind == "data":
             self.data[packet.link].append((packet.tick, packet.values))
-        if packet.link != "plant":
+        if packet.link == "plant":
+            life = self.lives.get(role)
+            if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
+                self.fail(f"the {role} is silent, but sends the input {list(packet.values)}; expected the safe input 0")
+        else:
+            number = role, packet.kind, packet.link, packet.epoch, packet.sequence
+            if self._numbered.setdefault(number, packet) != packet:
+                self.fail(f"the {role} sends {packet}, but has sent {self._numbered[number]} with this number")
             last = self._last.get((packet.link, packet.epoch))
             if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
                 self.fail(
@@ -116,6 +130,8 @@ class Monitor:
         life.turn += 1
         if life.turn > LEFT_BEHIND + 2 and not node.measures:
             self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
+        if node.tick > now + EARLY:
+            self.fail(f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
         for (kind, link), values in node.readings.items():
             if kind == "data" and values is not None:
                 order = self._next("data", link, values, life.read[kind, link])

@@ -7,12 +7,13 @@ from typing import TypeAlias, cast
 
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
+from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
-from taciturn.model.policy import LinkName, NodeName, Send
+from taciturn.model.policy import LinkName, NodeName, Policy, Send
 from taciturn.runtime.clock import AGREED, JUMPED
 from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
 from taciturn.runtime.node import Node
-from taciturn.runtime.packet import Wire
+from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.serve import WAIT, NodeServer
 from taciturn.runtime.udp import Address
@@ -53,6 +54,20 @@ class _Memory:
         self.state = state
 
 
+class _CachedWire(Wire):
+    """A wire that decodes a datagram once, for its receiver and for the monitor."""
+
+    def __init__(self, policy: Policy, network: Network) -> None:
+        super().__init__(policy, network)
+        self._decoded: dict[bytes, Packet | str] = {}
+
+    def decode(self, datagram: bytes) -> Packet | str:
+        found = self._decoded.get(datagram)
+        if found is None:
+            found = self._decoded[datagram] = super().decode(datagram)
+        return found
+
+
 class World:
     """The processes of a loop in virtual time, and their faults.
 
@@ -69,8 +84,8 @@ class World:
         policy = self.policy = loop.policy
         self.time = VirtualTime()
         self.network = VirtualNetwork(self.time, self._carry)
-        self.wire = Wire(policy, loop.network)
-        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4)
+        self.wire = _CachedWire(policy, loop.network)
+        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1)
         self.roles = roles(policy)
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.lag = {

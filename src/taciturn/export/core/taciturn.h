@@ -73,7 +73,7 @@ typedef float tac_real;
 typedef double tac_real;
 #endif
 
-enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_SAFE, TAC_CHALLENGE, TAC_ANSWER };
+enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER };
 enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links */
 enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
 typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
@@ -272,7 +272,7 @@ typedef struct {
   uint8_t pending;               /* bit i: the packet of send i is not sent yet */
   uint64_t dated; /* step number in the newest received data or mark, plus one, for a clock */
   bool begun;
-  bool unheard; /* whether the watchdog has expired before the first step */
+  bool unheard; /* whether tac_expire was called after the last packet */
 } tac_node;
 
 /* Return whether the data of a node have the format of this core, and their CRC is correct. The generated function that
@@ -296,9 +296,9 @@ void tac_watch(tac_node *node, uint32_t ticks, const tac_real *safe_input);
 /* Return whether the watchdog has expired. It then stays so until a packet is accepted. */
 bool tac_silent(const tac_node *node);
 
-/* Let the watchdog expire before the first step: for a program whose timer shows that no packet was accepted for the
- * time-out of the watchdog. The node is silent and degraded, and `tac_input` returns the safe input, until a packet is
- * accepted. After the first packet or step this changes nothing, because the steps count the silence. */
+/* Let the watchdog expire: for a program that executes no steps, because no packet has told the time yet or because the
+ * device was stopped, and whose timer shows that no packet was accepted for the time-out of the watchdog. The node is
+ * silent and degraded, and `tac_input` returns the safe input, until a packet is accepted. */
 void tac_expire(tac_node *node);
 
 /* Set the marks: after `ticks` steps without a packet on a link, `tac_send` returns a mark, so that the watchdog of the

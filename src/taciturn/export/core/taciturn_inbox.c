@@ -137,6 +137,15 @@ static bool sort_in(tac_node *node, unsigned i, const tac_packet *packet) {
   return true;
 }
 
+void tac_forget(tac_node *node, unsigned i) {
+  tac_channel *channel = &node->channels[i];
+  for (unsigned place = 0U; place < (unsigned)TAC_WAITING; place++) {
+    node->counters.superseded += channel->waits[place] ? 1U : 0U;
+    channel->waits[place] = false;
+  }
+  channel->has_behind = false;
+}
+
 /* Store and count a packet, and return whether it is new and not far too early. */
 static bool take(tac_node *node, const tac_packet *packet) {
   unsigned i = find_channel(node->data, packet);
@@ -151,6 +160,9 @@ static bool take(tac_node *node, const tac_packet *packet) {
     return false;
   }
   channel = &node->channels[i];
+  if (packet->kind != (uint8_t)TAC_MARK && channel->window.begun && packet->epoch > channel->window.epoch) {
+    tac_forget(node, i);
+  }
   found = admit((packet->kind == (uint8_t)TAC_MARK) ? &channel->marks : &channel->window, packet->epoch,
                 packet->sequence);
   if (found == REPLAYED) {

@@ -33,9 +33,9 @@ bool tac_silent(const tac_node *node) {
 }
 
 void tac_expire(tac_node *node) {
-  if (!node->begun && node->heard == 0U && !node->unheard) {
+  if (!node->unheard) {
     node->unheard = true;
-    tac_degrade(node, 0U);
+    tac_degrade(node, tac_count_ticks(node));
   }
 }
 

@@ -5,7 +5,7 @@
 #include "taciturn_parts.h"
 
 enum { HEADER_SIZE = 32, CRC_SIZE = 4, TAG_SIZE = 16, LEAST_KEY = 16, MOST_KEY = 32 };
-enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 8, LINKS = 3, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
+enum { VERSION = 2, AUTHENTICATED = 0x80, KINDS = 7, LINKS = 3, ENCODED_BYTES = 3, NONCE_SIZE = 8 };
 enum { AT_SEQUENCE = 0, AT_VERSION = 4, AT_KIND = 5, AT_LINK = 6, AT_ENCODING = 7, AT_LOOP = 8, AT_ENTRIES = 10 };
 enum { AT_DIRECTION = 11, AT_EPOCH = 12, AT_TICK = 16, AT_FINGERPRINT = 24 };
 
@@ -154,7 +154,7 @@ static bool has_both(uint8_t kind) {
 
 /* Return whether packets of a kind that only one end sends travel against the link. */
 static bool is_backward(uint8_t kind) {
-  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT || kind == (uint8_t)TAC_SAFE;
+  return kind == (uint8_t)TAC_ACKNOWLEDGEMENT || kind == (uint8_t)TAC_INPUT;
 }
 
 static void put_header(const tac_wire *wire, uint8_t coded, const tac_packet *packet, uint8_t *datagram) {

@@ -12,6 +12,7 @@
 #define tac_bits TAC_SIZED(tac_bits)
 #define tac_collect TAC_SIZED(tac_collect)
 #define tac_write_tag TAC_SIZED(tac_write_tag)
+#define tac_forget TAC_SIZED(tac_forget)
 #define tac_draw TAC_SIZED(tac_draw)
 #define tac_is_admitted TAC_SIZED(tac_is_admitted)
 #define tac_take_proof TAC_SIZED(tac_take_proof)
@@ -42,6 +43,9 @@ void tac_write_tag(tac_key key, const uint8_t *content, size_t size, uint8_t *ta
 
 /* Return 64 bits of the keyed hash of a content, which nobody without the key can predict. */
 uint64_t tac_draw(tac_key key, const uint8_t *content, size_t size);
+
+/* Drop the early packets of a sender that has started again: they are older than all that it sends now. */
+void tac_forget(tac_node *node, unsigned i);
 
 /* Return whether the sender of a packet of channel `i` has proven that it is running; if not, challenge it. */
 bool tac_is_admitted(tac_node *node, unsigned i, const tac_packet *packet);

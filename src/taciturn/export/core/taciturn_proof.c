@@ -48,6 +48,7 @@ static void accept(tac_node *node, unsigned i, const tac_packet *packet) {
     return;
   }
   if (!channel->has_proof || packet->epoch != channel->proven) {
+    tac_forget(node, i);
     (void)memset(&channel->window, 0, sizeof channel->window);
     (void)memset(&channel->marks, 0, sizeof channel->marks);
     channel->missing = 0U;
