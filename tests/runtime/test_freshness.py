@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import os
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -253,3 +256,31 @@ def test_keys_that_are_not_valid_are_refused(text: str, sentence: str) -> None:
     only = Wire(POLICY, key=Keys.parse("plant: " + "01" * 16))
     with Endpoint(("127.0.0.1", 0)) as there, pytest.raises(ProblemError, match="none for the actuator link"):
         NodeServer([Node(POLICY, "actuator")], only, there, plant=("127.0.0.1", 1))
+
+
+@pytest.mark.parametrize("key", [None, KEY], ids=["without key", "with key"])
+def test_a_plant_that_starts_again_continues_with_the_step_of_its_nodes(key: bytes | None) -> None:
+    """Its steps begin at 0, which the nodes have passed long ago; the first input tells it the present step."""
+    problem, wire = taciturn.load("two-mass-lqg"), Wire(POLICY, key=key)
+    ended, tick = threading.Event(), 0.01
+    with ExitStack() as stack, ThreadPoolExecutor() as threads:
+        ports = [stack.enter_context(Endpoint(("127.0.0.1", 0))) for _ in range(3)]
+        controls, acts, plants = (port.address for port in ports)
+        servers = [
+            NodeServer([Node(POLICY, "controller", epoch=7)], wire, ports[0], peer=acts, plant=plants, tick=tick),
+            NodeServer([Node(POLICY, "actuator", epoch=7)], wire, ports[1], plant=plants, tick=tick, wait=0.55),
+        ]
+        running = [threads.submit(server.run, None, ended.is_set) for server in servers]
+        try:
+            for epoch in (50, 51):
+                plant = PlantServer(
+                    [SimulatedPlant(problem.close(POLICY))], wire, ports[2], controls, tick=tick, epoch=epoch
+                )
+                report = plant.run(50, lambda: False)
+        finally:
+            ended.set()
+        reports = [one.result() for one in running]
+    assert report["held"] <= 25
+    assert report["inputs"] >= 25
+    assert all(90 <= one["tick"] < 130 for one in reports)
+    assert reports[0]["measurements"] >= 75
