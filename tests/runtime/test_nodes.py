@@ -162,6 +162,15 @@ def test_the_newest_command_wins() -> None:
     assert node.step(7, packets=[data(1, 5, 2.0)]).input == (3.0,)
 
 
+def test_an_early_packet_is_dropped_when_its_sender_starts_again() -> None:
+    """It is older than all that the sender sends since; C code is compared with this node elsewhere."""
+    node = masses("actuator")
+    node.step(0, packets=[data(0, 0, 1.0), data(2, 1, 9.0)])
+    node.step(1, packets=[data(1, 0, 2.0, epoch=1)])
+    assert node.counters["superseded"] == 1
+    assert node.step(2).input == (2.0,)
+
+
 def test_a_lost_packet_degrades_where_none_may_be_lost_until_it_is_forgotten() -> None:
     """A gap in the sequence is seen at the next packet; after seven time constants the node is whole again."""
     node = masses("actuator")

@@ -195,6 +195,17 @@ def test_inputs_wait_for_their_tick_and_far_ones_are_dropped(here: Endpoint) -> 
     assert report["refused"] == {"ahead": 2, "replayed": 1}
 
 
+def test_an_input_of_an_earlier_start_is_not_applied_after_one_of_a_later_start(here: Endpoint) -> None:
+    """An actuator that was ahead of time has sent an input of step 2, and has started again since."""
+    with Endpoint(("127.0.0.1", 0)) as endpoint:
+        server = PlantServer([SimulatedPlant(PROBLEM.close(POLICY), 1)], WIRE, endpoint, here.address)
+        for datagram in [given(2, 9.0, sequence=2), given(0, 0.25, epoch=200), given(1, 0.75, sequence=1, epoch=200)]:
+            here.send(datagram, endpoint.address)
+        server.run(3, soon(2.0))
+    assert server.inputs == [(0.75,)]
+    assert server.held == 1
+
+
 @pytest.mark.parametrize(
     ("own", "other", "why", "told"),
     [

@@ -23,6 +23,7 @@ Entry: TypeAlias = tuple[str, str, int]  # role, signal and index of a stored nu
 BEFORE: Order = (-1, -1)
 CLOSE = 1e-9  # largest relative difference of two copies of a number
 EARLY = 2 * JUMPED + 1.0  # steps by which a node may be ahead of the plant: its clock and its sender's may be fast
+AWAKE = 1000  # largest number of times that a process wakes in a step
 UNCOUNTED = ("sent ", "missed", "repeated", "received")  # counters of a node that do not count handled packets
 
 
@@ -55,6 +56,7 @@ class Life:
         self.counted = self.node.counters["received"]  # of an earlier life, if the state was saved
         self.heard = began  # last step in which a datagram of a peer arrived, or which excuses silence
         self.turn = 0  # steps since the process woke
+        self.wakes = 0  # times that it woke in this step
         self.read: dict[tuple[str, str], Order] = defaultdict(lambda: BEFORE)
 
 
@@ -161,7 +163,10 @@ class Monitor:
 
     def woken(self, role: str) -> None:
         """Record that a process reads datagrams."""
-        self.lives[role].turn = 0
+        life = self.lives[role]
+        life.turn, life.wakes = 0, life.wakes + 1
+        if life.wakes > AWAKE:
+            self.fail(f"the {role} wakes more than {AWAKE} times in a step; expected a process that waits")
 
     def check(self, network: VirtualNetwork, plant: PlantServer, plant_port: VirtualPort, alive: Sequence[str]) -> None:
         """Check what must hold at each step: every datagram is accounted for, and a node that is cut says so."""
@@ -172,6 +177,8 @@ class Monitor:
             self.fail(f"{added} datagrams were sent, but {ended} ended and {network.flying} are on their way")
         if plant_port.received != plant.taken + sum(plant.refused.values()):
             self.fail(f"the plant has received {plant_port.received} datagrams, but counted {plant.report()}")
+        for life in self.lives.values():
+            life.wakes = 0
         for role in alive:
             self._check_life(role, self.lives[role])
 
