@@ -98,7 +98,7 @@ def test_every_page_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The cells of a page run in order next to the data they show, in reduced counts, and what they assert holds."""
-    for data in (path, *(ROOT / "docs").glob("*.json")):
+    for data in (path, *(ROOT / "docs").glob("*.json"), *(ROOT / "docs").glob("*.c")):
         shutil.copy(data, tmp_path)
     monkeypatch.chdir(tmp_path)
     text = reduced(path.stem, path.read_text(encoding="utf-8"))

@@ -79,8 +79,7 @@ def export(
         document["sizes"] = None if measured is None else {"processor": measured[0], **sizes}
         if not found.single:
             lines.append(("precision", "a Cortex-M computes float64 in software; --precision float32 is native to M4F"))
-        sources = " ".join(sorted(file for file in found.files if file.endswith(".c")))
-        command = f"cc {sources} -lm -o selfcheck && ./selfcheck"
+        command = f"cc {' '.join(found.sources)} -lm -o selfcheck && ./selfcheck"
         sized = _lines(measured)
     if as_json:
         print_json(document, origin(problem, seed))

@@ -79,7 +79,7 @@ _WRAPPED = ("tac_receive", "tac_step", "tac_send")
 
 def self_check(folder: CFolder) -> Main:
     """Return the self-check of exported nodes as a program for a board."""
-    return Main(tuple(name for name in folder.files if name.endswith(".c")))
+    return Main(folder.sources)
 
 
 def measurement(folder: CFolder) -> Main:

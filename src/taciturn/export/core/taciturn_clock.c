@@ -12,7 +12,8 @@ enum { SPAN = 8192 };            /* least number of steps over which the drift i
 /* Return the difference of two readings of the timer, of which either may be the later. */
 static int64_t between(uint64_t early, uint64_t late) {
   uint64_t ahead = late - early;
-  return (ahead <= (uint64_t)INT64_MAX) ? (int64_t)ahead : (-(int64_t)(early - late - 1U) - 1);
+  uint64_t behind = early - late - 1U;
+  return (ahead <= (uint64_t)INT64_MAX) ? (int64_t)ahead : (-(int64_t)behind - 1);
 }
 
 static bool is_far(const tac_clock *clock, int64_t off) {
@@ -48,7 +49,8 @@ static bool follow_jump(tac_clock *clock, uint64_t tick, uint64_t found) {
 
 /* Move the estimate if the last packets were all late, so that it was too early for each of them. */
 static void follow_late(tac_clock *clock, int64_t off) {
-  bool late = off > (int64_t)(clock->period / (uint32_t)LATE);
+  uint32_t most = clock->period / (uint32_t)LATE;
+  bool late = off > (int64_t)most;
   clock->late = late ? (clock->late + 1U) : 0U;
   if (clock->late == 1U || (late && off < clock->least)) {
     clock->least = off;

@@ -60,6 +60,8 @@ static void miss(tac_node *node, tac_channel *channel, const tac_packet *packet)
       channel->behind = *packet;
       channel->has_behind = true;
     }
+  } else {
+    /* the packet is only counted */
   }
 }
 

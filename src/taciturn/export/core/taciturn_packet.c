@@ -28,7 +28,8 @@ static bool is_finite(tac_real value) {
 
 void tac_put(uint8_t *to, uint64_t value, unsigned bytes) {
   for (unsigned i = 0U; i < bytes; i++) {
-    to[i] = (uint8_t)((value >> (8U * (bytes - 1U - i))) & 0xFFU);
+    unsigned shift = 8U * (bytes - 1U - i);
+    to[i] = (uint8_t)((value >> shift) & 0xFFU);
   }
 }
 
