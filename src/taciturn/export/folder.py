@@ -27,7 +27,7 @@ from taciturn.program.c import REAL, array, literal
 CORE_SOURCES = tuple(
     f"taciturn_{part}.c" for part in ("hash", "packet", "proof", "inbox", "outbox", "node", "clock", "state")
 )
-CORE = ("taciturn.h", "taciturn_clock.h", "taciturn_parts.h", *CORE_SOURCES)
+CORE = ("taciturn.h", "taciturn_packet.h", "taciturn_parts.h", *CORE_SOURCES)
 EXCHANGE = ("taciturn_exchange.h", "taciturn_exchange.c")
 CHECK = ("selfcheck.h", "selfcheck.c")
 WAITING = 4  # size of the buffer for early packets of each link, a power of two

@@ -14,39 +14,14 @@
 #ifndef TACITURN_H
 #define TACITURN_H
 
-#include <float.h>
-#include <stdbool.h>
-#include <stddef.h>
-#include <stdint.h>
+#include "taciturn_packet.h"
 
-#include "taciturn_config.h" /* generated: TAC_FLOAT32, TAC_VALUES, TAC_DATAGRAM, TAC_WAITING, TAC_SIZED */
-
-#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0 && FLT_EVAL_METHOD != 16 /* 16: only _Float16 differs */
-#error "numbers are computed in more digits than they have; expected -msse2 -mfpmath=sse, or -ffloat-store's like"
-#endif
-
-#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || \
-    defined(__NO_SIGNED_ZEROS__)
-#error "numbers are rounded as the compiler likes; expected no -ffast-math, and none of its parts"
-#endif
-
-/* Every operation is rounded once. With FMA contraction, results would not be bit-identical to the design. */
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#elif defined(__GNUC__)
-#pragma GCC optimize("fp-contract=off")
-#endif
-
-/* The linker names of all functions contain the sizes, so that files compiled with different sizes do not link. */
-#define tac_encode TAC_SIZED(tac_encode)
-#define tac_decode TAC_SIZED(tac_decode)
 #define tac_check TAC_SIZED(tac_check)
 #define tac_start TAC_SIZED(tac_start)
 #define tac_watch TAC_SIZED(tac_watch)
 #define tac_mark_after TAC_SIZED(tac_mark_after)
 #define tac_receive TAC_SIZED(tac_receive)
 #define tac_set_keys TAC_SIZED(tac_set_keys)
-#define tac_is_back TAC_SIZED(tac_is_back)
 #define tac_step TAC_SIZED(tac_step)
 #define tac_ready TAC_SIZED(tac_ready)
 #define tac_heard TAC_SIZED(tac_heard)
@@ -58,6 +33,12 @@
 #define tac_save TAC_SIZED(tac_save)
 #define tac_restore TAC_SIZED(tac_restore)
 #define tac_degraded TAC_SIZED(tac_degraded)
+#define tac_clock_start TAC_SIZED(tac_clock_start)
+#define tac_clock_hear TAC_SIZED(tac_clock_hear)
+#define tac_clock_receive TAC_SIZED(tac_clock_receive)
+#define tac_clock_due TAC_SIZED(tac_clock_due)
+#define tac_clock_offset TAC_SIZED(tac_clock_offset)
+#define tac_clock_drift TAC_SIZED(tac_clock_drift)
 
 #ifndef TAC_CATCH_UP
 #define TAC_CATCH_UP 16 /* largest number of missed steps that one call of tac_step executes */
@@ -66,63 +47,6 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-#if TAC_FLOAT32
-typedef float tac_real;
-#else
-typedef double tac_real;
-#endif
-
-enum { TAC_DATA, TAC_ACKNOWLEDGEMENT, TAC_MARK, TAC_MEASUREMENT, TAC_INPUT, TAC_CHALLENGE, TAC_ANSWER };
-enum { TAC_SENSOR_LINK, TAC_ACTUATOR_LINK, TAC_PLANT_LINK };                          /* links */
-enum { TAC_ENCODED_FLOAT64, TAC_ENCODED_FLOAT32, TAC_ENCODED_INT16 };                 /* payloads */
-typedef enum { TAC_OK, TAC_MALFORMED, TAC_CORRUPTED, TAC_FOREIGN, TAC_FORGED } tac_verdict;
-
-/* A packet, with `entries` values. */
-typedef struct {
-  uint64_t tick;
-  uint64_t nonce; /* random number of a challenge, which its answer repeats */
-  uint32_t sequence;
-  uint32_t epoch;
-  uint16_t loop;
-  uint8_t kind;
-  uint8_t link;
-  uint8_t entries;
-  bool back; /* whether a mark, a challenge or an answer travels against the link; other kinds have one direction */
-  tac_real values[TAC_VALUES];
-} tac_packet;
-
-/* The payload format of packets of one kind on one link. With int16, a value is an integer multiple of a step size:
- * `per_unit` and `per_step` contain steps per unit and units per step of each entry. Otherwise they are NULL. */
-typedef struct {
-  uint8_t kind;
-  uint8_t link;
-  uint8_t encoding;
-  uint8_t entries;
-  const tac_real *per_unit;
-  const tac_real *per_step;
-} tac_shape;
-
-/* The packet formats of a policy. */
-typedef struct {
-  uint64_t fingerprint;
-  const tac_shape *shapes;
-  uint8_t shape_count;
-} tac_wire;
-
-/* The secret that authenticates packets: 16 to 32 bytes, or NULL for none. With a key of another size, no packet is
- * sent or accepted. */
-typedef struct {
-  const uint8_t *bytes;
-  uint8_t size;
-} tac_key;
-
-/* Encode a packet as a datagram of at most TAC_DATAGRAM bytes, and return its size. Return 0 if the policy has no such
- * packet, or if a value is not finite. */
-size_t tac_encode(const tac_wire *wire, tac_key key, const tac_packet *packet, uint8_t *datagram);
-
-/* Decode a datagram. If the result is not TAC_OK, it is the reason for the rejection, and `packet` is not valid. */
-tac_verdict tac_decode(const tac_wire *wire, tac_key key, const uint8_t *datagram, size_t size, tac_packet *packet);
 
 /* Packets of one kind on one link that a node receives. Part `part` of a step reads the packet of the step `lag` steps
  * earlier. Input `at` of the step is whether a packet arrived, and the following inputs are its values. */
@@ -223,7 +147,8 @@ typedef struct {
 typedef struct {
   uint64_t nonce;
   uint64_t repeated; /* number of the last step in which packets were sent again, plus one; 0: none */
-  uint8_t left;      /* packets of the proof that are not sent yet */
+  bool answers;      /* whether an answer is to be sent */
+  uint8_t again;     /* kinds of packets to be sent again */
 } tac_proof;
 
 /* The marks that a node sends on a link. They report that the node is running and has finished a step. */
@@ -336,9 +261,6 @@ uint64_t tac_heard(const tac_node *node);
  * acknowledgement goes to the node from which the packets of its link come: see tac_is_back. */
 size_t tac_send(tac_node *node, uint8_t *datagram);
 
-/* Return whether a datagram that `tac_send` wrote goes back to the sender of the packets of its link. */
-bool tac_is_back(const uint8_t *datagram);
-
 /* Write the state of a node as bytes, which do not depend on the processor, and return their number; 0: `size` is too
  * small. As many bytes as the type of the node has suffice. The state includes neither the key nor what `tac_watch` and
  * `tac_mark_after` set. */
@@ -347,6 +269,48 @@ size_t tac_save(tac_node *node, uint8_t *bytes, size_t size);
 /* Continue a started node from saved bytes: it does what the saved node would have done, bit for bit. Return false,
  * without changing the node, if the bytes are damaged, or belong to another policy, node, loop or format. */
 bool tac_restore(tac_node *node, const uint8_t *bytes, size_t size);
+
+/* An estimate of the beginning of steps by the readings of a timer, from the packets of the node that sets the time. It
+ * needs no synchronised clocks: the timer may run up to 0.1 % faster or slower. A packet may be late but not early, so
+ * the earliest packets determine the estimate. */
+typedef struct {
+  uint64_t zero;     /* reading at which step 0 began, modulo 2^64 */
+  uint64_t first;    /* its first estimate */
+  uint64_t last;     /* newest step of a packet */
+  uint64_t jump;     /* reading at which step 0 began, if the time has jumped */
+  uint64_t ticks[2]; /* steps from which the drift is measured, and the estimates then */
+  uint64_t zeros[2];
+  int64_t least;   /* least offset of the last packets, if all of them were late */
+  uint32_t period; /* counts of the timer in a step */
+  uint32_t agreed; /* consecutive packets that agree on a jump */
+  uint32_t late;   /* consecutive late packets */
+  uint32_t jumps;  /* jumps so far */
+  bool known;      /* whether a packet has arrived */
+} tac_clock;
+
+/* Initialize a clock. `period` is the length of a step in counts of the timer, from 1; use a timer with 1000 or more
+ * counts in a step. */
+void tac_clock_start(tac_clock *clock, uint32_t period);
+
+/* Process a datagram as `tac_receive` does, and update the clock if it contains new data or a new mark. `now` is the
+ * reading of the timer at its arrival; readings have 64 bits and do not go back. */
+bool tac_clock_receive(tac_clock *clock, tac_node *node, const uint8_t *datagram, size_t size, uint64_t now);
+
+/* Update a clock with a packet of step `tick` that arrived at the reading `now`. An estimate that differs by more than
+ * 16 steps is a jump, which is followed after 8 consecutive packets that agree. Return false if the step of the packet
+ * cannot have begun. */
+bool tac_clock_hear(tac_clock *clock, uint64_t tick, uint64_t now);
+
+/* Return the number of the newest step that has begun at the reading `now`, plus one; 0: none, or unknown. For a node
+ * that waits for the packets of a step, subtract the waiting time, for example half a step, from the reading. */
+uint64_t tac_clock_due(const tac_clock *clock, uint64_t now);
+
+/* Return by how many counts the timer has advanced more than the steps have, since the first packet. */
+int64_t tac_clock_offset(const tac_clock *clock);
+
+/* Return by how many parts per million the timer is faster than the steps, over the last 8192 to 16384 steps. The error
+ * is about the jitter of the packets, divided by that time. */
+int32_t tac_clock_drift(const tac_clock *clock);
 
 /* Return the plant input, or NULL if the node does not contain the actuator. */
 const tac_real *tac_input(const tac_node *node);
@@ -358,7 +322,5 @@ bool tac_degraded(const tac_node *node);
 #ifdef __cplusplus
 }
 #endif
-
-#include "taciturn_clock.h"
 
 #endif

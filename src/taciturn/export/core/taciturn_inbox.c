@@ -100,14 +100,17 @@ static void wait_for_tick(tac_node *node, unsigned i, const tac_packet *packet) 
   }
 }
 
+/* Return whether a channel receives packets of this kind and direction, or the marks of their sender. */
+static bool receives(const tac_channel_data *channel, const tac_packet *packet) {
+  bool back = channel->kind == (uint8_t)TAC_ACKNOWLEDGEMENT;
+  bool mark = packet->kind == (uint8_t)TAC_MARK && packet->back == back;
+  return channel->link == packet->link && (mark || channel->kind == packet->kind);
+}
+
 /* Return the channel of a packet, or for a mark a channel of its sender, or the number of channels if there is none. */
 static unsigned find_channel(const tac_node_data *data, const tac_packet *packet) {
   unsigned i = 0U;
-  while (i < data->channel_count &&
-         (data->channels[i].link != packet->link ||
-          (data->channels[i].kind != packet->kind && packet->kind != (uint8_t)TAC_MARK) ||
-          (packet->kind == (uint8_t)TAC_MARK &&
-           packet->back != (data->channels[i].kind == (uint8_t)TAC_ACKNOWLEDGEMENT)))) {
+  while (i < data->channel_count && !receives(&data->channels[i], packet)) {
     i++;
   }
   return i;

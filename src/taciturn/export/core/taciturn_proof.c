@@ -5,7 +5,7 @@
 #include "taciturn_parts.h"
 
 enum { VALID = 2 }; /* last steps whose packets are valid after an answer */
-enum { ANSWER = 1, TOLD = 2, DATA = 4, MARK = 8 }; /* packets of a proof, in the order in which they are sent */
+enum { NONE, MARK, DATA, TOLD }; /* kinds of packets to send again after an answer: this one, and those before it */
 enum { SEED_SIZE = 11 };
 
 static uint64_t nonce_of(const tac_node *node, unsigned i) {
@@ -42,7 +42,7 @@ bool tac_is_admitted(tac_node *node, unsigned i, const tac_packet *packet) {
 }
 
 /* Store the proof in an answer to the open challenge of a channel. */
-static void accept(tac_node *node, unsigned i, const tac_packet *packet) {
+static void accept_answer(tac_node *node, unsigned i, const tac_packet *packet) {
   tac_channel *channel = &node->channels[i];
   if (!channel->challenged || packet->nonce != nonce_of(node, i)) {
     return;
@@ -70,28 +70,24 @@ void tac_take_proof(tac_node *node, const tac_packet *packet) {
   if (packet->kind == (uint8_t)TAC_ANSWER) {
     for (unsigned i = 0U; i < node->data->channel_count; i++) {
       if (node->data->channels[i].link == packet->link && comes_back(&node->data->channels[i]) == packet->back) {
-        accept(node, i, packet);
+        accept_answer(node, i, packet);
       }
     }
   } else if (tac_talks(node->data, packet->link, !packet->back)) {
     tac_proof *proof = &node->proofs[packet->link];
     uint64_t ticks = tac_count_ticks(node);
     proof->nonce = packet->nonce;
-    proof->left = (uint8_t)ANSWER;
+    proof->answers = true;
     if (node->begun && proof->repeated != ticks) {
       proof->repeated = ticks;
-      proof->left = (uint8_t)((unsigned)ANSWER | (unsigned)TOLD | (unsigned)DATA | (unsigned)MARK);
+      proof->again = (uint8_t)TOLD;
     }
   } else {
     /* a challenge of what this node does not send */
   }
 }
 
-static void clear(tac_packet *packet) {
-  (void)memset(packet, 0, sizeof *packet);
-}
-
-static size_t encode(tac_node *node, tac_packet *packet, uint8_t link, uint8_t *datagram) {
+static size_t write_packet(tac_node *node, tac_packet *packet, uint8_t link, uint8_t *datagram) {
   packet->link = link;
   packet->loop = node->loop;
   return tac_encode(&node->data->wire, node->keys[link][0], packet, datagram);
@@ -100,24 +96,24 @@ static size_t encode(tac_node *node, tac_packet *packet, uint8_t link, uint8_t *
 static size_t send_challenge(tac_node *node, unsigned i, uint8_t *datagram) {
   const tac_channel_data *data = &node->data->channels[i];
   tac_packet packet;
-  clear(&packet);
+  (void)memset(&packet, 0, sizeof packet);
   packet.kind = (uint8_t)TAC_CHALLENGE;
   packet.back = !comes_back(data);
   packet.nonce = nonce_of(node, i);
   node->channels[i].challenges = false;
-  return encode(node, &packet, data->link, datagram);
+  return write_packet(node, &packet, data->link, datagram);
 }
 
 static size_t send_answer(tac_node *node, uint8_t link, uint8_t *datagram) {
   uint64_t ticks = tac_count_ticks(node);
   tac_packet packet;
-  clear(&packet);
+  (void)memset(&packet, 0, sizeof packet);
   packet.kind = (uint8_t)TAC_ANSWER;
   packet.back = !tac_talks(node->data, link, false);
   packet.nonce = node->proofs[link].nonce;
   packet.epoch = node->epoch;
   packet.tick = (ticks > (uint64_t)VALID) ? (ticks - (uint64_t)VALID) : 0U;
-  return encode(node, &packet, link, datagram);
+  return write_packet(node, &packet, link, datagram);
 }
 
 static bool is_valid(const tac_node *node, uint64_t tick) {
@@ -125,10 +121,10 @@ static bool is_valid(const tac_node *node, uint64_t tick) {
 }
 
 /* Send the last acknowledgement or the last mark on a link again. */
-static size_t again(tac_node *node, uint8_t kind, uint8_t link, bool back, uint64_t tick, uint32_t following,
+static size_t send_again(tac_node *node, uint8_t kind, uint8_t link, bool back, uint64_t tick, uint32_t following,
                     uint8_t *datagram) {
   tac_packet packet;
-  clear(&packet);
+  (void)memset(&packet, 0, sizeof packet);
   packet.kind = kind;
   packet.back = back;
   packet.epoch = node->epoch;
@@ -137,7 +133,7 @@ static size_t again(tac_node *node, uint8_t kind, uint8_t link, bool back, uint6
     return 0U;
   }
   packet.sequence = following - 1U;
-  return encode(node, &packet, link, datagram);
+  return write_packet(node, &packet, link, datagram);
 }
 
 static size_t send_told_again(tac_node *node, uint8_t link, uint8_t *datagram) {
@@ -145,7 +141,8 @@ static size_t send_told_again(tac_node *node, uint8_t link, uint8_t *datagram) {
   for (unsigned i = 0U; size == 0U && i < node->data->channel_count; i++) {
     const tac_channel *channel = &node->channels[i];
     if (node->data->channels[i].link == link && node->data->channels[i].acknowledged && !channel->tells) {
-      size = again(node, (uint8_t)TAC_ACKNOWLEDGEMENT, link, false, channel->told, channel->told_sequence, datagram);
+      size = send_again(node, (uint8_t)TAC_ACKNOWLEDGEMENT, link, false, channel->told, channel->told_sequence,
+                        datagram);
     }
   }
   return size;
@@ -157,7 +154,7 @@ static size_t send_data_again(tac_node *node, uint8_t link, uint8_t *datagram) {
     tac_packet *packet = &node->sending[i];
     bool sent = node->sequences[i] > 0U && (node->pending & (1U << i)) == 0U;
     if (node->data->sends[i].link == link && sent && is_valid(node, packet->tick)) {
-      size = encode(node, packet, link, datagram);
+      size = write_packet(node, packet, link, datagram);
     }
   }
   return size;
@@ -168,21 +165,21 @@ static size_t send_mark_again(tac_node *node, uint8_t link, uint8_t *datagram) {
   bool back = !tac_talks(node->data, link, false);
   return (marks->marked == 0U)
              ? 0U
-             : again(node, (uint8_t)TAC_MARK, link, back, marks->marked - 1U, marks->sequence, datagram);
+             : send_again(node, (uint8_t)TAC_MARK, link, back, marks->marked - 1U, marks->sequence, datagram);
 }
 
 /* Write the next datagram of the proof on a link. */
 static size_t send_next(tac_node *node, uint8_t link, uint8_t *datagram) {
   tac_proof *proof = &node->proofs[link];
   size_t size = 0U;
-  while (size == 0U && proof->left != 0U) {
-    uint8_t next = (uint8_t)(proof->left & (uint8_t)(~proof->left + 1U)); /* the lowest bit */
-    proof->left = (uint8_t)(proof->left & (uint8_t)~next);
-    if (next == (uint8_t)ANSWER) {
-      size = send_answer(node, link, datagram);
-    } else if (next == (uint8_t)TOLD) {
+  if (proof->answers) {
+    proof->answers = false;
+    return send_answer(node, link, datagram);
+  }
+  for (; size == 0U && proof->again != (uint8_t)NONE; proof->again--) {
+    if (proof->again == (uint8_t)TOLD) {
       size = send_told_again(node, link, datagram);
-    } else if (next == (uint8_t)DATA) {
+    } else if (proof->again == (uint8_t)DATA) {
       size = send_data_again(node, link, datagram);
     } else {
       size = send_mark_again(node, link, datagram);

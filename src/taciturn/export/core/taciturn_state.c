@@ -203,7 +203,8 @@ static void pass_sends(cursor *c, tac_node *node) {
     pass_word(c, &node->marks[link].sequence);
     pass_long(c, &node->proofs[link].nonce);
     pass_long(c, &node->proofs[link].repeated);
-    node->proofs[link].left = (uint8_t)pass(c, node->proofs[link].left, 1U, 15U);
+    pass_truth(c, &node->proofs[link].answers);
+    node->proofs[link].again = (uint8_t)pass(c, node->proofs[link].again, 1U, 3U);
   }
   node->pending = (uint8_t)pass(c, node->pending, 1U, (1U << data->send_count) - 1U);
 }
