@@ -37,7 +37,7 @@ def test_a_planted_deviation_is_found(tmp_path: Path) -> None:
     source = folder / "taciturn_outbox.c"
     text = source.read_text(encoding="ascii")
     assert text.count("packet.entries = 0U;") == 2
-    source.write_text(text.replace("packet.entries = 0U;", "packet.entries = 00U;", 1), encoding="ascii")
+    source.write_text(text.replace("packet.entries = 0U;", "packet.entries = 00;", 1), encoding="ascii")
     new = set(misra.counts(misra.places(folder, [source.name]))) - set(misra.of_version(misra.table(), checked))
     assert "7.1" in new
 
