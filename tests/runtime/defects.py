@@ -123,8 +123,23 @@ DEFECTS: dict[str, Defect] = {
 }
 SHOWN = {  # a world that shows each defect
     "packets far ahead do not correct the clock": 242,
+    "the watchdog does not run before the first step": 0,
+    "a late packet replaces a newer command": 3,
+    "a late packet replaces a newer command in C": 13,
+    "an old packet silences a fresh node": 8,
+    "steps are caught up without a limit": 5,
+    "marks are never sent": 2,
+    "marks are sent in every step": 0,
     "the plant applies a late input": 52,
+    "a clock that is some steps fast is not corrected": 22,
     "a node does not doubt its clock after a gap": 36,
+    "the watchdog never expires": 1,
+    "the watchdog never expires in C": 167,
+    "sequence numbers start again from a saved state": 29,
     "all starts have one epoch": 36,
+    "the checksum is not checked": 2,
+    "a clock that is some steps slow is not corrected": 5,
+    "marks do not stop the watchdog": 2,
     "the safe input is of a later epoch": 663,
+    "late packets are not counted in C": 4,
 }
