@@ -209,12 +209,13 @@ def deferred() -> Generator[None]:
 
     handled = [number for number in ENDING if callable(signal.getsignal(number))]
     before: dict[Any, Any] = {number: signal.signal(number, hear) for number in handled}
-    if sys.platform != "win32":  # Windows cannot block a signal
+    mask = None
+    if sys.platform != "win32" and hasattr(signal, "pthread_sigmask"):  # Windows cannot block a signal
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
     try:
         yield
     finally:
-        if sys.platform != "win32":
+        if sys.platform != "win32" and mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         for number, handler in before.items():
             signal.signal(number, handler)
