@@ -33,7 +33,7 @@ UNANSWERED = 64  # challenges without an answer after which a message says so
 
 @dataclass
 class _Session:
-    """The state of the exchange with a sender: the proven epoch, its first valid step, and the nonce of an open challenge."""
+    """The exchange with a sender: its proven epoch, its first valid step, and the nonce of an open challenge."""
 
     epoch: int | None = None
     first: int = 0
