@@ -299,7 +299,7 @@ class NodeServer:
         return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
 
     def _expire(self, now: float) -> None:
-        """Apply the safe inputs if no step was executed and nothing usable arrived for so long; then again and again."""
+        """Apply the safe inputs if no step was executed and nothing usable arrived for so long; then repeat them."""
         if not self._patience or now < self._expires:
             return
         for node in self.nodes:
