@@ -19,10 +19,10 @@ from taciturn.study.worlds import prepare, run_world
 CUT = ("controller", "actuator")
 
 
-@pytest.mark.parametrize("first", few(range(0, 1000, 8), quick=1))
+@pytest.mark.parametrize("first", few([32 * i + policy for i in range(32) for policy in range(4)], quick=1))
 def test_no_invariant_breaks(first: int) -> None:
     """A thousand worlds of four policies, on the host and in C; every one holds a fault."""
-    for seed in range(first, first + 8):
+    for seed in range(first, first + 32, 4):  # of one policy
         found = of_seed(seed)
         assert found.faults
         assert found.broken is None, f"world {seed}: {found.broken}"
@@ -64,12 +64,18 @@ def test_a_fault_alone_is_survived(fault: Fault) -> None:
     [
         ("remote-scalar", 1, [Jump(50, 1, "actuator", 80.0), Loss(45, 40, CUT)]),
         ("remote-scalar", 1, [Loss(40, 60, CUT), *(Jump(45 + i, 1, "actuator", 9.0) for i in range(6))]),
+        ("remote-scalar", 1, [Jump(49, 1, "actuator", -60.0), Loss(53, 40, CUT)]),
         ("two-mass", 199, [Loss(26, 11, ("actuator", "plant")), Jump(49, 1, "actuator", -51.23)]),
     ],
-    ids=["a jump while a node is cut", "small jumps that add up", "a slow clock behind the packets"],
+    ids=[
+        "a jump while a node is cut",
+        "small jumps that add up",
+        "a jump back before a node is cut",
+        "a slow clock behind the packets",
+    ],
 )
-def test_nodes_do_not_run_ahead_of_time_or_make_up_for_many_steps(name: str, seed: int, faults: list[Fault]) -> None:
-    """A cut node has executed steps of the future, and a slow one 11 steps at once."""
+def test_nodes_keep_the_time_or_say_that_they_are_cut(name: str, seed: int, faults: list[Fault]) -> None:
+    """A node has executed steps of the future, has made up for 11 steps at once, or has waited without a word."""
     assert run_world(problem(name), seed, faults).broken is None
 
 

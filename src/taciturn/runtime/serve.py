@@ -107,7 +107,7 @@ class NodeServer:
         self._lateness: deque[float] = deque(maxlen=REMEMBERED)
         self._clock, self._began, self._cpu = clock, clock(), time.process_time()
         self._patience = (tick or 0.0) * (first.watchdog or 0)
-        self._expires = self._began + self._patience  # time at which the watchdog expires while no step begins
+        self._expires = self._began + self._patience  # when the watchdog expires unless a step is executed
         self._turned, self._confirmed = self._began, 0  # time of the last turn, and confirmations of the phase until it
         self._strayed = 0.0  # seconds that have passed unexpectedly since a packet confirmed the phase
         self._physical = 0
@@ -266,6 +266,7 @@ class NodeServer:
                 several = loop if len(self.nodes) > 1 else None
                 self._told(log_line(node, measurement, packets, given, news, several))
             now = self._clock()
+            self._expires = now + self._patience
 
     @property
     def _unsure(self) -> bool:
@@ -316,8 +317,8 @@ class NodeServer:
         return present if last < 0 or last + 1 < present - LEFT_BEHIND else last + 1
 
     def _expire(self, now: float) -> None:
-        """Apply the safe inputs if no step begins and nothing usable has arrived, and again after each such time."""
-        if not self._patience or now < self._expires or not self._waits:
+        """Apply the safe inputs if no step was executed and nothing usable arrived for so long; then repeat them."""
+        if not self._patience or now < self._expires:
             return
         for node in self.nodes:
             known = node.silent
@@ -328,11 +329,6 @@ class NodeServer:
                 tick = node.tick + 1
                 self._outbox.send([Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)])
         self._expires = now + self._patience
-
-    @property
-    def _waits(self) -> bool:
-        """Whether the node begins no step before a packet tells the time."""
-        return not self.phase.known or self._unsure
 
     def _report_silence(self, node: Node) -> None:
         """Print why a node has received nothing usable."""
@@ -348,9 +344,9 @@ class NodeServer:
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
         idle = self._clock() + IDLE
-        if self._patience and self._waits:
-            return min(idle, self._expires)
-        if self._tick is None or self.nodes[0].measures or self._waits:
+        if self._patience:
+            idle = min(idle, self._expires)
+        if self._tick is None or self.nodes[0].measures or not self.phase.known or self._unsure:
             return idle
         tick = self._coming(min(node.tick for node in self.nodes), self.phase.now(self._clock()))
         return min(idle, self.phase.begins(tick) + self._wait * self._tick)

@@ -167,10 +167,13 @@ class DeviceNode(Node):
         self._device, self._code = device, device.code
         self._counted: list[int] = []
         self._self = device.start(self.epoch, self.loop)
-        if self.watchdog is not None:
-            self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
-            self._code.tac_watch(self._self, c.c_uint32(self.watchdog), self._safe_numbers)
+        self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
+        self._watch()
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
+
+    def _watch(self) -> None:
+        if self.watchdog is not None:
+            self._code.tac_watch(self._self, c.c_uint32(self.watchdog), self._safe_numbers)
 
     @property
     def waiting(self) -> int:
@@ -252,6 +255,7 @@ class DeviceNode(Node):
         """Continue from a saved memory."""
         memory = base64.b64decode(saved["memory"])
         c.memmove(self._device.memory, memory, len(memory))
+        self._watch()  # the address of the safe input was that of an earlier process
         self.tick, self._heard_at, self.epoch = saved["tick"], saved["heard_at"], saved["epoch"]
         self._count()
 
