@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import radius, stationary
+from taciturn._modes import decayed, radius
 
 LONGEST = 1 << 17  # most checks between two sends; an error with a longer interval is never sent
 FIRST = 64  # intervals that are computed first; their number is doubled when needed
@@ -34,7 +34,8 @@ class Clocked:
         """Compute the first intervals."""
         self.F, self.noise, self.Gamma = F, noise, Gamma
         self.growth = radius(F)
-        self.forever = float(np.sum(Gamma * stationary(F, noise))) if self.growth < 1 else np.inf
+        covariance = decayed(F, noise)
+        self.forever = np.inf if covariance is None else float(np.sum(Gamma * covariance))
         self._spread = noise
         self._weights = np.zeros(0)
         self._extend(FIRST)

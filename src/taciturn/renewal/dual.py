@@ -10,9 +10,9 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import TINY, Array, Bits
 from taciturn._display import Displayed
-from taciturn._modes import root, stationary
+from taciturn._modes import decayed, root
 from taciturn._progress import Progress, Stages
-from taciturn.errors import ProblemError, UnstableError
+from taciturn.errors import ProblemError
 from taciturn.renewal._martingale import Martingale
 from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.fitted import Fitted, squares
@@ -320,11 +320,10 @@ class _Duel:
 
 def _highest(F: Array, noise: Array, Gamma: Array, gain: float) -> float:
     """Return the largest bound to try, at most halfway to the cost of silence, near which β grows without limit."""
-    try:
-        silent = float(np.sum(Gamma * stationary(F, noise)))
-    except UnstableError:  # also so close to instability that the cost of silence cannot be computed
+    covariance = decayed(F, noise)
+    if covariance is None:
         return HIGHEST * gain
-    return min(HIGHEST * gain, (gain + silent) / 2)
+    return min(HIGHEST * gain, (gain + float(np.sum(Gamma * covariance))) / 2)
 
 
 def _most_saved(game: Martingale, gain: float, interval: float, draws: np.random.Generator) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import radius, root, stationary
+from taciturn._modes import decayed, root
 
 SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative to the largest with a finite moment
 
@@ -51,9 +51,9 @@ def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rari
         >>> found.rate < 1e-9, abs(found.gain - 1 / 0.96) < 1e-9
         (True, True)
     """
-    if radius(F) >= 1:
+    covariance, value = decayed(F, noise), decayed(F.T, Gamma)
+    if covariance is None or value is None:
         return Rarity(1.0, 0.0)
-    covariance, value = stationary(F, noise), stationary(F.T, Gamma)
     weights = _weights(covariance, value)
     if not weights.any():  # no noise, or none in the directions that Γ weighs
         return Rarity(0.0, 0.0)
@@ -82,9 +82,10 @@ def bound_rate(F: Array, noise: Array, Gamma: Array, threshold: float) -> float:
         >>> bound_rate(0.2 * unit, unit, unit, 100.0) < 1e-9, bound_rate(unit, unit, unit, 100.0)
         (True, 1.0)
     """
-    if radius(F) >= 1:
+    covariance = decayed(F, noise)
+    if covariance is None:
         return 1.0
-    weights = _weights(stationary(F, noise), Gamma)
+    weights = _weights(covariance, Gamma)
     return min(1.0, bound_tail(weights, threshold)[0]) if weights.any() else 0.0
 
 
