@@ -370,19 +370,6 @@ def stationary(F: Array, W: Array) -> Array:
     return X
 
 
-def decayed(F: Array, W: Array) -> Array | None:
-    """Return Σ_k F^k W F'^k, or None if F does not decay, or so slowly that rounding decides whether the sum is finite.
-
-    A mode on the unit circle, such as the position of a rigid body, may be computed as slightly inside of it.
-    """
-    if radius(F) >= 1:
-        return None
-    try:
-        return stationary(F, W)
-    except UnstableError:
-        return None
-
-
 def bound_residual(missed: Array, terms: Array, summands: int) -> Array:
     """Return a diagonal matrix D with −D ⪯ residual ⪯ D for an equation, including the rounding of its terms.
 

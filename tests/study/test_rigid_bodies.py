@@ -7,8 +7,9 @@ import pytest
 from counts import few
 
 import taciturn
-from taciturn._modes import decayed, eigenvalues, radius
+from taciturn._modes import eigenvalues, radius
 from taciturn.model.plant import ContinuousPlant
+from taciturn.renewal.rare_sends import decayed
 
 
 def body(seed: int) -> ContinuousPlant:

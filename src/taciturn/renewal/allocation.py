@@ -9,7 +9,8 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import decayed, radius
+from taciturn._modes import radius
+from taciturn.renewal.rare_sends import decayed
 
 LONGEST = 1 << 17  # most checks between two sends; an error with a longer interval is never sent
 FIRST = 64  # intervals that are computed first; their number is doubled when needed

@@ -10,12 +10,13 @@ from scipy.special import stdtrit
 
 from taciturn._arrays import TINY, Array, Bits
 from taciturn._display import Displayed
-from taciturn._modes import decayed, root
+from taciturn._modes import root
 from taciturn._progress import Progress, Stages
 from taciturn.errors import ProblemError
 from taciturn.renewal._martingale import Martingale
 from taciturn.renewal._quasi_monte_carlo import Lattice
 from taciturn.renewal.fitted import Fitted, squares
+from taciturn.renewal.rare_sends import decayed
 
 ABREAST = 32  # batches that are computed together; their means are independent
 MOST = 16  # most rounds of ABREAST batches

@@ -8,7 +8,8 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._display import Displayed
-from taciturn._modes import decayed, root
+from taciturn._modes import radius, root, stationary
+from taciturn.errors import UnstableError
 
 SHARES = 1 - 2.0 ** -np.arange(0.25, 10.0, 0.25)  # exponents to try, relative to the largest with a finite moment
 
@@ -24,6 +25,19 @@ class Rarity(Displayed):
 
     rate: float
     gain: float
+
+
+def decayed(F: Array, W: Array) -> Array | None:
+    """Return Σ_k F^k W F'^k, or None if F does not decay, or so slowly that rounding decides whether the sum is finite.
+
+    A mode on the unit circle, such as the position of a rigid body, may be computed as slightly inside of it.
+    """
+    if radius(F) >= 1:
+        return None
+    try:
+        return stationary(F, W)
+    except UnstableError:
+        return None
 
 
 def bound_rare_sends(F: Array, noise: Array, Gamma: Array, price: float) -> Rarity:
