@@ -16,7 +16,14 @@ def body(seed: int) -> ContinuousPlant:
     """Return two masses, a spring and a damper, in random units and coordinates; one of two cases floats freely."""
     draws = np.random.default_rng(seed)
     k, d, m = 10 ** draws.uniform(0, 2.5), 10 ** draws.uniform(-2, 0.5), 10 ** draws.uniform(-0.5, 0.5, 2)
-    A = np.array([[0, 1, 0, 0], [-k / m[0], -d / m[0], k / m[0], d / m[0]], [0, 0, 0, 1], [k / m[1], d / m[1], -k / m[1], -d / m[1]]])  # fmt: skip
+    A = np.array(
+        [
+            [0, 1, 0, 0],
+            [-k / m[0], -d / m[0], k / m[0], d / m[0]],
+            [0, 0, 0, 1],
+            [k / m[1], d / m[1], -k / m[1], -d / m[1]],
+        ]
+    )
     W = np.diag([0, 0.01, 0, 0.02])
     T = np.diag(10 ** draws.uniform(-1, 1, 4)) @ (np.eye(4) + 0.2 * draws.normal(size=(4, 4)) * (seed % 2))
     back = np.linalg.inv(T)
