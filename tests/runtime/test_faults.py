@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from runtime.attacks import KEY, await_ticks, capture, chapter_7, noise, throw
-from runtime.test_network import assert_added_up, refused
+from runtime.test_network import assert_added_up, proofs, refused
 
 import taciturn
 from taciturn.runtime.processes import Processes
@@ -126,9 +126,11 @@ def test_a_flood_of_foreign_packets_is_borne(tmp_path: Path) -> None:
     report = found.reports["controller"]
     datagrams, genuine = report["datagrams"], report["counters"]["received"]
     print(f"thrown {thrown[0]}, refused {refused(report)}, dropped by the kernel {datagrams['dropped_by_kernel']}")
-    assert datagrams["received"] == genuine + refused(report)
-    relayed = found.reports["relay sensor"]["datagrams"]["sent"]
-    assert datagrams["received"] + datagrams["dropped_by_kernel"] == thrown[0] + relayed
+    assert datagrams["received"] == genuine + refused(report) + proofs(report)
+    relays = [found.reports[f"relay {link}"] for link in ("sensor", "actuator")]
+    relayed = relays[0]["datagrams"]["sent"] - relays[0]["counters"]["sent back"]
+    challenged = relays[1]["counters"]["sent back"]  # by the actuator
+    assert datagrams["received"] + datagrams["dropped_by_kernel"] == thrown[0] + relayed + challenged
     assert found.reports["plant"]["largest_state"] < 100
 
 
@@ -151,6 +153,6 @@ def test_packets_of_others_change_nothing(tmp_path: Path, what: str) -> None:
     found = run_network(file, ticks=1000, seed=5, key=KEY, meanwhile=attack)
     shown(what, found)
     report = found.reports["controller"]
-    counted = report["counters"].get("replayed", 0) + refused(report)
-    assert counted + report["datagrams"]["dropped_by_kernel"] == thrown[0] == 10_000
+    handshake = refused(quiet.reports["controller"])
+    assert refused(report) - handshake + report["datagrams"]["dropped_by_kernel"] == thrown[0] == 10_000
     assert found.costs.tobytes() == quiet.costs.tobytes()

@@ -31,6 +31,11 @@ def refused(report: Report) -> int:
     return sum(report["refused"].values())
 
 
+def proofs(report: Report) -> int:
+    """Return the datagrams that proved that a sender is running, or asked for a proof."""
+    return sum(report["proofs"].get(name, 0) for name in ("answered", "proofs", "unasked"))
+
+
 def assert_added_up(found: NetworkRun) -> None:
     """Check that every datagram is accounted for: at each sender, on each link, at each receiver."""
     for name, report in found.reports.items():
@@ -41,17 +46,22 @@ def assert_added_up(found: NetworkRun) -> None:
         if name.startswith("relay"):
             link = name.split()[1]
             sent = sum(
-                other["counters"].get(f"sent data {link}", 0) for other in found.reports.values() if "counters" in other
+                other["counters"].get(f"{name} data {link}", 0)
+                for other in found.reports.values()
+                if "counters" in other
+                for name in ("sent", "sent again")
             )
             assert counters.get("received", 0) == sent
             copies = counters.get("received", 0) - counters.get("lost", 0) + counters.get("duplicated", 0)
             assert counters.get("delivered", 0) + report["pending"] == copies
-            assert report["datagrams"]["received"] == counters.get("received", 0) + counters.get("marks", 0)
-            assert report["datagrams"]["sent"] == counters.get("delivered", 0) + counters.get("marks", 0)
+            other = sum(counters.get(name, 0) for name in ("marks", "answers", "sent back"))
+            assert report["datagrams"]["received"] == counters.get("received", 0) + other
+            assert report["datagrams"]["sent"] == counters.get("delivered", 0) + other
             continue
         outcomes = sum(n for what, n in counters.items() if not what.startswith(("sent", "received", "missed")))
         assert counters.get("received", 0) == outcomes + report["waiting"]
-        assert report["datagrams"]["received"] == counters.get("received", 0) + refused(report) + report["physical"]
+        packets = counters.get("received", 0) + report["physical"]
+        assert report["datagrams"]["received"] == packets + refused(report) + proofs(report)
 
 
 @contextmanager
@@ -75,7 +85,10 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
     assert quiet.costs.tobytes() == by_hand(chapter_7(tmp_path), TICKS, 2).tobytes()
     assert_added_up(quiet)
     lost = quiet.datagrams["sensor"]["lost"]
-    assert quiet.datagrams["sensor"] == {"sent": TICKS, "delivered": TICKS - lost, "lost": lost, "marks": TICKS}
+    again = quiet.datagrams["sensor"]["again"]  # the first packet, after an answer to the challenge that it caused
+    assert quiet.datagrams["sensor"] == {
+        "sent": TICKS, "delivered": TICKS + again - lost, "lost": lost, "marks": TICKS, "again": again
+    }  # fmt: skip
     assert 40 < lost < 110
     document = json.loads(json.dumps(quiet.document()))
     assert {"policy", "unit", "cost", "cost_all_time", "cost_bound", "rates", "datagrams", "seed", "seconds"} <= set(
@@ -160,7 +173,8 @@ def test_attacks_change_nothing(tmp_path: Path, quiet: NetworkRun) -> None:
     found = run_network(file, ticks=TICKS, seed=2, key=KEY, meanwhile=attack)
     assert found.costs.tobytes() == quiet.costs.tobytes()
     report = found.reports["controller"]
-    assert report["counters"]["replayed"] == thrown["replayed"]
+    handshake = quiet.reports["controller"]["refused"]["unproven"]
+    assert report["refused"].pop("unproven") == thrown["replayed"] + handshake
     assert report["refused"]["forged"] == thrown["forged"]
     assert refused(report) == thrown["forged"] + thrown["foreign"] + thrown["noise"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Sequence
 from typing import Any
 
@@ -31,6 +31,7 @@ class Outbox:
         self._wire, self._port, self._peer, self._plant = wire, port, peer, plant
         # in lockstep a node may be one step ahead of its receiver, which then lacks the packets of two steps
         self._last = [deque[list[Packet]](maxlen=VALID) for _ in range(loops)]
+        self.counters: Counter[str] = Counter()  # packets sent again, by kind and link
         self._repeated: dict[tuple[int, str | None], float] = {}  # time of the last repetition, by loop and link
 
     def keep(self, loop: int, packets: list[Packet]) -> None:
@@ -53,7 +54,9 @@ class Outbox:
             return
         self._repeated[loop, link] = now
         for sent in self._last[loop]:
-            self.send([packet for packet in sent if link in (None, packet.link)])
+            again = [packet for packet in sent if link in (None, packet.link)]
+            self.counters.update(f"sent again {packet.kind} {packet.link}" for packet in again)
+            self.send(again)
 
     def save(self) -> list[list[list[Any]]]:
         """Return the packets of the first node as values that JSON can represent."""

@@ -72,7 +72,8 @@ class Reception:
         self._wire, self._port, self._name = wire, port, name
         self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
         self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
-        self.counters: Counter[str] = Counter()  # challenges sent, proofs received, and answers that were not asked for
+        # challenges sent and answered, proofs received, and answers that were not asked for
+        self.counters: Counter[str] = Counter()
         self._known: dict[tuple[str, int], _Session] = {}
 
     def packets(self, datagrams: Sequence[bytes]) -> Iterator[tuple[Packet, Address]]:
@@ -114,6 +115,11 @@ class Reception:
                 "are these recorded packets, or does a firewall stop datagrams to that address?"
             )
         return False
+
+    def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
+        """Return the answer to a challenge by a sender that has executed step ``tick`` last (-1: none)."""
+        self.counters["answered"] += 1
+        return answer_to(challenge, epoch, tick)
 
     def accepts(self, answer: Packet) -> bool:
         """Store the proof in an answer, and return whether it begins another epoch; discard any other answer."""

@@ -23,7 +23,7 @@ from taciturn.runtime.inbox import AHEAD, USABLE
 from taciturn.runtime.node import Node, Values
 from taciturn.runtime.outbox import PLANT, Outbox
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.reception import Reception, answer_to
+from taciturn.runtime.reception import Reception
 from taciturn.runtime.service import IDLE, Port, Say, Storage, Told, Turns, drive, log_line, take_until
 from taciturn.runtime.udp import Address
 from taciturn.runtime.window import Window
@@ -142,7 +142,7 @@ class NodeServer:
 
     def report(self) -> dict[str, Any]:
         """Return the counters so far."""
-        counters, reasons = Counter[str](), Counter[str]()
+        counters, reasons = self._outbox.counters.copy(), Counter[str]()
         for node in self.nodes:
             counters += node.counters
             reasons += node.reasons
@@ -189,7 +189,7 @@ class NodeServer:
             self.refused["misdirected"] += 1
             return False
         if packet.kind == "challenge":
-            self._outbox.send([answer_to(packet, node.epoch, node.tick)])
+            self._outbox.send([self.reception.answer(packet, node.epoch, node.tick)])
             self._outbox.repeat(packet.loop, now, packet.link)
             return False
         if packet.kind == "answer":

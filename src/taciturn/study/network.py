@@ -56,7 +56,8 @@ class NetworkRun(Tabular):
             the run was too short for a mean.
         rates: sends per step or per second, by scheduled link (in a finite-horizon run, the share of steps with a
             send).
-        datagrams: numbers of packets sent, delivered and lost, and of marks sent, by link. In namespaces, also the
+        datagrams: numbers of packets sent, delivered and lost, and of marks sent, by link; ``again``: packets that a
+            node repeated, which the link delivers or drops once more. In namespaces, also the
             number of ``predicted`` losses and the counters of nftables, which count every retransmission
             (``nft_seen``, ``nft_dropped``).
         reports: report of each process, by name.
@@ -347,10 +348,10 @@ def _unforeseen(datagrams: Mapping[str, Mapping[str, int]]) -> tuple[str, ...]:
 
 
 def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict[str, int]:
-    """Return the numbers of packets of a link that were sent, delivered and lost."""
-    sent, marks = (
+    """Return the numbers of packets of a link that were sent, sent again, delivered and lost."""
+    sent, again, marks = (
         sum(report["counters"].get(f"sent {kind} {link}", 0) for report in reports.values() if "counters" in report)
-        for kind in ("data", "mark")
+        for kind in ("data", "again data", "mark")
     )
     if f"relay {link}" not in reports:
         delivered = sum(report["arrived"].get(link, 0) for report in reports.values() if "arrived" in report)
@@ -361,6 +362,7 @@ def _datagrams(link: LinkName, reports: Mapping[str, Mapping[str, Any]]) -> dict
         "delivered": counted.get("delivered", 0),
         "lost": counted.get("lost", 0),
         "marks": marks,
+        **({"again": again} if again else {}),
         **{name: counted[name] for name in ("duplicated", "reordered", "corrupted") if name in counted},
         **({"pending": reports[f"relay {link}"]["pending"]} if reports[f"relay {link}"]["pending"] else {}),
     }
