@@ -48,7 +48,7 @@ def pytest_runtest_makereport(
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
     """Write the processor time of a test into its last report, which also reaches the process that starts workers."""
     report = yield
-    if call.when == "teardown" and item.get_closest_marker("evidence") is None:
+    if call.when == "teardown":
         report.user_properties.append((PROCESSOR, processor_seconds() - item.stash[BEGAN]))
     return report
 
@@ -56,7 +56,8 @@ def pytest_runtest_makereport(
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """List slow quick tests, then, in red, what this machine cannot show."""
     reports = [report for group in terminalreporter.stats.values() for report in group]
-    used = {report.nodeid: dict(report.user_properties).get(PROCESSOR, 0.0) for report in reports if is_last(report)}
+    quick = [report for report in reports if is_last(report) and "evidence" not in report.keywords]
+    used = {report.nodeid: dict(report.user_properties).get(PROCESSOR, 0.0) for report in quick}
     for name, seconds in sorted(used.items(), key=lambda entry: -entry[1]):
         if seconds > SLOW:
             terminalreporter.write_line(f"{seconds:5.1f} s of processor time, more than {SLOW:g} s: {name}")
