@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -25,10 +26,14 @@ NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.ipynb"))
 PAGES.remove(ROOT / "docs" / "gallery.md")  # computes all chapters and examples: it is executed when the site is built
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 DRAWN = {path for path in EXAMPLES if "savefig(" in path.read_text(encoding="utf-8")}  # the site's gallery runs them
-LONG = {  # examples that take more than three seconds in reduced counts
+LONG = {  # examples that take more than three seconds in reduced counts, and pages that take more than six
     "a_loop_over_udp_that_loses_packets",
     "a_robot_tracked_by_a_camera",
+    "certificates",
+    "consistency",
+    "devices",
     "how_many_loops_share_a_radio",
+    "scheduling",
     "which_policy_costs_least_at_half_the_traffic",
 }
 MODULES = sorted(
@@ -71,6 +76,11 @@ REDUCED = {
 """Counts that the quick suite replaces in pages and examples. The site is built with those that they show."""
 
 
+def in_time(paths: Iterable[Path]) -> list[Any]:
+    """Return pages or examples as parameters, of which the quick suite leaves out the long ones."""
+    return [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem in LONG)) for path in paths]
+
+
 def reduced(name: str, text: str) -> str:
     """Return the text of a page or an example in reduced counts."""
     for shown, fewer in REDUCED.get(name, {}).items():
@@ -93,7 +103,7 @@ def code_of(notebook: Path) -> list[dict[str, Any]]:
     return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
-@pytest.mark.parametrize("path", PAGES, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", in_time(PAGES), ids=lambda path: path.stem)
 def test_every_page_runs(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -254,7 +264,7 @@ def test_every_example_is_short_and_ends_in_an_assert(path: Path) -> None:
 
 @pytest.mark.parametrize(
     "path",
-    [pytest.param(path, marks=[pytest.mark.evidence] * (path.stem in LONG)) for path in EXAMPLES if path not in DRAWN],
+    in_time(path for path in EXAMPLES if path not in DRAWN),
     ids=lambda path: path.stem,
 )
 def test_every_example_without_a_figure_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
