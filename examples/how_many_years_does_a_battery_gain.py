@@ -47,7 +47,6 @@ now, before = years(rate.value + marks), years(1 / 2)
 error = now - years(rate.value + marks + rate.standard_error)
 answer = f"Two AA cells last {now:.1f} years instead of {before:.1f}, at the same comfort"
 print(f"{answer}: {rate.scaled(CHECKS)} messages and {CHECKS * marks:.0e} marks of a silent sensor per hour")
-
 events = [taciturn.evaluate(room.changed({"delta": d}), steps=500_000) for d in (1e-5, 5e-5, 2e-4, 5e-4, 1e-3)]
 figure = Figure(figsize=(7, 4.2), layout="constrained")
 axes = figure.subplots()
