@@ -36,6 +36,7 @@ MEETINGS = {
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
     ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_progress", "_arrays"),
+    ("_progress", "_text"),
     ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "_print"), ("cli", "twin"),
     ("renewal", "program"),
 }  # fmt: skip
