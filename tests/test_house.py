@@ -29,7 +29,7 @@ FLOORS = {
 }  # fmt: skip
 # siblings that may meet, in one direction; the command line uses the package as its users do
 MEETINGS = {
-    ("_arrays", "errors"), ("_figure", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
+    ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_cycles"), ("_cycles", "_arrays"),
     ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),

@@ -189,7 +189,8 @@ def comparison(found: Comparison) -> None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
     pairs(lines)
     for one in found.ranking:
-        shared = "" if one.share == 1 else f"the first value in {100 * one.share:.1f} % of the time, else the second; "
+        share = percent(one.share, 1, error=one.share_error)
+        shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
             typer.echo(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
