@@ -29,13 +29,14 @@ FLOORS = {
 }  # fmt: skip
 # siblings that may meet, in one direction; the command line uses the package as its users do
 MEETINGS = {
-    ("_arrays", "errors"), ("_figure", "errors"), ("_modes", "errors"), ("_modes", "_arrays"),
+    ("_arrays", "errors"), ("_figure", "errors"), ("_figure", "_text"), ("_modes", "errors"), ("_modes", "_arrays"),
     ("_modes", "_cycles"), ("_cycles", "_arrays"),
     ("_scipy", "_arrays"),
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
     ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_progress", "_arrays"),
+    ("_progress", "_text"),
     ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "_print"), ("cli", "twin"),
     ("renewal", "program"),
 }  # fmt: skip

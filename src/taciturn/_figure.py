@@ -11,6 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+from taciturn._text import folded
 from taciturn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ MARKERS = "os^DvPX*"
 EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
 """Settings for reproducible files with embedded TrueType fonts, which publishers require."""
 WIDTH, HEIGHT = 7.0, 4.2  # inches
+LETTER = 0.08  # width of a letter of a tick label, in inches
+LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
+SLANT = 30  # degrees by which long tick labels are rotated
 Size: TypeAlias = tuple[float, float]
 BARS = "bars: ± 1 standard error"
 Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
@@ -84,11 +88,25 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
         axis.set_title(panel.title, fontsize="medium")
         axis.grid(True, alpha=0.3)
         if panel.names:
-            axis.set_yticks(range(len(panel.names)), panel.names)
+            axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, LONGEST_NAME)) for name in panel.names])
         if any(series.label for series in panel.series):
             bars = any(series.error is not None and any(series.error) for series in panel.series)
             axis.legend(fontsize="small", framealpha=0.8, title=BARS if bars else None, title_fontsize="x-small")
+        _separate(axis, panel)
     return figure
+
+
+def _separate(axis: Any, panel: Panel) -> None:
+    """Rotate the tick labels of the x axis if they would overlap."""
+    low, high = sorted(axis.get_xlim())
+    ticks = [tick for tick in axis.get_xticks() if low <= tick <= high]
+    longest = max(map(len, axis.xaxis.get_major_formatter().format_ticks(ticks)), default=0)
+    beside = max((len(line) for name in panel.names for line in folded(name, LONGEST_NAME)), default=0)
+    room = axis.get_position().width * axis.figure.get_figwidth() - LETTER * beside
+    if LETTER * (longest + 1) * len(ticks) > room:
+        axis.tick_params(axis="x", labelrotation=SLANT)
+        for label in axis.get_xticklabels():
+            label.set(horizontalalignment="right", rotation_mode="anchor")
 
 
 def __getattr__(name: str) -> Any:

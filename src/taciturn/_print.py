@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from taciturn._text import Lines, pairs_text, per_unit, table_text, wrapped_text
+from taciturn._text import Lines, pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
-from taciturn.study.lines import least_cost, percent_above, rounded
+from taciturn.study.lines import bound_at_rate, bound_text, least_cost, percent_above, periodic_cost, rounded
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -106,15 +106,16 @@ def tradeoff(found: Tradeoff) -> None:
     header += ["no schedule below"] if bounded else []
     rows: list[list[str]] = []
     for point in found.points:
-        e, least = point.evaluation, least_cost(point.evaluation)
+        e, least, periodic = point.evaluation, least_cost(point.evaluation), periodic_cost(point.evaluation)
+        bound = bound_at_rate(e) if sharp else None
         rows.append(
             [
                 *(str(value) for value in point.values.values()),
                 *(str(rate) for rate in e.rates.values()),
                 str(e.cost),
                 percent_above(e.cost, e.cost_all_time) if e.cost_all_time else "",
-                _proved(e.cost_bound_at_rate if sharp else e.cost_bound),
-                "none" if point.cost_periodic_same_rate is None else f"{point.cost_periodic_same_rate:.6g}",
+                _proved(e.cost_bound) if bound is None else bound_text(bound, 1),
+                "none" if periodic is None else str(periodic),
                 *(["none" if least is None else f"{least:.6g}"] if bounded else []),
             ]
         )
@@ -188,7 +189,8 @@ def comparison(found: Comparison) -> None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
     pairs(lines)
     for one in found.ranking:
-        shared = "" if one.share == 1 else f"the first value in {100 * one.share:.1f} % of the time, else the second; "
+        share = percent(one.share, 1, error=one.share_error)
+        shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
             typer.echo(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
@@ -201,7 +203,8 @@ def sharing(found: Sharing) -> None:
     def above(cost: float) -> str:
         if not base:
             return ""
-        return f"   ({100 * (cost / base - 1):+.2f} %)" if cost < 10 * base else f"   ({cost / base:.4g} times)"
+        share = cost / base
+        return f"   ({percent(share - 1, 2, signed=True)})" if share < 10 else f"   ({share:.4g} times)"
 
     lines = [
         ("scheduler", found.scheduler),
@@ -210,7 +213,7 @@ def sharing(found: Sharing) -> None:
         ("every sample", f"{base:.6g}"),
     ]
     if bound is not None:
-        sure = "by quadrature" if bound.confidence is None else f"{100 * bound.confidence:g} %"
+        sure = "by quadrature" if bound.confidence is None else percent(bound.confidence)
         text = f"{rounded(bound.cost, 6, -1)} by any scheduler ({sure}){above(bound.cost)}"
         lines.append(("no less than", text))
     lines += [

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from taciturn._arrays import number
+from taciturn._text import percent
 
 Progress = Callable[[float], None]
 clock = time.monotonic
@@ -91,7 +92,7 @@ def in_notebook(progress: Progress | None) -> Progress | None:
     def move(fraction: float) -> None:
         if not shown and (fraction >= 1 or clock() - began < PATIENCE):
             return
-        text = "" if fraction >= 1 else f'<progress max="1" value="{fraction:.3f}"></progress> {100 * fraction:.0f} %'
+        text = "" if fraction >= 1 else f'<progress max="1" value="{fraction:.3f}"></progress> {percent(fraction, 0)}'
         if shown:
             shown[0].update(display.HTML(text))
         else:

@@ -1,13 +1,19 @@
-"""Text in at most 80 columns: pairs of name and value, and tables with wrapped headings."""
+"""Text in at most 80 columns: pairs of name and value, tables with wrapped headings and names, and percentages."""
 
 from __future__ import annotations
 
+import math
+import re
 import textwrap
 from collections.abc import Sequence
+from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
 
 WIDTH = 80
 NAME = 14  # least width of the names
 SHORTEST = 8  # least width of a wrapped heading
+LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
+HUGE = 1e15  # percentages from here on have an exponent
+ROUNDED = 12  # digits of a percentage that are not affected by rounding errors
 GAP = "  "
 Lines = list[tuple[str, str]]
 
@@ -29,6 +35,7 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
     Returns:
         The table; if it is wider than 80 columns, it is split into several parts, one below the other.
     """
+    rows = _fitted(header, rows, names)
     columns = [[row[i] for row in rows] for i in range(len(header))]
     wrapped = [_wrapped(title, max(map(len, column), default=0)) for title, column in zip(header, columns, strict=True)]
     widths = [max(map(len, [*title, *column])) for title, column in zip(wrapped, columns, strict=True)]
@@ -47,6 +54,50 @@ def table_text(header: Sequence[str], rows: Sequence[Sequence[str]], names: int 
 def wrapped_text(text: str, indent: str = "") -> str:
     """Return a text wrapped to at most 80 columns."""
     return "\n".join(_hanging(indent, text))
+
+
+def folded(name: str, width: int) -> list[str]:
+    """Return the lines of a long name, such as a path, which is split between words or parts of words if possible."""
+    lines = [""]
+    for piece in re.findall(r"[^/ _-]*[/ _-]|[^/ _-]+", name):
+        if lines[-1] and len(lines[-1] + piece.rstrip()) > width:
+            lines.append("")
+        lines[-1] += piece
+        while len(lines[-1].rstrip()) > width:
+            lines[-1:] = [lines[-1][:width], lines[-1][width:]]
+    return [line.rstrip() for line in lines]
+
+
+def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up: int = 0, signed: bool = False) -> str:
+    """Return a share as a percentage, in ordinary digits; a zero has no sign.
+
+    Args:
+        share: the number, of which 1 is 100 %.
+        decimals: number of decimals; default: those of six significant digits, without trailing zeros.
+        error: standard error of the share; if it is positive, it is printed and determines the decimals.
+        up: direction of rounding: 1 up and -1 down, for bounds; 0 to the nearest.
+        signed: whether a positive number has a sign.
+    """
+    value, spread = 100 * share, 100 * error
+    if not abs(value) < HUGE:
+        return f"{value:.3g} %"
+    given = decimals
+    if spread > 0:
+        decimals = min(max(0, 1 - magnitude(spread)), ROUNDED)
+    elif given is None:
+        decimals = max(0, 5 - magnitude(value))
+    way = {1: ROUND_CEILING, 0: ROUND_HALF_EVEN, -1: ROUND_FLOOR}[up]
+    shown = Decimal(f"{value:.{ROUNDED}g}").quantize(Decimal(1).scaleb(-(decimals or 0)), way)
+    sign = "+" if signed and shown > 0 else ""
+    text = f"{sign}{abs(shown) if shown == 0 else shown:{',' if abs(shown) >= 10_000 else ''}f}"
+    if spread > 0:
+        return f"{text} ± {spread:.{decimals}f} %"
+    return f"{text.rstrip('0').rstrip('.') if given is None and '.' in text else text} %"
+
+
+def magnitude(value: float) -> int:
+    """Return the power of ten of the first digit of a number; 0 for 0."""
+    return math.floor(math.log10(abs(value))) if value else 0
 
 
 def per_unit(unit: str) -> str:
@@ -69,13 +120,29 @@ def _part(
     )
 
 
+def _fitted(header: Sequence[str], rows: Sequence[Sequence[str]], names: int) -> list[Sequence[str]]:
+    """Return the rows with additional lines for long names, so that the widest other column fits next to the names."""
+    widths = [max([len(row[i]) for row in rows] + [SHORTEST]) for i in range(len(header))]
+    room = WIDTH - len(GAP) * names - max(widths[names:], default=0)
+    limits = [min(width, LONGEST_NAME) for width in widths[:names]]
+    while sum(limits) > room and max(limits) > SHORTEST:
+        limits[limits.index(max(limits))] -= 1
+    found: list[Sequence[str]] = []
+    for row in rows:
+        lines = [folded(cell, limit) for cell, limit in zip(row, limits, strict=False)]
+        for k in range(max(map(len, lines), default=1)):
+            rest = row[names:] if k == 0 else [""] * (len(header) - names)
+            found.append([*(line[k] if k < len(line) else "" for line in lines), *rest])
+    return found
+
+
 def _wrapped(title: str, width: int) -> list[str]:
     """Return the lines of a heading that is wrapped to the width of its column."""
     return textwrap.wrap(title, max(width, SHORTEST), break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def _hanging(first: str, text: str) -> list[str]:
-    """Return the lines of a text with a hanging indent; numbers and names are never broken."""
+    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken."""
     indent = " " * len(first)
     return [
         line
@@ -85,7 +152,6 @@ def _hanging(first: str, text: str) -> list[str]:
             WIDTH,
             initial_indent=lead,
             subsequent_indent=indent,
-            break_long_words=False,
             break_on_hyphens=False,
         )
         or [lead.rstrip()]

@@ -6,7 +6,7 @@ import numpy as np
 
 from taciturn._arrays import Array
 from taciturn._modes import eigenvalues, mode_text
-from taciturn._text import Lines
+from taciturn._text import Lines, percent
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
@@ -83,7 +83,7 @@ def network_text(network: Network) -> str:
     else:
         told = "acknowledged" if network.protocol == "tcp" else "no acknowledgement"
         losses = [
-            f"{link} drops {100 * network.loss(link):g} %{' in bursts' if network.burst(link) else ''}"
+            f"{link} drops {percent(network.loss(link))}{' in bursts' if network.burst(link) else ''}"
             for link in ("actuator", "sensor")
         ]
         text = f"{network.protocol} ({told}); {', '.join(losses)}"

@@ -61,7 +61,7 @@ class Estimate(Displayed):
         digits = max(0, 1 - _exponent(spread))
         if digits > 12 or abs(self.value) >= 1e15:
             return f"{self.value:.{12 if digits > 12 else 6}g} ± {spread:.2g}"
-        return f"{self.value:.{digits}f} ± {spread:.{digits}f}"
+        return f"{round(self.value, digits) + 0.0:.{digits}f} ± {spread:.{digits}f}"  # + 0.0: zero has no sign
 
 
 def _exponent(value: float) -> int:

@@ -83,6 +83,12 @@ class EventPolicy(Displayed):
         share = min(1.0, self.trigger.saturation / interval) if interval > 0 else 1.0
         return self.cost_all_time + self.trigger.c * share
 
+    def bound_error(self, interval: Estimate) -> float:
+        """Return the standard error of the bound that is due to the standard error of the mean interval."""
+        if self.trigger.h_min > 0 or interval.value <= self.trigger.saturation:
+            return 0.0
+        return self.trigger.c * self.trigger.saturation / interval.value**2 * interval.standard_error
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class OptimalPolicy(Displayed):

@@ -14,6 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from taciturn._display import Displayed
+from taciturn._text import percent
 from taciturn.runtime.relay import flip_bits, uniform
 
 _LOSS, _DELAY, _TIME, _COPY, _HARM = range(21, 26)
@@ -69,7 +70,7 @@ class LinkFault(Fault):
 
     def what(self) -> str:
         """Return what happens, in words."""
-        affected = "every datagram" if self.share >= 1 else f"{self.share:.0%} of the datagrams"
+        affected = "every datagram" if self.share >= 1 else f"{percent(self.share, 0)} of the datagrams"
         return f"{affected} from {self.path[0]} to {self.path[1]} {self.effect()}"
 
     @abstractmethod
@@ -250,7 +251,7 @@ class Skew(ProcessFault):
 
     def what(self) -> str:
         """Return what happens, in words."""
-        return f"the clock of the {self.role} is {abs(self.by):.2%} {'fast' if self.by > 0 else 'slow'}"
+        return f"the clock of the {self.role} is {percent(abs(self.by), 2)} {'fast' if self.by > 0 else 'slow'}"
 
 
 def draw_faults(seed: int, paths: Sequence[Path], roles: Sequence[str], within: int) -> tuple[Fault, ...]:

@@ -59,18 +59,21 @@ class ClockMix(Displayed):
         points: one or two cycles.
         shares: share of the time of each cycle.
         words: actuation, ``"hold"`` or ``"model"``; ``"queries"`` if queries of the sensor are scheduled.
+        standard_error: standard error of the cost that is due to the standard error of a measured rate.
     """
 
     cost: float
     points: tuple[ClockPoint, ...]
     shares: tuple[float, ...]
     words: ClockKind
+    standard_error: float = 0.0
 
     def document(self) -> dict[str, Any]:
         """Return a JSON document: the cost, and rate and intervals (in steps; null: any period) of each cycle."""
         return {
             "kind": self.words,
             "cost": self.cost,
+            "standard_error": self.standard_error,
             "shares": list(self.shares),
             "cycles": [None if point.cycle is None else list(point.cycle) for point in self.points],
             "rates": [point.rate for point in self.points],
@@ -90,8 +93,13 @@ class Clock(ABC):
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
         """Return the points of the cost curve between two rates; straight lines connect them."""
 
-    def at(self, rate: float) -> ClockMix | None:
-        """Return the cheapest periodic control at a rate, or None if no stable one was found."""
+    def at(self, rate: float, error: float = 0.0) -> ClockMix | None:
+        """Return the cheapest periodic control at a rate, or None if no stable one was found.
+
+        Args:
+            rate: sends per step or per second.
+            error: standard error of the rate, which gives the cost a standard error along the cost curve.
+        """
         found = self.around(rate) if rate > 0 else None
         if found is None:
             return None
@@ -100,7 +108,18 @@ class Clock(ABC):
         both = [(1 - share, low), (share, high)]
         mixed = [(1.0, point) for part, point in both if part > 1 - SAME] or both
         shares, points = zip(*mixed, strict=True)
-        return ClockMix(sum(part * point.cost for part, point in mixed), points, shares, self.words)
+        cost = sum(part * point.cost for part, point in mixed)
+        near = [(low.rate, low.cost), (high.rate, high.cost)]
+        if error > 0 and len(mixed) == 1 and mixed[0][1].cycle is None:  # the cost changes along the curve of periods
+            tried = [(one, self._timed_cost(one)) for one in (rate - error, rate + error) if one > 0]
+            near = sorted([(rate, cost), *((one, found) for one, found in tried if found is not None)])
+        (first, from_cost), (last, to_cost) = near[0], near[-1]
+        slope = abs(to_cost - from_cost) / (last - first) if last > first else 0.0
+        return ClockMix(cost, points, shares, self.words, slope * error)
+
+    def _timed_cost(self, rate: float) -> float | None:
+        """Return the exact cost of the single real period with this rate; None if there is no such control."""
+        return None
 
 
 class Timed(Clock):
@@ -117,9 +136,13 @@ class Timed(Clock):
 
     def around(self, rate: float) -> tuple[ClockPoint, ClockPoint] | None:
         """Return the point of the period with this rate twice, because a single period suffices for any rate."""
-        cost = self._cost_of(1 / rate)
+        cost = self._timed_cost(rate)
         point = None if cost is None else ClockPoint(rate, cost)
         return None if point is None else (point, point)
+
+    def _timed_cost(self, rate: float) -> float | None:
+        """Return the exact cost of the period with this rate, or None if the loop is unstable."""
+        return self._cost_of(1 / rate)
 
     def curve(self, fastest: float, slowest: float) -> tuple[ClockPoint, ...]:
         """Return rate and cost of stable loops for several periods between those of two rates."""
@@ -275,6 +298,11 @@ class Either(Clock):
         slow = max(slowest, self._slowest)
         free = self._free(fastest, slow, min(fastest, 1 / self._tick))
         return tuple(reversed(lower_hull([*self.ticked.curve(fastest, slowest), *free])))
+
+    def _timed_cost(self, rate: float) -> float | None:
+        """Return the exact cost of the period with this rate, or None if the loop is unstable."""
+        found = self._timed.around(rate)
+        return None if found is None else found[0].cost
 
     def _free(self, rate: float, slowest: float, fastest: float) -> list[ClockPoint]:
         """Return points of real periods at rates in between, and at the rate itself."""

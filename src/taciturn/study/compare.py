@@ -50,6 +50,7 @@ class Contestant(Displayed):
         cost: cost at exactly the rate of the comparison.
         above: cost minus the cost of the first in the ranking, with the standard error of the difference.
         cost_bound: proven upper bound on the cost at this rate, or None.
+        share_error: standard error of ``share``, due to the standard errors of both rates.
     """
 
     name: str
@@ -60,6 +61,7 @@ class Contestant(Displayed):
     cost: Estimate
     above: Estimate
     cost_bound: float | None
+    share_error: float = 0.0
 
     def short(self) -> str:
         """Return the name of the policy and its cost as text."""
@@ -143,6 +145,7 @@ class Comparison(Tabular):
                         "standard_error": one.tuned.parameter.standard_error,
                         "beyond": None if one.tuned.beyond is None else one.tuned.beyond.parameter.value,
                         "share": one.share,
+                        "share_standard_error": one.share_error,
                     },
                     "cost": one.cost.document(),
                     "above_best": one.above.document("value", "standard_error"),
@@ -320,16 +323,17 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant
     """Return the cost of a policy at exactly this rate."""
     here = tuned.evaluation
     bound = _bound(here)
-    share, cost = 1.0, here.cost
+    share, share_error, cost = 1.0, 0.0, here.cost
     if tuned.beyond is not None:
         there = tuned.beyond.evaluation
-        low, high = (one.rates[link].value for one in (here, there))
-        share = (high - rate) / (high - low)
-        cost = Estimate(
-            share * cost.value + (1 - share) * there.cost.value,
-            float(np.hypot(share * cost.standard_error, (1 - share) * there.cost.standard_error)),
-            cost.method,
-        )
+        low, high = (one.rates[link] for one in (here, there))
+        apart = high.value - low.value
+        share = (high.value - rate) / apart
+        share_error = float(np.hypot(share * low.standard_error, (1 - share) * high.standard_error)) / apart
+        errors = share * cost.standard_error, (1 - share) * there.cost.standard_error
+        moved = (cost.value - there.cost.value) * share_error
+        value = share * cost.value + (1 - share) * there.cost.value
+        cost = Estimate(value, float(np.linalg.norm([*errors, moved])), cost.method)
         other = _bound(there)
         bound = None if bound is None or other is None else share * bound + (1 - share) * other
     elif tuned.slope is not None:
@@ -341,7 +345,7 @@ def _at_rate(name: str, tuned: Tuned, rate: float, link: LinkName) -> Contestant
                 "there; expected another rate, or another policy"
             )
         cost = Estimate(cost.value - shift, float(np.hypot(cost.standard_error, error)), cost.method, cost.error)
-    return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound)
+    return Contestant(name, here.policy, link, tuned, share, cost, Estimate(0.0, 0.0, cost.method), bound, share_error)
 
 
 def _shift(tuned: Tuned, rate: float, link: LinkName) -> tuple[float, float]:

@@ -75,6 +75,7 @@ class Evaluation(Tabular):
         no_clock: reason why ``clock`` is None.
         trusted: whether the variance of a simulated cost is finite, as far as is known; if not, a note gives the
             reason.
+        bound_error: standard error of ``cost_bound_at_rate`` that is due to the standard error of the measured rate.
     """
 
     heading: ClassVar[tuple[str, ...]] = ("policy", "unit", "rate_unit", "method", "seed", "notes")
@@ -106,6 +107,7 @@ class Evaluation(Tabular):
     reason: str = "no other method applies"
     no_clock: str = ""
     trusted: bool = True
+    bound_error: float = 0.0
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -145,6 +147,7 @@ class Evaluation(Tabular):
             "cost_all_time": self.cost_all_time,
             "cost_bound": self.cost_bound,
             "cost_bound_at_rate": self.cost_bound_at_rate,
+            "cost_bound_at_rate_standard_error": self.bound_error,
             "rates": {link: rate.document("value", "standard_error") for link, rate in self.rates.items()},
             "seed": self.seed,
             "seconds": round(self.seconds, 4),
@@ -280,12 +283,13 @@ def _evaluated(
             notes += (f"no lower bound: {error}",)
         except OutOfTime:
             notes += (f"no lower bound: the time limit of {request.time_limit:g} s passed; expected a longer one",)
-        notes += contradicted(found.rates[policy.scheduled[0]], certified)
     guarantee = policy.guarantee if loop.nominal else None
-    per_tick = found.rates[policy.scheduled[0]].value
-    pace = base_rate(loop)
-    fair, no_clock = periodic_at(problem, policy, per_tick / policy.tick)
-    compared = loop.nominal and per_tick > 0 and _predicts(policy)
+    per_tick, pace = found.rates[policy.scheduled[0]], base_rate(loop)
+    if certified is not None:
+        certified = (pace * certified[0], pace * certified[1])
+        notes += contradicted(per_tick.scaled(pace), certified, rate_unit(cost_unit(problem)))
+    fair, no_clock = periodic_at(problem, policy, per_tick.scaled(1 / policy.tick))
+    compared = loop.nominal and per_tick.value > 0 and _predicts(policy)
     return Evaluation(
         policy=policy.kind,
         unit=cost_unit(problem),
@@ -294,7 +298,7 @@ def _evaluated(
         cost_all_time=policy.cost_all_time if loop.nominal else None,
         statement=None if guarantee is None else guarantee.statement,
         cost_bound=None if guarantee is None else guarantee.cost,
-        cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick),
+        cost_bound_at_rate=None if guarantee is None else guarantee.at_rate(per_tick.value),
         rates={link: rate.scaled(pace) for link, rate in found.rates.items()},
         seed=request.seed,
         seconds=0.0,
@@ -303,15 +307,16 @@ def _evaluated(
         schedule=policy.schedule,
         clock=fair,
         no_clock=no_clock,
-        mean_interval=_interval(found.rates[policy.scheduled[0]], policy.tick) if _predicts(policy) else None,
+        mean_interval=_interval(per_tick, policy.tick) if _predicts(policy) else None,
         lower_bound=lower,
-        rate_bounds=None if certified is None else (pace * certified[0], pace * certified[1]),
+        rate_bounds=certified,
         consistency=_consistency(found.cost, fair, guarantee is not None) if compared else None,
         notes=notes + tuple(f"{text}: no guarantee holds" for text in loop.violated_assumptions),
         linearisation=_linearisation(policy) if problem.nonlinear and problem.actual is None else None,
         estimator=found.estimator,
         settled=found.settled,
         trusted=found.trusted,
+        bound_error=0.0 if guarantee is None else abs(guarantee.per_silence) * per_tick.standard_error,
         method=measured.method,
         reason=measured.reason,
     )
@@ -327,7 +332,7 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
     rate = found.rates["sensor"]
     interval = _interval(rate, 1.0)
     assert interval is not None
-    fair, no_clock = periodic_at(problem, policy, rate.value)
+    fair, no_clock = periodic_at(problem, policy, rate)
     return Evaluation(
         policy=policy.kind,
         unit="second",
@@ -350,6 +355,7 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         rate_bounds=None,
         consistency=_consistency(found.cost, fair, policy.statement is not None),
         notes=policy.notes,
+        bound_error=policy.bound_error(interval),
     )
 
 
@@ -374,8 +380,10 @@ def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consis
     """Return whether a cost is at most that of periodic control at its rate, which is infinite if it is unstable."""
     if proved:
         return "guaranteed"
-    margin = SURE * cost.standard_error + cost.error
-    return "verified" if clock is None or cost.value + margin <= clock.cost else "not verified"
+    if clock is None:
+        return "verified"
+    margin = SURE * (cost.standard_error + clock.standard_error) + cost.error
+    return "verified" if cost.value + margin <= clock.cost else "not verified"
 
 
 def _interval(rate: Estimate, tick: float) -> Estimate | None:

@@ -15,6 +15,7 @@ from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import steady_filter
 from taciturn.lqg.periodic import Held, lift
+from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.problem import Problem
@@ -98,12 +99,12 @@ def fair_clock(problem: Problem, policy: AnyPolicy) -> Clock:
     return Either(ticked, Timed(actuation, lambda seconds: _spaced(problem, seconds, p.tick, actuation)), p.tick, near)
 
 
-def periodic_at(problem: Problem, policy: AnyPolicy, rate: float) -> tuple[ClockMix | None, str]:
-    """Return fair periodic control for a policy at a rate, or the reason why there is none."""
-    if rate == 0:
+def periodic_at(problem: Problem, policy: AnyPolicy, rate: Estimate) -> tuple[ClockMix | None, str]:
+    """Return fair periodic control for a policy at a measured rate, or the reason why there is none."""
+    if rate.value == 0:
         return None, "the policy sent nothing"
     try:
-        found = fair_clock(problem, policy).at(rate)
+        found = fair_clock(problem, policy).at(rate.value, rate.standard_error)
     except NoClockError as reason:
         return None, str(reason)
     return found, "" if found is not None else "no period or cycle that was tried stabilises the loop"

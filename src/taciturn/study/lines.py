@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from taciturn._text import Lines, pairs_text, per_unit, table_text
+from taciturn._text import Lines, magnitude, pairs_text, per_unit, percent, table_text
 from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -15,7 +16,8 @@ if TYPE_CHECKING:
     from taciturn.study.evaluate import Evaluation
     from taciturn.study.tuned import Tuned
 
-MOST_DECIMALS = 2  # largest number of decimals of a percentage
+MOST_DECIMALS = 2  # largest number of decimals of a percentage in a table
+ZERO = 1e-11  # relative difference of two costs that is a rounding error
 DIRECTION = {"guarantee": 1, "guarantee, this rate": 1, "no schedule below": -1}
 """Direction in which a bound is rounded, so that it still holds."""
 
@@ -41,17 +43,16 @@ def evaluation_records(found: Evaluation) -> list[dict[str, object]]:
 
     def add(name: str, cost: Estimate | float | None, rates: Mapping[str, Estimate | None]) -> None:
         if cost is not None:
-            cost = outward(cost, 6, DIRECTION[name]) if name in DIRECTION and isinstance(cost, float) else cost
             known = cost if isinstance(cost, Estimate) else Estimate(cost, 0.0, "exact")
             extra = {"extra_percent": known.scaled(100 / base, -100)} if base else {}
             rows.append({"name": name, "cost": known, **extra, **{f"rate_{link}": rates.get(link) for link in same}})
 
     add("this policy", found.cost, found.rates)
-    add("periodic, same rate", None if found.clock is None or always else found.clock.cost, same)
+    add("periodic, same rate", None if always else periodic_cost(found), same)
     add("every sample", base, pace)
-    add("guarantee", found.cost_bound, {})
-    add("guarantee, this rate", found.cost_bound_at_rate, same)
-    add("no schedule below", None if found.lower_bound is None else found.lower_bound.cost, same)
+    add("guarantee", proved(found.cost_bound), {})
+    add("guarantee, this rate", bound_at_rate(found), same)
+    add("no schedule below", least_cost(found), same)
     return rows
 
 
@@ -62,12 +63,16 @@ def _table(found: Evaluation) -> str:
     per = "sends per step" if total else f"sends per {found.rate_unit}"
     header = ["", f"cost {per_unit(found.unit)}"]
     header += (["extra cost"] if base else []) + [f"{link} {per}" if many else per for link in found.rates]
+    lower = None if found.lower_bound is None else found.lower_bound.cost
+    unrounded = dict(zip(DIRECTION, (found.cost_bound, found.cost_bound_at_rate, lower), strict=True))
     rows: list[list[str]] = []
     for record in evaluation_records(found):
         cost, up = cast("Estimate", record["cost"]), DIRECTION.get(str(record["name"]))
-        cells = [str(record["name"]), str(cost) if up is None else rounded(cost.value, 6, up)]
+        cells = [str(record["name"]), str(cost) if up is None else bound_text(cost, up)]
         if base:
-            cells.append("" if record["name"] == "every sample" else percent_above(cost, base))
+            value = unrounded.get(str(record["name"]))
+            above = percent_above(cost if value is None else replace(cost, value=value), base, up or 0)
+            cells.append("" if record["name"] == "every sample" else above)
         for link, rate in found.rates.items():
             shown = cast("Estimate | None", record[f"rate_{link}"])
             measured = record["name"] == "this policy"
@@ -88,7 +93,7 @@ def _details(found: Evaluation) -> Lines:
     if found.linearisation is not None:
         lines.append(("linearisation", _promised(found)))
     if found.lower_bound is not None:
-        lines.append(("no schedule", f"of this controller at this rate, {100 * found.lower_bound.confidence:g} % sure"))
+        lines.append(("no schedule", f"of this controller at this rate, {percent(found.lower_bound.confidence)} sure"))
     if found.rate_bounds is not None:
         low, high = found.rate_bounds
         text = f"{rounded(low, 4, -1)} to {rounded(high, 4, 1)} per {found.rate_unit}"
@@ -123,23 +128,54 @@ def budget_text(found: Tuned) -> str:
     if sure is None:
         kept = "met in this simulation, whose standard error cannot be trusted"
     else:
-        kept = "met exactly" if sure == 1 else f"met with {math.floor(1000 * sure) / 10:g} % confidence"
+        kept = "met exactly" if sure == 1 else f"met with {percent(math.floor(1000 * sure) / 1000)} confidence"
     return f"{goal.name} at most {goal.budget:.6g} {per_unit(unit)}, {kept}"
 
 
 def _verdict(found: Evaluation) -> list[str]:
-    """Return a sentence with the rate and the cost of a policy, and their distance from the proven bounds."""
-    base, bound, lower = found.cost_all_time, found.cost_bound_at_rate, found.lower_bound
-    if lower is None or not base or found.base_rate is None:
+    """Return a sentence with the rate and the cost of a policy and their distance from the bounds, or a reason."""
+    base, lower = found.cost_all_time, found.lower_bound
+    if _sends_every_sample(found):
         return []
-    shares = [f"{100 * rate.value / found.base_rate:.3g} %" for rate in found.rates.values()]
-    above, least = 100 * (found.cost.value / base - 1), 100 * (lower.cost / base - 1)
-    decimals = max(_decimals(above - least, 1), _decimals(above, 2))  # enough to distinguish the two
-    text = f"sends {shares[0]} of the time, costs {above:.{decimals}f} % above sending every sample"
+    if base is None:
+        return ["none: for this loop, the cost of sending every sample is not known"]
+    if base <= 0:
+        return ["none: sending every sample costs nothing, so no cost is a percentage of it"]
+    if not found.settled:
+        return ["none: the loop has not settled, so the simulated cost is not an average"]
+    if not found.trusted:
+        return ["none: the standard error of the cost cannot be trusted"]
+    above, error = found.cost.value / base - 1, found.cost.standard_error / base
+    least = None if lower is None else lower.cost / base - 1
+    decimals = max(_decimals(above, 2), -magnitude(100 * above))
+    if least is not None:
+        decimals = max(decimals, _decimals(above - least, 1))  # enough to distinguish the two
+    side = "above" if above >= 0 else "below"
+    text = f"costs {percent(abs(above), decimals, error=error)} {side} sending every sample"
+    if abs(above) <= ZERO and error == 0:
+        text = "costs as much as sending every sample"
+    if found.base_rate is not None:
+        text = f"sends {_shares(found.rates, found.base_rate)}, {text}"
+    bound = found.cost_bound if found.cost_bound_at_rate is None else found.cost_bound_at_rate
     if bound is not None:
-        text += f", at most {rounded(100 * (bound / base - 1), 2, 1)} % by the bound at this rate"
-    least = math.floor(least * 10**decimals) / 10**decimals
-    return [f"{text}; no schedule of this controller at this rate costs less than {least:.{decimals}f} % above"]
+        by = "the guarantee" if found.cost_bound_at_rate is None else "the bound at this rate"
+        text += f", at most {percent(bound / base - 1, _decimals(bound / base - 1, 3), up=1)} by {by}"
+    if least is None:
+        return [text]
+    if least <= ZERO:
+        return [f"{text}; no bound above the cost of sending every sample is proved for this controller at this rate"]
+    least_text = percent(least, max(decimals, -magnitude(100 * least)), up=-1)
+    return [f"{text}; no schedule of this controller at this rate costs less than {least_text} above"]
+
+
+def _shares(rates: Mapping[str, Estimate], base_rate: float) -> str:
+    """Return the rates of all links as percentages of the rate of sending every sample."""
+    found: list[str] = []
+    for link, rate in rates.items():
+        share = rate.value / base_rate
+        text = f"{percent(share, _decimals(share, 3), error=rate.standard_error / base_rate)} of the time"
+        found.append(f"{text} on the {link} link" if len(rates) > 1 else text)
+    return " and ".join(found)
 
 
 def _sends_every_sample(found: Evaluation) -> bool:
@@ -159,7 +195,7 @@ def _promised(found: Evaluation) -> str:
     assert promised is not None
     text = f"sending every sample costs {promised.cost_all_time:.6g}"
     if promised.cost_all_time:
-        text += f" (measured: {cost / promised.cost_all_time:.4g} times that)"
+        text += f" (measured: {found.cost.scaled(1 / promised.cost_all_time)} times that)"
     if promised.cost_bound is not None:
         over, margin = cost - promised.cost_bound, 4 * found.cost.standard_error
         seen = "met here" if over + margin <= 0 else "exceeded here" if over > margin else "undecided within the errors"
@@ -167,9 +203,9 @@ def _promised(found: Evaluation) -> str:
     return f"{text}; none of this is guaranteed for the nonlinear plant"
 
 
-def _decimals(value: float, digits: int) -> int:
-    """Return the number of decimals that show the given number of digits of a positive number, at most four."""
-    return min(max(digits - 1 - math.floor(math.log10(value)), 0), 4) if value > 0 else 0
+def _decimals(share: float, digits: int) -> int:
+    """Return the number of decimals with which a percentage shows the given number of digits, at most four."""
+    return min(max(digits - 1 - magnitude(100 * share), 0), 4)
 
 
 def outward(value: float, digits: int, up: int) -> float:
@@ -190,10 +226,33 @@ def proved(bound: float | None) -> float | None:
     return None if bound is None else outward(bound, 6, 1)
 
 
+def bound_at_rate(found: Evaluation) -> Estimate | None:
+    """Return the upper bound at the measured rate, rounded up to six digits, with the error due to that of the rate."""
+    bound = proved(found.cost_bound_at_rate)
+    return None if bound is None else _moved(bound, found.bound_error)
+
+
+def periodic_cost(found: Evaluation) -> Estimate | None:
+    """Return the cost of periodic control at the measured rate, with the error due to that of the rate."""
+    return None if found.clock is None else _moved(found.clock.cost, found.clock.standard_error)
+
+
+def _moved(cost: float, error: float) -> Estimate:
+    return Estimate(cost, error, "simulation" if error else "exact")
+
+
 def rounded(value: float, digits: int, up: int) -> str:
     """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
     nearest = outward(value, digits, up)
     return f"{nearest:,.0f}" if 1e4 <= abs(nearest) < 1e12 else f"{nearest:.{digits}g}"
+
+
+def bound_text(bound: Estimate, up: int) -> str:
+    """Return a bound as text, rounded up (1) or down (−1) to six digits, or to those that its standard error allows."""
+    if bound.standard_error == 0:
+        return rounded(bound.value, 6, up)
+    digits = 2 + magnitude(bound.value) - magnitude(bound.standard_error)
+    return str(replace(bound, value=outward(bound.value, digits, up) if digits > 0 else bound.value))
 
 
 def _queries(schedule: Schedule) -> str:
@@ -208,13 +267,15 @@ def _queries(schedule: Schedule) -> str:
     return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
 
 
-def percent_above(cost: Estimate, base: float | None) -> str:
-    """Return the excess of a cost over the cost of sending every sample, in percent, with its significant digits."""
-    assert base
-    above = cost.scaled(100 / base, -100)
-    if abs(above.value) >= 1e6:
-        return f"{above.value:+.3g} %"
-    decimals = MOST_DECIMALS
-    if above.standard_error > 0:
-        decimals = min(decimals, max(0, 1 - math.floor(math.log10(above.standard_error))))
-    return f"{above.value:+.{decimals}f} %"
+def percent_above(cost: Estimate, base: float, up: int = 0) -> str:
+    """Return the excess of a cost over the cost of sending every sample, in percent, with its significant digits.
+
+    Args:
+        cost: the cost, or a bound on it.
+        base: the cost of sending every sample.
+        up: direction of rounding: 1 for an upper bound, -1 for a lower bound, and 0 for a cost.
+    """
+    error, decimals = 100 * cost.standard_error / base, MOST_DECIMALS
+    if error > 0:
+        decimals = min(decimals, max(0, 1 - magnitude(error)))
+    return percent(cost.value / base - 1, decimals, up=up, signed=True)

@@ -6,12 +6,17 @@ from dataclasses import replace
 from statistics import NormalDist
 
 from taciturn._progress import Progress
+from taciturn._text import magnitude
 from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
+from taciturn.study.units import TimeUnit
+
+CONTRADICTION = 3.0  # standard errors by which a rate that is outside its certified bounds deserves a note
+SAME = 1e-9  # relative difference of two rates that is a rounding error
 
 
 def choose_confidence(problem: Problem, asked: float | None) -> float | None:
@@ -53,13 +58,23 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
     return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
 
 
-def contradicted(rate: Estimate, certified: tuple[float, float] | None) -> tuple[str, ...]:
-    """Return a warning if a simulated rate is outside its certified bounds."""
-    if certified is None or rate.method != "simulation" or certified[0] <= rate.value <= certified[1]:
+def contradicted(rate: Estimate, certified: tuple[float, float], unit: TimeUnit) -> tuple[str, ...]:
+    """Return a warning if a simulated rate is at least three standard errors outside its certified bounds.
+
+    Args:
+        rate: the simulated rate, per unit of time.
+        certified: its certified bounds.
+        unit: the unit of time.
+    """
+    nearest = min(max(rate.value, certified[0]), certified[1])
+    gap, error = abs(rate.value - nearest), rate.standard_error
+    if rate.method != "simulation" or gap < CONTRADICTION * error or gap <= SAME * nearest:
         return ()
-    nearest = min(certified, key=lambda end: abs(end - rate.value))
-    off = abs(nearest - rate.value) / max(rate.standard_error, 1e-300)
+    decimals = max(0, 1 - magnitude(gap), 1 - magnitude(error) if error else 0)
+    low, high = (f"{bound:.{decimals}f}" for bound in certified)
+    off = f"{gap / error:.2g} standard errors " if error else ""
+    shown = rate if error else f"{rate.value:.{decimals}f}"
     return (
-        f"the simulated rate is {off:.2g} standard errors outside its certified bounds; the bounds are correct: the "
-        "send intervals are so regular that the initial transient does not decay within the run",
+        f"the simulated rate {shown} per {unit} is {off}outside its certified bounds {low} to {high}; the bounds are "
+        "correct: the send intervals are so regular that the initial transient does not decay within the run",
     )

@@ -21,7 +21,7 @@ from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.fair import clock_of
-from taciturn.study.lines import least_cost, proved
+from taciturn.study.lines import bound_at_rate, least_cost, periodic_cost, proved
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import TimeUnit, Unit, rate_unit
@@ -100,8 +100,8 @@ class Tradeoff(Tabular):
                     **{f"rate_{link}": rate for link, rate in point.evaluation.rates.items()},
                     "cost": point.evaluation.cost,
                     "guarantee": proved(point.evaluation.cost_bound),
-                    "guarantee_at_rate": proved(point.evaluation.cost_bound_at_rate),
-                    "periodic_same_rate": point.cost_periodic_same_rate,
+                    "guarantee_at_rate": bound_at_rate(point.evaluation),
+                    "periodic_same_rate": periodic_cost(point.evaluation),
                     **({"no_schedule_below": least_cost(point.evaluation)} if bounded else {}),
                 }
                 for point in self.points

@@ -10,6 +10,7 @@ import numpy as np
 
 from taciturn._arrays import Array, count, symmetrised
 from taciturn._display import Displayed
+from taciturn._text import percent
 from taciturn.errors import ProblemError
 from taciturn.twin.body import Body
 from taciturn.twin.calibration import Calibration
@@ -83,8 +84,8 @@ def identify(robot: Robot, calibration: Calibration, seed: int = 0) -> Identific
     watch.close()
     if watch.missed > (1 - _SEEN) * watch.taken:
         raise ProblemError(
-            f"the marker is not seen in {watch.missed} of {watch.taken} pictures; expected it in {_SEEN:.0%} of them: "
-            "calibrate this camera, or clear its view"
+            f"the marker is not seen in {watch.missed} of {watch.taken} pictures; expected it in {percent(_SEEN)} of "
+            "them: calibrate this camera, or clear its view"
         )
     fitted, kept = runs[:RUNS], runs[RUNS:]
     B, B_error = _fit([(u, step) for _, u, step in fitted])

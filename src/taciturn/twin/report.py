@@ -8,6 +8,7 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import Array
+from taciturn._text import percent
 from taciturn.model.estimate import Estimate
 from taciturn.study.ticks import measured
 from taciturn.twin.identification import Identification
@@ -56,9 +57,8 @@ def lines_of(found: TwinRun) -> list[tuple[str, str]]:
     lines += [*model_lines(model, robot), ("policy", found.policy.kind), ("cost", f"{found.cost} per mission")]
     if found.always is not None:
         always = float(found.always.totals.mean())
-        lines.append(
-            ("every-sample cost", f"{always:.6g}   (this policy: {100 * (found.cost.value / always - 1):+.1f} %)")
-        )
+        above = percent(found.cost.value / always - 1, 1, signed=True)
+        lines.append(("every-sample cost", f"{always:.6g}   (this policy: {above})"))
     if found.cost_bound is not None:
         lines.append(("guaranteed", f"at most {found.cost_bound:.6g}, for the identified model"))
     lines += [(f"rate, {link}", f"{rate} per step") for link, rate in found.rates.items()]

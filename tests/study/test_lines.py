@@ -1,0 +1,169 @@
+"""The numbers of printed results: percentages, errors of rates, verdicts, and notes on certified rates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+import taciturn
+from taciturn import Estimate
+from taciturn._text import percent
+from taciturn.analyse.limits import LowerBound
+from taciturn.renewal.policy import EventPolicy
+from taciturn.study.clock import Timed
+from taciturn.study.evaluate import Evaluation
+from taciturn.study.fair import fair_clock
+from taciturn.study.lines import bound_at_rate, evaluation_records, percent_above, periodic_cost
+from taciturn.study.lower import contradicted
+
+SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
+COST = taciturn.Cost(Q=[[1.0]], R=[[1.0]])
+PROBLEM = taciturn.Problem(SCALAR, COST, taciturn.Network(), "excess", {"theta": 0.5, "actuation": "model"})
+
+
+@cache
+def simulated() -> Evaluation:
+    """Return a short simulation, whose rate has a standard error."""
+    return taciturn.evaluate(PROBLEM, steps=20_000)
+
+
+def verdict(found: Evaluation) -> str:
+    """Return the printed verdict in one line."""
+    return " ".join(str(found).partition("\nverdict")[2].partition("\nnote")[0].split())
+
+
+def row(found: Evaluation, name: str) -> Estimate:
+    """Return the cost in a row of the table."""
+    (cost,) = (record["cost"] for record in evaluation_records(found) if record["name"] == name)
+    assert isinstance(cost, Estimate)
+    return cost
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (percent(2.0), "200 %"),
+        (percent(1.952, 0, up=1), "196 %"),
+        (percent(0.07, 1, up=1), "7.0 %"),
+        (percent(-1e-9, 2, signed=True), "0.00 %"),
+        (percent(-1e-9, 0, up=1), "0 %"),
+        (percent(1e-9, 2, up=1), "0.01 %"),
+        (percent(-0.1234, 1, up=-1), "-12.4 %"),
+        (percent(0.010036, error=7.8e-6), "1.00360 ± 0.00078 %"),
+        (percent(-1e-9, error=1e-5), "0.0000 ± 0.0010 %"),
+        (percent(0.999), "99.9 %"),
+        (percent(0.55), "55 %"),
+        (percent(123.4567, 0, signed=True), "+12,346 %"),
+        (percent(float("inf"), 2), "inf %"),
+        (percent_above(Estimate(0.99999999, 0.0, "exact"), 1.0), "0.00 %"),
+        (str(Estimate(-1e-9, 1e-4, "simulation")), "0.00000 ± 0.00010"),
+    ],
+)
+def test_a_percentage_has_ordinary_digits_and_no_negative_zero(text: str, expected: str) -> None:
+    """Bounds are rounded outward, and rounding errors of binary numbers do not count."""
+    assert text == expected
+
+
+def test_the_error_of_the_rate_moves_the_bound_and_periodic_control() -> None:
+    """By the slope of each at the measured rate; the JSON document and the data frame contain the errors."""
+    found = simulated()
+    (rate,) = found.rates.values()
+    policy = PROBLEM.designed()
+    clock = fair_clock(PROBLEM, policy)
+    low, high = (clock.at(rate.value + sign * 1e-6) for sign in (-1, 1))
+    assert low is not None
+    assert high is not None
+    periodic = row(found, "periodic, same rate")
+    assert rate.standard_error > 0
+    assert periodic.standard_error == pytest.approx((low.cost - high.cost) / 2e-6 * rate.standard_error, rel=1e-4)
+    assert found.cost_bound_at_rate is not None
+    slope = (policy.cost_all_time - found.cost_bound_at_rate) / (1 - rate.value)
+    bound = row(found, "guarantee, this rate")
+    assert bound.standard_error == pytest.approx(abs(slope) * rate.standard_error, rel=1e-9)
+    assert bound.value >= found.cost_bound_at_rate
+    assert (periodic, bound) == (periodic_cost(found), bound_at_rate(found))
+    assert str(periodic) in str(found)
+    document = found.document()
+    assert document["clock"]["standard_error"] == periodic.standard_error
+    assert document["cost_bound_at_rate_standard_error"] == bound.standard_error
+    frame: Any = found.to_pandas()
+    errors = dict(zip(frame["name"], frame["cost_standard_error"], strict=True))
+    assert errors["periodic, same rate"] == periodic.standard_error
+    assert errors["guarantee, this rate"] == bound.standard_error
+
+
+def test_the_cost_of_a_real_period_has_the_error_of_its_curve() -> None:
+    """The cost 1/r has the slope −1/r²; without a stable loop on one side, the other side is used."""
+    found = Timed("hold", lambda period: period).at(2.0, 0.001)
+    assert found is not None
+    assert found.standard_error == pytest.approx(0.001 / 4, rel=1e-5)
+    one_sided = Timed("hold", lambda period: period if period <= 0.5 else None).at(2.0, 0.001)
+    assert one_sided is not None
+    assert one_sided.standard_error == pytest.approx(0.001 / 4, rel=1e-3)
+
+
+def test_the_bound_of_a_policy_without_steps_has_the_slope_of_its_interval() -> None:
+    """A difference quotient of the bound."""
+    plant = taciturn.ContinuousPlant([[0.0]], [[1.0]], jumps=taciturn.Jumps(2.0, np.array([[0.5]])))
+    policy = taciturn.design.integral(plant, COST, slope=0.5, saturation=1.0, alpha=0.5)
+    assert isinstance(policy, EventPolicy)
+    interval = policy.trigger.saturation * 2
+    ends = [policy.bound(interval + sign * 1e-5) for sign in (-1, 1)]
+    assert None not in ends
+    slope = abs(np.diff(np.array(ends, float))[0]) / 2e-5
+    assert policy.bound_error(Estimate(interval, 0.01, "simulation")) == pytest.approx(0.01 * slope, rel=1e-6)
+    assert policy.bound_error(Estimate(policy.trigger.saturation / 2, 0.01, "simulation")) == 0.0
+
+
+def test_a_verdict_has_ordinary_digits_and_the_errors_of_its_numbers() -> None:
+    """A bound of three times the cost is at most 200 % above it."""
+    found = simulated()
+    assert found.cost_all_time is not None
+    text = verdict(replace(found, cost_bound_at_rate=3 * found.cost_all_time))
+    assert "at most 200 % by the bound at this rate" in text
+    assert text.startswith("sends ")
+    assert text.count("±") == 2
+    assert "e+" not in text
+
+
+def test_a_verdict_without_a_bound_above_the_cost_of_every_sample_says_so() -> None:
+    """Not that no schedule costs less than 0.0000 % above; a tiny bound is printed with one digit."""
+    found = simulated()
+    base = found.cost_all_time
+    assert base is not None
+    none = verdict(replace(found, lower_bound=LowerBound(base, 0.999, 0.9, 0.0)))
+    assert none.endswith("no bound above the cost of sending every sample is proved for this controller at this rate")
+    tiny = verdict(replace(found, lower_bound=LowerBound(base * (1 + 3.4e-8), 0.999, 0.9, 0.0)))
+    assert tiny.endswith("costs less than 0.000003 % above")
+    cheap = verdict(replace(found, cost=Estimate(base * (1 - 1e-4), base * 1e-4, "simulation")))
+    assert "costs 0.010 ± 0.010 % below sending every sample" in cheap
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"settled": False}, "none: the loop has not settled, so the simulated cost is not an average"),
+        ({"trusted": False}, "none: the standard error of the cost cannot be trusted"),
+        ({"cost_all_time": None}, "none: for this loop, the cost of sending every sample is not known"),
+        ({"cost_all_time": 0.0}, "none: sending every sample costs nothing, so no cost is a percentage of it"),
+    ],
+)
+def test_a_missing_verdict_has_a_reason(changes: dict[str, object], reason: str) -> None:
+    """In one sentence."""
+    assert verdict(replace(simulated(), **changes)) == reason  # type: ignore[arg-type]
+
+
+def test_a_rate_within_three_standard_errors_of_its_certified_bounds_has_no_note() -> None:
+    """Beyond them, the note shows the rate with its error, and bounds with as many digits."""
+    rate = Estimate(0.26736, 0.00018, "simulation")
+    assert contradicted(rate, (0.267403, 0.3), "step") == ()  # 0.24 standard errors
+    (note,) = contradicted(rate, (0.2681, 0.3), "step")
+    assert "0.26736 ± 0.00018 per step is 4.1 standard errors outside its certified bounds 0.26810 to 0.30000" in note
+    (exact,) = contradicted(Estimate(1 / 3, 0.0, "simulation"), (0.33334, 0.4), "second")
+    assert "rate 0.3333333 per second is outside its certified bounds 0.3333400 to 0.4000000" in exact
+    assert contradicted(Estimate(1 / 3, 0.0, "simulation"), (1 / 3 + 1e-12, 0.4), "second") == ()
+    assert contradicted(Estimate(0.1, 1e-6, "quadrature"), (0.2, 0.3), "second") == ()
