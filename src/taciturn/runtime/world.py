@@ -11,7 +11,7 @@ from taciturn.model.wire import BACK, PROOFS
 from taciturn.runtime.inbox import AHEAD
 from taciturn.runtime.node import Values
 from taciturn.runtime.packet import Packet, Wire
-from taciturn.runtime.reception import Reception, answer_to
+from taciturn.runtime.reception import Reception
 from taciturn.runtime.relay import EmulatedLink
 from taciturn.runtime.service import IDLE, QUIET, Port, Say, Told, Turns, drive
 from taciturn.runtime.udp import Address
@@ -192,7 +192,7 @@ class PlantServer:
             self._take((yield until))
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
-        for packet, sender in self.reception.packets(datagrams):
+        for packet, sender in self.reception.packets(zip(datagrams, self.endpoint.senders, strict=True)):
             if packet.loop >= len(self.plants) or not self._expects(packet):
                 self.refused["misdirected"] += 1
             elif self._admits(packet, sender):
@@ -205,7 +205,7 @@ class PlantServer:
     def _admits(self, packet: Packet, sender: Address) -> bool:
         """Return whether an input may be sorted; answer a challenge, and store the proof in an answer."""
         if packet.kind == "challenge":
-            self.endpoint.send(self.wire.encode(answer_to(packet, self._epoch, self._now)), self.sensor)
+            self.endpoint.send(self.wire.encode(self.reception.answer(packet, self._epoch, self._now)), self.sensor)
             self._measure(self._now, again=True)
             return False
         if packet.kind == "answer":
