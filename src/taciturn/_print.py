@@ -54,6 +54,7 @@ def world(found: WorldRun) -> None:
     """Print the faults, the counters and the recovery of a world."""
     lines = [("world", f"{found.seed}, {found.steps} steps, {found.ticks} steps of nodes in {found.seconds:.2f} s")]
     lines.append(("nodes in C", ", ".join(found.devices) or "none"))
+    lines.append(("keys", "one for each link" if found.keyed else "none"))
     lines += [("fault", fault.text()) for fault in found.faults]
     for name, counted in found.counters.items():
         shown = ", ".join(f"{number} {what}" for what, number in counted.items() if number)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from taciturn.errors import ProblemError
@@ -101,7 +102,49 @@ class Keys:
         return None
 
 
-class KeyFile(Keys):
+class RenewedKeys(Keys, ABC):
+    """Keys from a source that may change, which ``renew`` reads again after a change.
+
+    Args:
+        clock: function that returns the time in seconds, from any origin.
+
+    Raises:
+        ProblemError: the source cannot be read, or its content is not valid.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        """Read the source."""
+        self._clock, self._looked = clock, clock()
+        self._stamp = self._stamped()
+        super().__init__(self._read())
+
+    @abstractmethod
+    def _stamped(self) -> object:
+        """Return a value that differs after a change of the source."""
+
+    @abstractmethod
+    def _read(self) -> Mapping[str, tuple[bytes, ...]]:
+        """Return the keys in the source, by link."""
+
+    def renew(self) -> str | None:
+        """Read the keys again if the source has changed; keep the former keys if it is not valid."""
+        if 0.0 <= self._clock() - self._looked < LOOKED:
+            return None
+        self._looked = self._clock()
+        stamp = self._stamped()
+        if stamp == self._stamp:
+            return None
+        self._stamp = stamp
+        try:
+            links = self._read()
+            Keys(links).check("process", (link for link, keys in self._links.items() if keys))
+        except ProblemError as error:
+            return f"{error}; the former keys remain in use"
+        self._links = dict(links)
+        return f"the keys of {self} have changed; the new keys are in use"
+
+
+class KeyFile(RenewedKeys):
     """The keys in a file, which ``renew`` reads again after a change.
 
     Args:
@@ -113,26 +156,12 @@ class KeyFile(Keys):
 
     def __init__(self, path: str | Path) -> None:
         """Read the file."""
-        self._path, self._looked = Path(path), time.monotonic()
-        self._stamp = self._stamped()
-        super().__init__(self._read())
+        self._path = Path(path)
+        super().__init__(time.monotonic)
 
-    def renew(self) -> str | None:
-        """Read the keys again if the file has changed; keep the former keys if it is not valid."""
-        if time.monotonic() < self._looked + LOOKED:
-            return None
-        self._looked = time.monotonic()
-        stamp = self._stamped()
-        if stamp == self._stamp:
-            return None
-        self._stamp = stamp
-        try:
-            links = self._read()
-            Keys(links).check("process", (link for link, keys in self._links.items() if keys))
-        except ProblemError as error:
-            return f"{error}; the former keys remain in use"
-        self._links = links
-        return f"the keys of {self._path} have changed; the new keys are in use"
+    def __str__(self) -> str:
+        """Return the name of the file."""
+        return str(self._path)
 
     def _stamped(self) -> tuple[int, ...]:
         """Return numbers that differ after a change of the file."""

@@ -5,13 +5,14 @@ A datagram that is not a valid packet is rejected with a one-word reason, and ha
 
 from __future__ import annotations
 
+import copy
 import hashlib
 import hmac
 import math
 import struct
 import zlib
 from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, Self, TypeAlias
 
 from taciturn.errors import ProblemError
 from taciturn.model.network import Network
@@ -133,6 +134,12 @@ class Wire:
                 f"{'a kind and a link that the policy uses' if shape is None else f'{shape.entries} finite numbers'}"
             )
         return self._write(packet, shape.code, shape.entries, shape.write(packet.values))
+
+    def with_keys(self, keys: Keys | None) -> Self:
+        """Return an encoder and decoder of the same packets with other keys."""
+        other = copy.copy(self)
+        other.keys = keys
+        return other
 
     @property
     def keyed(self) -> bool:

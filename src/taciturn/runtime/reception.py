@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import secrets
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,13 +72,15 @@ class Reception:
         self._wire, self._port, self._name = wire, port, name
         self._say, self._draw = say, draw or (lambda: secrets.randbits(64))
         self.refused: Counter[str] = Counter()  # datagrams that are not used, by reason
-        # challenges sent and answered, proofs received, and answers that were not asked for
-        self.counters: Counter[str] = Counter()
+        self.counters: Counter[str] = Counter()  # challenges sent and answered, proofs received, answers not asked for
         self._known: dict[tuple[str, int], _Session] = {}
 
-    def packets(self, datagrams: Sequence[bytes]) -> Iterator[tuple[Packet, Address]]:
-        """Yield the packets of the datagrams just received, and their senders; refuse invalid datagrams."""
-        for datagram, sender in zip(datagrams, self._port.senders, strict=True):
+    def packets(self, received: Iterable[tuple[bytes, Address]]) -> Iterator[tuple[Packet, Address]]:
+        """Yield the packets of received datagrams, and their senders; refuse invalid datagrams."""
+        changed = None if self._wire.keys is None else self._wire.keys.renew()
+        if changed is not None:
+            self._tell(changed)
+        for datagram, sender in received:
             packet = self._wire.decode(datagram)
             if isinstance(packet, Packet):
                 yield packet, sender
@@ -87,9 +89,6 @@ class Reception:
             sentence = disagreement(self._name, packet, self._wire.keyed, sender)
             if sentence is not None and self.refused[packet] == 1:
                 self._tell(sentence)
-        sentence = None if self._wire.keys is None else self._wire.keys.renew()
-        if sentence is not None:
-            self._tell(sentence)
 
     def admits(self, packet: Packet, sender: Address) -> bool:
         """Return whether the sender of a packet has proven that it is running; if not, challenge it."""
@@ -116,11 +115,6 @@ class Reception:
             )
         return False
 
-    def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
-        """Return the answer to a challenge by a sender that has executed step ``tick`` last (-1: none)."""
-        self.counters["answered"] += 1
-        return answer_to(challenge, epoch, tick)
-
     def accepts(self, answer: Packet) -> bool:
         """Store the proof in an answer, and return whether it begins another epoch; discard any other answer."""
         session = self._known.get((answer.link, answer.loop))
@@ -131,6 +125,11 @@ class Reception:
         other = session.epoch != answer.epoch
         session.epoch, session.first, session.nonce, session.unanswered = answer.epoch, answer.tick, None, 0
         return other
+
+    def answer(self, challenge: Packet, epoch: int, tick: int) -> Packet:
+        """Return the answer of a process that has executed step ``tick`` last (-1: none), and count it."""
+        self.counters["answered"] += 1
+        return answer_to(challenge, epoch, tick)
 
     def save(self) -> list[list[Any]]:
         """Return the proofs as values that JSON can represent."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -171,8 +171,11 @@ class NodeServer:
 
     def _take(self, datagrams: Sequence[bytes]) -> set[int]:
         """Store received packets, and return the numbers of their loops."""
+        return self._take_from(zip(datagrams, self.endpoint.senders, strict=True))
+
+    def _take_from(self, received: Iterable[tuple[bytes, Address]]) -> set[int]:
         now, touched = self._clock(), set[int]()
-        for packet, sender in self.reception.packets(datagrams):
+        for packet, sender in self.reception.packets(received):
             if packet.loop >= len(self.nodes):
                 self.refused["misdirected"] += 1
             elif self._admits(packet, sender, now):
@@ -218,7 +221,11 @@ class NodeServer:
                 self.refused["late" if packet.tick <= node.tick else "ahead"] += 1
             return
         repeated = packet.kind == "mark" and packet.tick <= node.inbox.marked.get(packet.link, -1)
-        handling = node.sort_in(packet)
+        self._note(packet, node.sort_in(packet), now, repeated)
+
+    def _note(self, packet: Packet, handling: str, now: float, repeated: bool) -> None:
+        """Draw the conclusions from a packet that a node has sorted in: it may correct the clock, and ends silence."""
+        loop, node = packet.loop, self.nodes[packet.loop]
         # acknowledgements arrive after their step, so they do not count; a packet far ahead shows a late phase
         if packet.link in node.program.hears and self._tick is not None and handling in USABLE | {"ahead"}:
             self.phase.hear(packet.tick, now)

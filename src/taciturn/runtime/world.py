@@ -192,7 +192,7 @@ class PlantServer:
             self._take((yield until))
 
     def _take(self, datagrams: Sequence[bytes]) -> None:
-        for packet, sender in self.reception.packets(datagrams):
+        for packet, sender in self.reception.packets(zip(datagrams, self.endpoint.senders, strict=True)):
             if packet.loop >= len(self.plants) or not self._expects(packet):
                 self.refused["misdirected"] += 1
             elif self._admits(packet, sender):
@@ -205,8 +205,7 @@ class PlantServer:
     def _admits(self, packet: Packet, sender: Address) -> bool:
         """Return whether an input may be sorted; answer a challenge, and store the proof in an answer."""
         if packet.kind == "challenge":
-            answer = self.reception.answer(packet, self._epoch, self._now)
-            self.endpoint.send(self.wire.encode(answer), self.sensor)
+            self.endpoint.send(self.wire.encode(self.reception.answer(packet, self._epoch, self._now)), self.sensor)
             self._measure(self._now, again=True)
             return False
         if packet.kind == "answer":

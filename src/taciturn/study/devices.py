@@ -1,6 +1,7 @@
 """Nodes in exported C, compiled for this machine, with the interface of nodes in Python.
 
-A server of nodes can therefore run either. The C code keeps the time of its steps as the server does.
+The C code reads the datagrams of other nodes itself: it checks them, challenges their senders, and answers challenges.
+Its server exchanges packets with the plant, and keeps the time of the steps.
 """
 
 from __future__ import annotations
@@ -24,11 +25,15 @@ from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
-from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, TAG_SIZE
+from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LINKS, TAG_SIZE
 from taciturn.program.ops import Precision
-from taciturn.runtime.inbox import Handling
+from taciturn.runtime.inbox import Inbox
+from taciturn.runtime.keys import Keys
 from taciturn.runtime.node import Node, Safe, Stepped, Values
+from taciturn.runtime.outbox import PLANT
 from taciturn.runtime.packet import REFUSALS, Packet, Wire
+from taciturn.runtime.serve import NodeServer
+from taciturn.runtime.udp import Address
 
 FOLDER = Path(taciturn.export.__file__).parent / "core"
 OPTIONS = ("-std=c99", "-O1", "-shared", "-fPIC", "-ffp-contract=off")
@@ -38,7 +43,9 @@ COUNTERS = (
     "received", "used", "late", "ahead", "duplicate", "replayed", "misdirected", "superseded", "marks",
     *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated",
 )  # fmt: skip
-DROPPED: tuple[Handling, ...] = ("misdirected", "duplicate", "replayed", "ahead")
+DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
+LINK_AT = 6  # position of the link in a datagram
+ON_NODES = LINKS[:2]  # links between nodes
 ACCESS = """
 #include "device.h"
 size_t shim_size(void) { return sizeof(device); }
@@ -53,6 +60,17 @@ unsigned shim_waiting(const tac_node *node) {
     }
   }
   return count;
+}
+bool shim_settled(const tac_node *node, uint8_t link, uint64_t tick) {
+  bool found = false;
+  for (unsigned i = 0U; i < node->data->channel_count; i++) {
+    const tac_channel *channel = &node->channels[i];
+    bool data = node->data->channels[i].link == link && node->data->channels[i].kind == (uint8_t)TAC_DATA;
+    unsigned place = (unsigned)(tick % (uint64_t)TAC_WAITING);
+    bool waits = channel->waits[place] && channel->waiting[place].tick == tick;
+    found = found || (data && (waits || channel->marked > tick));
+  }
+  return found;
 }
 """  # what a server reads of a node, and a program on a device does not need
 
@@ -119,23 +137,32 @@ class DeviceCode:
             self.code: Any = c.CDLL(str(Path(folder) / "device.so"))
         for name in ("device_start", "tac_input", "shim_counters", "shim_memory", "shim_inputs"):
             getattr(self.code, name).restype = c.c_void_p
-        for name in ("shim_size", "tac_send"):
+        for name in ("shim_size", "tac_send", "tac_save"):
             getattr(self.code, name).restype = c.c_size_t
         self.code.tac_behind.restype = c.c_uint64
-        for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent"):
+        for name in ("tac_receive", "tac_step", "tac_degraded", "tac_silent", "tac_restore", "shim_settled"):
             getattr(self.code, name).restype = c.c_bool
-        self.role, self.wire = role, Wire(policy, network)
+        self.role, self.policy, self.network = role, policy, network
         self.datagram = c.create_string_buffer(4096)
         self.memory = c.create_string_buffer(self.code.shim_size())
 
     def start(self, epoch: int, loop: int) -> Any:
-        """Start the node, and return its address."""
-        key = Key(None, 0)
-        return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), key))
+        """Start the node without a key, and return its address."""
+        return c.c_void_p(self.code.device_start(self.memory, c.c_uint32(epoch), c.c_uint16(loop), Key(None, 0)))
+
+
+class _Channels(Inbox):
+    """The inbox of a node in C, as its server reads it."""
+
+    node: DeviceNode
+
+    def settled(self, link: str, tick: int) -> bool:
+        """Return whether the packet of a step has arrived or will not be sent."""
+        return self.node.settled(link, tick)
 
 
 class DeviceNode(Node):
-    """A node whose packets and steps are handled by C code; the Python node knows which packets have arrived.
+    """A node whose packets and steps are handled by C code.
 
     It starts when it is made; an earlier node on the same device does not run any more.
 
@@ -165,15 +192,25 @@ class DeviceNode(Node):
         """Start the code."""
         super().__init__(policy, role, network=network, epoch=epoch, seed=seed, watchdog=watchdog, safe=safe)
         self._device, self._code = device, device.code
+        self.inbox = _Channels(self.inbox.streams, self.loop, False, self.counters, self._degrade)
+        self.inbox.node = self
+        self.wire = Wire(policy, network)
+        self._keys: dict[str, tuple[bytes, ...]] = {}  # of which the device knows the addresses
         self._counted: list[int] = []
         self._self = device.start(self.epoch, self.loop)
         self._safe_numbers = None if self._safe is None else (c.c_double * len(self._safe))(*self._safe)
-        self._watch()
+        if watchdog is not None:
+            self._code.tac_watch(self._self, c.c_uint32(watchdog), self._safe_numbers)
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
 
-    def _watch(self) -> None:
-        if self.watchdog is not None:
-            self._code.tac_watch(self._self, c.c_uint32(self.watchdog), self._safe_numbers)
+    def set_keys(self, keys: Keys) -> None:
+        """Give the keys of the links between nodes to the device, if they have changed."""
+        for code, link in enumerate(ON_NODES):
+            found = keys.of(link)
+            if found and found != self._keys.get(link):
+                self._keys[link] = found
+                first, other = [Key(key, len(key)) for key in found] + [Key(None, 0)] * (2 - len(found))
+                self._code.tac_set_keys(self._self, c.c_uint8(code), first, other)
 
     @property
     def waiting(self) -> int:
@@ -190,21 +227,19 @@ class DeviceNode(Node):
         """Whether the watchdog of the device has expired."""
         return self._code.tac_silent(self._self)
 
-    def sort_in(self, packet: Packet) -> Handling:
-        """Give a packet to the device, and return how it was handled."""
-        datagram, before = self._device.wire.encode(packet), [self.counters[name] for name in DROPPED]
+    def settled(self, link: str, tick: int) -> bool:
+        """Return whether the packet of a step has arrived or will not be sent."""
+        return self._code.shim_settled(self._self, c.c_uint8(ON_NODES.index(link)), c.c_uint64(tick))
+
+    def receive(self, datagram: bytes) -> str:
+        """Give a datagram to the device, and return the counter of what became of it; ``waiting`` if it is usable."""
+        before = [self.counters[name] for name in DROPPED]
         usable = self._code.tac_receive(self._self, datagram, c.c_size_t(len(datagram)))
         self._count()
-        if not usable:
-            return next(name for name, number in zip(DROPPED, before, strict=True) if self.counters[name] > number)
-        self._heard_at, self._unheard = self.tick + 1, False
-        if packet.kind == "mark":
-            self.inbox.marked[packet.link] = max(self.inbox.marked[packet.link], packet.tick)
-            return "marks"
-        stream = self.inbox.streams[packet.kind, packet.link]
-        if packet.tick > self.tick - stream.lag:
-            stream.waiting[packet.tick] = packet
-        return "waiting"
+        if usable:
+            self._unheard = False
+            return "waiting"
+        return next(name for name, number in zip(DROPPED, before, strict=True) if self.counters[name] > number)
 
     def step(
         self,
@@ -214,12 +249,9 @@ class DeviceNode(Node):
         draws: Sequence[float] | None = None,
     ) -> Stepped:
         """Execute one step on the device."""
-        for packet in packets:
-            self.sort_in(packet)
+        assert not packets, "a node in C receives datagrams"
         y = self._measured(measurement)
         given = (c.c_double * len(y))(*y) if y else None
-        if self.tick < 0:
-            self._heard_at = max(self._heard_at, tick - 1)
         number = c.c_uint64(tick)
         while not (done := self._code.tac_step(self._self, number, given, None)):
             if not self._code.tac_behind(self._self, number):
@@ -228,10 +260,8 @@ class DeviceNode(Node):
             self.tick = tick
             self._inputs = self._numbers("shim_inputs", len(self._inputs))
             self._memory = self._numbers("shim_memory", len(self._memory))
-        for stream in self.inbox.streams.values():
-            stream.waiting = {step: packet for step, packet in stream.waiting.items() if step > tick - stream.lag}
         self._count()
-        return Stepped(self._sent(), self._output())
+        return Stepped(self.sent(), self._output())
 
     def expire(self) -> Values | None:
         """Let the watchdog of the device expire while no step begins; return its safe input."""
@@ -242,30 +272,32 @@ class DeviceNode(Node):
     def mark(self, every: int = 0) -> tuple[Packet, ...]:
         """Return the marks of the device."""
         self._code.tac_mark_after(self._self, c.c_uint32(every))
-        found = self._sent()
+        found = self.sent()
         self._code.tac_mark_after(self._self, c.c_uint32(NO_MARKS))
         return found
 
     def save(self) -> dict[str, Any]:
-        """Return the memory of the device, which holds addresses and therefore fits the same device only."""
-        memory = base64.b64encode(self._device.memory.raw).decode()
-        return {"memory": memory, "tick": self.tick, "heard_at": self._heard_at, "epoch": self.epoch}
+        """Return the saved state of the device as values that JSON can represent."""
+        room = c.create_string_buffer(len(self._device.memory))
+        size = self._code.tac_save(self._self, room, c.c_size_t(len(room)))
+        return {"state": base64.b64encode(room.raw[:size]).decode(), "tick": self.tick, "epoch": self.epoch}
 
     def restore(self, saved: Mapping[str, Any]) -> None:
-        """Continue from a saved memory."""
-        memory = base64.b64decode(saved["memory"])
-        c.memmove(self._device.memory, memory, len(memory))
-        self._watch()  # the address of the safe input was that of an earlier process
-        self.tick, self._heard_at, self.epoch = saved["tick"], saved["heard_at"], saved["epoch"]
+        """Continue from a saved state."""
+        state = base64.b64decode(saved["state"])
+        if not self._code.tac_restore(self._self, state, c.c_size_t(len(state))):
+            raise ProblemError(f"the {self.role} in C refuses its own saved state; expected one that it accepts")
+        self.tick, self.epoch = saved["tick"], saved["epoch"]
         self._count()
 
     def _numbers(self, function: str, count: int) -> list[float]:
         return list((c.c_double * count).from_address(getattr(self._code, function)(self._self)))
 
-    def _sent(self) -> tuple[Packet, ...]:
+    def sent(self) -> tuple[Packet, ...]:
+        """Return the packets that the device has to send."""
         found: list[Packet] = []
         while size := self._code.tac_send(self._self, self._device.datagram):
-            packet = cast("Packet", self._device.wire.decode(self._device.datagram.raw[:size]))
+            packet = cast("Packet", self.wire.decode(self._device.datagram.raw[:size]))
             self.counters[f"sent {packet.kind} {packet.link}"] += 1
             found.append(packet)
         return tuple(found)
@@ -282,6 +314,45 @@ class DeviceNode(Node):
             for name, number in zip(COUNTERS, found, strict=True):
                 self.counters[name] = number
             self._counted = found
+
+
+class DeviceServer(NodeServer):
+    """A server of a node in C. Its arguments are those of ``NodeServer``."""
+
+    def _take(self, datagrams: Sequence[bytes]) -> set[int]:
+        """Give the datagrams of other nodes to the device, and those of the plant to this server."""
+        received = list(zip(datagrams, self.endpoint.senders, strict=True))
+        touched = self._take_from(pair for pair in received if _is_physical(pair[0]))
+        node = self._device
+        node.wire = self.wire
+        if self.wire.keys is not None:
+            node.set_keys(self.wire.keys)  # which may just have changed
+        for datagram, sender in received:
+            if not _is_physical(datagram):
+                self._give(datagram, sender)
+        return touched
+
+    @property
+    def _device(self) -> DeviceNode:
+        return cast("DeviceNode", self.nodes[0])
+
+    def _give(self, datagram: bytes, sender: Address) -> None:
+        """Give a datagram to the device, and send what it asks for or answers."""
+        packet, found = self.wire.decode(datagram), self._device.receive(datagram)
+        if found != packet if isinstance(packet, str) else found in REFUSALS:
+            raise ProblemError(f"the {self._device.role} in C finds a datagram {found}, a node in Python {packet}")
+        if isinstance(packet, Packet):
+            self._note(packet, found, self._clock(), repeated=False)
+        for answer in self._device.sent():
+            if answer.kind == "challenge":
+                self.endpoint.send(self.wire.encode(answer), sender)
+            else:
+                self._outbox.send([answer])
+
+
+def _is_physical(datagram: bytes) -> bool:
+    """Return whether a datagram is exchanged with the plant."""
+    return datagram[LINK_AT] == LINKS.index(PLANT)
 
 
 @lru_cache(maxsize=8)

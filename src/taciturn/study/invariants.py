@@ -7,13 +7,15 @@ counters and the state of the nodes, but it does not rely on their handling of p
 from __future__ import annotations
 
 import bisect
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+from taciturn.model.wire import PROOFS
 from taciturn.runtime.clock import JUMPED
 from taciturn.runtime.node import Node, Values
-from taciturn.runtime.packet import Packet
+from taciturn.runtime.packet import REFUSALS, Packet
+from taciturn.runtime.reception import VALID, Reception
 from taciturn.runtime.serve import LEFT_BEHIND, NodeServer
 from taciturn.runtime.virtual import VirtualNetwork, VirtualPort
 from taciturn.runtime.world import PlantServer
@@ -24,7 +26,8 @@ BEFORE: Order = (-1, -1)
 CLOSE = 1e-9  # largest relative difference of two copies of a number
 EARLY = 2 * JUMPED + 1.0  # steps by which a node may be ahead of the plant: its clock and its sender's may be fast
 AWAKE = 1000  # largest number of times that a process wakes in a step
-UNCOUNTED = ("sent ", "missed", "repeated", "received")  # counters of a node that do not count handled packets
+DATAGRAMS = ("received", *REFUSALS, "unproven", "proofs")  # counters of a node, which count each datagram once
+UNCOUNTED = ("sent ", "missed", "repeated", "unsent", *DATAGRAMS)  # counters that do not count handled packets
 
 
 class BrokenError(Exception):
@@ -40,6 +43,11 @@ class BrokenError(Exception):
         super().__init__(f"step {step}: {sentence}")
 
 
+def count_proofs(reception: Reception) -> int:
+    """Return the number of challenges and answers that a process has received."""
+    return sum(number for name, number in reception.counters.items() if name != "challenges")
+
+
 class Life:
     """A process of a node from its start to its end, as the monitor sees it.
 
@@ -53,11 +61,25 @@ class Life:
         """Remember what the counters show at the start."""
         self.server, self.port = server, port
         self.node: Node = server.nodes[0]
-        self.counted = self.node.counters["received"]  # of an earlier life, if the state was saved
+        self._kept = Counter(self.node.counters)  # of an earlier life, if the state was saved
         self.heard = began  # last step in which a datagram of a peer arrived, or which excuses silence
         self.turn = 0  # steps since the process woke
         self.wakes = 0  # times that it woke in this step
+        self.forged = 0  # forged datagrams that it was sent
         self.read: dict[tuple[str, str], Order] = defaultdict(lambda: BEFORE)
+
+    def counters(self) -> Counter[str]:
+        """Return what node and server have counted, also in an earlier life with this state."""
+        measured = Counter({"measurements": self.server.measured})
+        return self.node.counters + self.server.refused + self.server.reception.counters + measured
+
+    def count(self, *names: str) -> int:
+        """Return how many datagrams were counted in this life under some names; default: under all names."""
+        server = self.server
+        own = sum(self.node.counters[name] - self._kept[name] for name in names or DATAGRAMS)
+        if names:
+            return own + sum(server.refused[name] for name in names)
+        return own + sum(server.refused.values()) + server.measured + count_proofs(server.reception)
 
 
 class Monitor:
@@ -69,15 +91,25 @@ class Monitor:
         heartbeat: steps without a packet on a link after which a mark is sent.
         patience: steps by which a node may report its silence later.
         zero: whether the safe input is 0.
+        keyed: whether the processes have keys.
     """
 
     def __init__(
-        self, step: Callable[[], float], watchdog: int, heartbeat: int, patience: int, zero: bool = False
+        self,
+        step: Callable[[], float],
+        watchdog: int,
+        heartbeat: int,
+        patience: int,
+        zero: bool = False,
+        keyed: bool = False,
     ) -> None:
         """Start without processes."""
-        self._zero = zero
+        self._zero, self._keyed = zero, keyed
         self._step, self._watchdog, self._heartbeat, self._patience = step, watchdog, heartbeat, patience
         self.lives: dict[str, Life] = {}
+        self._starts: dict[str, dict[int, int]] = defaultdict(dict)  # number of an epoch, by its sender
+        self._forged = 0  # forged datagrams that the plant was sent
+        self._nonces: dict[tuple[str, str], list[int]] = defaultdict(list)  # of challenges, by sender and link
         self._sent: dict[tuple[str, str, Values], list[Order]] = defaultdict(list)
         self._last: dict[tuple[str, int], int] = {}  # last step with a packet, by link and epoch of its sender
         self._numbered: dict[tuple[str, str, str, int, int], Packet] = {}  # by sender, kind, link, epoch and sequence
@@ -92,10 +124,15 @@ class Monitor:
         raise BrokenError(int(self._step()), sentence)
 
     def born(self, role: str, life: Life, fresh: bool) -> None:
-        """Record the start of a process; with its state, it remembers what it has read."""
+        """Record the start of a process; with its state, it remembers what it has read.
+
+        With a key, a process without its state also uses nothing older, except what its sender repeats.
+        """
         before = self.lives.get(role)
         if before is not None and not fresh:
             life.read = before.read
+        elif before is not None and self._keyed:
+            life.read.update({name: (start, tick - VALID) for name, (start, tick) in before.read.items()})
         self.lives[role] = life
 
     def sent(self, packet: Packet | str, role: str) -> None:
@@ -103,19 +140,26 @@ class Monitor:
         if isinstance(packet, str):
             self.fail(f"the {role} has sent a datagram that is {packet}")
             return
-        order = (packet.epoch, packet.tick)
-        if packet.kind in ("data", "input"):
+        if packet.kind in PROOFS:
+            self._check_nonce(packet, role)
+            return
+        starts = self._starts[role]
+        order = (starts.setdefault(packet.epoch, len(starts)), packet.tick)
+        if packet.kind in ("data", "input", "measurement"):
             bisect.insort(self._sent[packet.kind, packet.link, packet.values], order)
-        if packet.kind == "data":
-            self.data[packet.link].append((packet.tick, packet.values))
         if packet.link == "plant":
             life = self.lives.get(role)
             if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
                 self.fail(f"the {role} is silent, but sends the input {list(packet.values)}; expected the safe input 0")
         else:
             number = role, packet.kind, packet.link, packet.epoch, packet.sequence
-            if self._numbered.setdefault(number, packet) != packet:
-                self.fail(f"the {role} sends {packet}, but has sent {self._numbered[number]} with this number")
+            if number in self._numbered:
+                if self._numbered[number] != packet:
+                    self.fail(f"the {role} sends {packet}, but has sent {self._numbered[number]} with this number")
+                return  # again, after a challenge
+            self._numbered[number] = packet
+            if packet.kind == "data":
+                self.data[packet.link].append((packet.tick, packet.values))
             last = self._last.get((packet.link, packet.epoch))
             if packet.kind == "mark" and last is not None and packet.tick - last < self._heartbeat:
                 self.fail(
@@ -124,7 +168,22 @@ class Monitor:
                 )
             self._last[packet.link, packet.epoch] = max(packet.tick, -1 if last is None else last)
 
-    def stepped(self, role: str) -> None:
+    def forge(self, role: str) -> None:
+        """Record that a forged datagram was sent to a process."""
+        if role == "plant":
+            self._forged += 1
+        else:
+            self.lives[role].forged += 1
+
+    def _check_nonce(self, packet: Packet, role: str) -> None:
+        """Check that a nonce is used in one challenge only, which may be sent again until it is answered."""
+        known = self._nonces[role, packet.link]
+        if packet.kind == "challenge" and packet.nonce not in known[-1:]:
+            if packet.nonce in known:
+                self.fail(f"the {role} challenges with an old nonce on the {packet.link} link")
+            known.append(packet.nonce)
+
+    def stepped(self, role: str, line: Mapping[str, Any]) -> None:
         """Check a step of a node: no packet is older than one that was read before, and steps come in order."""
         life, now = self.lives[role], self._step()
         node = life.node
@@ -134,6 +193,8 @@ class Monitor:
             self.fail(f"the {role} executes {life.turn} steps at once; expected at most {LEFT_BEHIND + 2}")
         if node.tick > now + EARLY:
             self.fail(f"the {role} executes step {node.tick}; expected none more than {EARLY:.0f} steps ahead")
+        if "y" in line and (0, node.tick) not in self._sent["measurement", "plant", tuple(line["y"])]:
+            self.fail(f"the {role} uses the measurement {line['y']} in step {node.tick}, which the plant has not sent")
         for (kind, link), values in node.readings.items():
             if kind == "data" and values is not None:
                 order = self._next("data", link, values, life.read[kind, link])
@@ -175,21 +236,21 @@ class Monitor:
         ended = sum(counted[name] for name in ("lost", "unreachable", "discarded", "delivered"))
         if added != ended + network.flying:
             self.fail(f"{added} datagrams were sent, but {ended} ended and {network.flying} are on their way")
-        if plant_port.received != plant.taken + sum(plant.refused.values()):
+        if plant_port.received != plant.taken + sum(plant.refused.values()) + count_proofs(plant.reception):
             self.fail(f"the plant has received {plant_port.received} datagrams, but counted {plant.report()}")
+        if plant.refused["forged"] < self._forged:
+            self.fail(f"the plant has received {self._forged} forged datagrams, but refuses {plant.refused['forged']}")
         for life in self.lives.values():
             life.wakes = 0
         for role in alive:
             self._check_life(role, self.lives[role])
 
     def _check_life(self, role: str, life: Life) -> None:
-        server, node = life.server, life.node
-        received, refused = node.counters["received"], sum(server.refused.values())
-        if life.port.received != received - life.counted + refused + server.measured:
-            self.fail(
-                f"the {role} has received {life.port.received} datagrams, but counts {received - life.counted} "
-                f"packets, {server.measured} measurements and {refused} refused"
-            )
+        node, received = life.node, life.node.counters["received"]
+        if life.port.received != life.count():
+            self.fail(f"the {role} has received {life.port.received} datagrams, but counts {dict(life.counters())}")
+        if life.count("forged") < life.forged:
+            self.fail(f"the {role} has received {life.forged} forged datagrams, but refuses {life.count('forged')}")
         handled = sum(number for name, number in node.counters.items() if not name.startswith(UNCOUNTED))
         if received != handled + node.waiting:
             self.fail(f"the {role} counts {received} packets, but {dict(node.counters)} and {node.waiting} waiting")

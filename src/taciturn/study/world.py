@@ -10,16 +10,21 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
 from taciturn.model.policy import LinkName, NodeName, Policy, Send
+from taciturn.model.wire import LINKS, PROOFS
+from taciturn.runtime.attacks import Forgery, KeyChange, Recording, draw_attacks
 from taciturn.runtime.clock import AGREED, JUMPED
 from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
 from taciturn.runtime.node import Node
+from taciturn.runtime.outbox import PLANT
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.serve import WAIT, NodeServer
 from taciturn.runtime.udp import Address
 from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 from taciturn.runtime.world import PlantServer
+from taciturn.study.devices import LINK_AT, DeviceNode, DeviceServer
 from taciturn.study.invariants import BrokenError, Copy, Life, Monitor, differing
+from taciturn.study.keyring import KeyRing
 
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes
@@ -28,17 +33,28 @@ WITHIN = 110  # steps in which faults begin
 SILENT = 300  # steps after which a policy that still sends no data is reported
 REST = 4  # steps that a world goes on after the recovery
 EPOCH = 1000  # of a process that starts at time 0
-PLANT = "plant"
+SHIFT = 1e3  # by which the numbers in packets of an attacker differ
 MakeNode: TypeAlias = Callable[..., Node]
 
 
-def promised_steps(heartbeat: int) -> int:
+def promised_steps(heartbeat: int, keyed: bool) -> int:
     """Return the steps after the last fault within which all nodes use the packets of their present step again.
 
     A clock that has jumped is corrected after ``AGREED`` packets or marks, of which one arrives in ``heartbeat`` steps.
-    By then the node may be ``JUMPED`` steps ahead, and waits.
+    By then the node may be ``JUMPED`` steps ahead, and waits. With keys, the first packet may only cause a challenge.
     """
-    return (AGREED + 1) * heartbeat + int(JUMPED)
+    return (AGREED + 1 + keyed) * heartbeat + int(JUMPED)
+
+
+def altered(packet: Packet, ahead: int, epoch: int) -> Packet:
+    """Return a packet of another step and epoch, with numbers that no process has sent."""
+    values = tuple(value + SHIFT for value in packet.values)
+    if packet.kind == "challenge":
+        return packet._replace(nonce=packet.nonce ^ 1)
+    sequence = packet.sequence if packet.kind in PROOFS else packet.sequence + ahead
+    return packet._replace(
+        values=values, tick=packet.tick + ahead, sequence=sequence, epoch=epoch, nonce=packet.nonce and packet.nonce ^ 1
+    )
 
 
 class _Memory:
@@ -55,16 +71,18 @@ class _Memory:
 
 
 class _CachedWire(Wire):
-    """A wire that decodes a datagram once, for its receiver and for the monitor."""
+    """A wire that decodes a datagram once with the same keys, for its receiver and for the monitor."""
 
     def __init__(self, policy: Policy, network: Network) -> None:
         super().__init__(policy, network)
-        self._decoded: dict[bytes, Packet | str] = {}
+        self._decoded: dict[tuple[bytes, tuple[bytes, ...]], Packet | str] = {}
 
     def decode(self, datagram: bytes) -> Packet | str:
-        found = self._decoded.get(datagram)
+        link = datagram[LINK_AT]
+        known = datagram, self.keys.of(LINKS[link]) if self.keys is not None and link < len(LINKS) else ()
+        found = self._decoded.get(known)
         if found is None:
-            found = self._decoded[datagram] = super().decode(datagram)
+            found = self._decoded[known] = super().decode(datagram)
         return found
 
 
@@ -76,23 +94,36 @@ class World:
         seed: seed of faults and plant.
         faults: the faults; None: those of the seed.
         devices: makers of nodes in C by role.
+        keyed: whether the processes have keys.
     """
 
-    def __init__(self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode]) -> None:
+    def __init__(
+        self, loop: Loop, seed: int, faults: Sequence[Fault] | None, devices: Mapping[str, MakeNode], keyed: bool
+    ) -> None:
         """Start all processes, and enter the faults into the queue of events."""
         self.loop, self.seed, self.made = loop, seed, devices
         policy = self.policy = loop.policy
         self.time = VirtualTime()
         self.network = VirtualNetwork(self.time, self._carry)
         self.wire = _CachedWire(policy, loop.network)
-        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1)
+        self.monitor = Monitor(self.step, WATCHDOG, HEARTBEAT, WATCHDOG + 4, zero=seed % 2 == 1, keyed=keyed)
         self.roles = roles(policy)
         self.links: list[LinkName] = [step.link for step in policy.steps if isinstance(step, Send)]
         self.lag = {
             link: Node(policy, receiver_of(policy, link), network=loop.network).listens[link] for link in self.links
         }
-        self._history: dict[Path, list[tuple[float, bytes]]] = {path: [] for path in self._paths()}
-        self.faults = draw_faults(seed, self._paths(), self.roles, WITHIN) if faults is None else tuple(faults)
+        self._uses = {path: link for link, path in self._paths()}
+        if keyed:  # challenges travel against packets
+            self._uses |= {(path[1], path[0]): link for path, link in self._uses.items()}
+        paths = list(self._uses)
+        self._history: dict[Path, list[tuple[float, bytes]]] = {path: [] for path in paths}
+        names = [*self.roles, PLANT]
+        self.ring = KeyRing(seed, {name: sorted({self._uses[p] for p in paths if name in p}) for name in names})
+        self.keyed = keyed
+        if faults is None:
+            faults = draw_faults(seed, paths, self.roles, WITHIN)
+            faults += draw_attacks(seed, paths, sorted({*self._uses.values()}), WITHIN, faults) if keyed else ()
+        self.faults = tuple(faults)
         self._on_links = [fault for fault in self.faults if isinstance(fault, LinkFault)]
         self.end = max((fault.end for fault in self.faults), default=0.0)
         self.recovery: int | None = None
@@ -100,18 +131,19 @@ class World:
         self._down: dict[str, int] = dict.fromkeys(self.roles, 0)
         self._held: dict[str, int] = dict.fromkeys(self.roles, 0)
         self._storage = {fault.role: _Memory() for fault in self.faults if isinstance(fault, Crash)}
-        self.clocks = {role: VirtualClock(self.time) for role in self.roles}
+        self.clocks = {name: VirtualClock(self.time) for name in names}
+        self.wires: dict[str, Wire] = {}  # of the present process
         self.processes: dict[str, VirtualProcess] = {}
         for role in self.roles:
             self._start(role, fresh=True)
         self.plant_port = VirtualPort(self.network, (PLANT, 0))
         self.plant = PlantServer(
-            [SimulatedPlant(loop, seed)], self.wire, self.plant_port, (role_at(policy, "sensor"), 0), tick=TICK,
-            told=self.monitor.applied, clock=lambda: self.time.now, epoch=EPOCH,
+            [SimulatedPlant(loop, seed)], self._wire(PLANT), self.plant_port, (role_at(policy, "sensor"), 0), tick=TICK,
+            told=self.monitor.applied, clock=self.clocks[PLANT], epoch=EPOCH, draw=self.ring.nonce,
         )  # fmt: skip
         for fault in self.faults:
             self._enter(fault)
-        VirtualProcess(self.plant_port, VirtualClock(self.time), self.plant.turns(1 << 40, lambda: False))
+        VirtualProcess(self.plant_port, self.clocks[PLANT], self.plant.turns(1 << 40, lambda: False))
 
     def step(self) -> float:
         """Return the present step of the plant, with its fraction."""
@@ -119,15 +151,13 @@ class World:
 
     def counters(self) -> dict[str, dict[str, int]]:
         """Return the counters of the last process of each role, of the plant and of the network."""
-        found = {
-            role: dict(life.node.counters) | dict(life.server.refused) | {"measurements": life.server.measured}
-            for role, life in self.monitor.lives.items()
-        }
-        return {**found, PLANT: {"inputs": self.plant.taken} | dict(self.plant.refused), "network": self._counted()}
+        found = {role: dict(life.counters()) for role, life in self.monitor.lives.items()}
+        plant = {"inputs": self.plant.taken, **self.plant.refused, **self.plant.reception.counters}
+        return {**found, PLANT: plant, "network": self._counted()}
 
     def run(self, copies: Sequence[Copy]) -> str | None:
         """Run until the nodes have recovered, and return the invariant that does not hold, or None."""
-        ready = int(self.end) + 1 + promised_steps(HEARTBEAT)
+        ready = int(self.end) + 1 + promised_steps(HEARTBEAT, self.keyed)
         remembers = max(life.node.remembers for life in self.monitor.lives.values())
         settled: int | None = None
         last, step, held = int(self.end), 0, 0
@@ -188,13 +218,13 @@ class World:
                 if first <= tick < end - self.lag[link] and values not in self.monitor.used[link]:
                     self.monitor.fail(f"the packet of step {tick} on the {link} link was not used, after all faults")
 
-    def _paths(self) -> list[Path]:
-        found = [(PLANT, role_at(self.policy, "sensor")), (role_at(self.policy, "actuator"), PLANT)]
+    def _paths(self) -> list[tuple[str, Path]]:
+        found = [(PLANT, (PLANT, role_at(self.policy, "sensor"))), (PLANT, (role_at(self.policy, "actuator"), PLANT))]
         for link in self.links:
             ends = sender_of(self.policy, link), receiver_of(self.policy, link)
-            found.append(ends)
+            found.append((link, ends))
             if link in Node(self.policy, ends[1], network=self.loop.network).acknowledges:
-                found.append((ends[1], ends[0]))
+                found.append((link, (ends[1], ends[0])))
         return found
 
     def _make(self, role: NodeName, epoch: int) -> Node:
@@ -205,13 +235,20 @@ class World:
             safe="zero" if self.seed % 2 else "hold",
         )  # fmt: skip
 
+    def _wire(self, name: str) -> Wire:
+        """Return the wire of a process that starts."""
+        self.wires[name] = self.wire.with_keys(self.ring.keys(name, self.clocks[name]) if self.keyed else None)
+        return self.wires[name]
+
     def _start(self, role: NodeName, fresh: bool) -> None:
         port, peer = VirtualPort(self.network, (role, 0)), peer_of(self.policy, role)
-        node = self._make(role, EPOCH + int(self.time.now))
-        server = NodeServer(
-            [node], self.wire, port, peer=None if peer is None else (peer, 0), plant=(PLANT, 0), tick=TICK,
+        node = self._make(role, self.ring.epoch() if self.keyed else EPOCH + int(self.time.now))
+        plant = (PLANT, 0) if node.measures or node.actuates else None
+        serve = DeviceServer if isinstance(node, DeviceNode) else NodeServer
+        server = serve(
+            [node], self._wire(role), port, peer=None if peer is None else (peer, 0), plant=plant, tick=TICK,
             wait=WAIT.get(role, 0.0), heartbeat=HEARTBEAT, keep=self._storage.get(role),
-            told=lambda _: self.monitor.stepped(role), clock=self.clocks[role],
+            told=lambda line: self.monitor.stepped(role, line), clock=self.clocks[role], draw=self.ring.nonce,
         )  # fmt: skip
         self.monitor.born(role, Life(server, port, self.step()), fresh)
         self.processes[role] = VirtualProcess(
@@ -220,8 +257,7 @@ class World:
 
     def _carry(self, sender: Address, to: Address, datagram: bytes) -> list[tuple[float, bytes]]:
         path, now = (sender[0], to[0]), self.step()
-        packet = self.wire.decode(datagram)
-        self.monitor.sent(packet, sender[0])
+        self.monitor.sent(self.wires[sender[0]].decode(datagram), sender[0])
         known = self._history[path]
         flights: Flights = [(LATENCY, datagram)]
         for fault in self._on_links:
@@ -252,6 +288,14 @@ class World:
         elif isinstance(fault, Replay):
             for step in range(first, end):
                 self._at(step + 0.5, lambda step=step: self._replay(fault, step - fault.age))
+        elif isinstance(fault, Recording):
+            self._at(first + 0.5, lambda: self._play(fault))
+        elif isinstance(fault, Forgery):
+            for step in range(first, end):
+                self._at(step + 0.5, lambda step=step: self._forge(fault, step))
+        elif isinstance(fault, KeyChange):
+            for event, part in zip(self.ring.change(fault.link), (0, 1, 2, 3), strict=True):
+                self._at(first + part * fault.steps / 3 if part < 3 else fault.end, event)
 
     def _crash(self, fault: Crash) -> None:
         role = fault.role
@@ -264,7 +308,7 @@ class World:
         role = cast("NodeName", fault.role)
         fresh = self._storage[role].state is None
         epoch = self.monitor.lives[role].node.epoch
-        if fresh and epoch >= EPOCH + int(self.time.now):  # not before the next second
+        if fresh and not self.keyed and epoch >= EPOCH + int(self.time.now):  # not before the next second
             self._at((epoch + 1 - EPOCH) / TICK, lambda: self._restart(fault))
             return
         self._down[role] -= 1
@@ -288,9 +332,37 @@ class World:
     def _replay(self, fault: Replay, step: int) -> None:
         for sent, datagram in self._history.get(fault.path, []):
             if int(sent) == step:
-                self.network.replay(datagram, (fault.path[0], 0), (fault.path[1], 0))
+                self._throw(fault.path, datagram)
                 if PLANT not in fault.path:
                     self.monitor.heard(fault.path[1])
+
+    def _play(self, fault: Recording) -> None:
+        """Send a recording of a path: of this session, or of one that has not run in this world."""
+        recorded = [datagram for _, datagram in self._history[fault.path]]
+        if fault.epochs:
+            wire, true = self.wires[fault.path[0]], self.wire.with_keys(self.ring.true)
+            found = [packet for packet in map(wire.decode, recorded) if isinstance(packet, Packet)]
+            recorded = [
+                true.encode(altered(packet, fault.ahead, max(0, packet.epoch + fault.epochs))) for packet in found
+            ]
+        each = -(-len(recorded) // fault.steps)
+        for part in range(fault.steps):
+            for datagram in recorded[part * each : (part + 1) * each]:
+                self._at(self.step() + part, lambda datagram=datagram: self._throw(fault.path, datagram))
+                if not fault.epochs:
+                    self._at(self.step() + part, lambda: self.monitor.heard(fault.path[1]))
+
+    def _forge(self, fault: Forgery, step: int) -> None:
+        """Send what was sent in a step with other numbers and a wrong key."""
+        wrong = self.wire.with_keys(self.ring.wrong(self._uses[fault.path], fault.former))
+        for sent, datagram in self._history[fault.path]:
+            packet = self.wires[fault.path[0]].decode(datagram) if int(sent) == step else ""
+            if isinstance(packet, Packet):
+                self._throw(fault.path, wrong.encode(altered(packet, 1, packet.epoch)))
+                self.monitor.forge(fault.path[1])
+
+    def _throw(self, path: Path, datagram: bytes) -> None:
+        self.network.replay(datagram, (path[0], 0), (path[1], 0))
 
     def _counted(self) -> dict[str, int]:
         return {name: number for name, number in self.network.counters.items() if number}

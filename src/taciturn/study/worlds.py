@@ -33,6 +33,7 @@ class WorldRun(Displayed):
         seed: seed of the world.
         faults: its faults.
         devices: roles of the nodes that ran as C code.
+        keyed: whether the processes had keys.
         broken: the invariant that does not hold; None if all of them hold.
         recovery: steps after the last fault until no node was degraded and all copies agreed.
         promised: steps within which they must.
@@ -46,6 +47,7 @@ class WorldRun(Displayed):
     seed: int
     faults: tuple[Fault, ...]
     devices: tuple[str, ...]
+    keyed: bool
     broken: str | None
     recovery: int | None
     promised: int | None
@@ -57,7 +59,9 @@ class WorldRun(Displayed):
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --world SEED --json``."""
-        plain = {name: getattr(self, name) for name in ("seed", "broken", "recovery", "promised", "steps", "ticks")}
+        plain = {
+            name: getattr(self, name) for name in ("seed", "keyed", "broken", "recovery", "promised", "steps", "ticks")
+        }
         return plain | {
             "faults": [{"kind": type(fault).__name__, **asdict(fault)} for fault in self.faults],
             "devices": list(self.devices),
@@ -68,7 +72,11 @@ class WorldRun(Displayed):
 
 
 def run_world(
-    problem: Problem, seed: int, faults: Sequence[Fault] | None = None, devices: Mapping[str, MakeNode] | None = None
+    problem: Problem,
+    seed: int,
+    faults: Sequence[Fault] | None = None,
+    devices: Mapping[str, MakeNode] | None = None,
+    keyed: bool | None = None,
 ) -> WorldRun:
     """Run the nodes of a problem in a world of faults, and check the invariants at each step.
 
@@ -78,6 +86,7 @@ def run_world(
         faults: the faults; default: those of the seed.
         devices: makers of nodes in C by role (``compile_devices``), of which the seed chooses some; default: all nodes
             run in Python.
+        keyed: whether the processes have keys; default: the seed chooses.
 
     Raises:
         ProblemError: the policy is for a finite horizon, or its nodes cannot be separated.
@@ -86,11 +95,13 @@ def run_world(
     loop, copies = prepare(problem)
     draws = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3,)))
     chosen = {role: make for role, make in (devices or {}).items() if draws.random() < 0.5}
-    world = World(loop, seed, faults, chosen)
+    if keyed is None:
+        keyed = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(4,))).random() < 0.5
+    world = World(loop, seed, faults, chosen, keyed)
     began = time.process_time()
     broken = world.run(copies)
     return WorldRun(
-        seed, world.faults, tuple(world.made), broken, world.recovery, world.promised, int(world.step()),
+        seed, world.faults, tuple(world.made), keyed, broken, world.recovery, world.promised, int(world.step()),
         world.monitor.ticks, world.counters(), time.process_time() - began,
     )  # fmt: skip
 
@@ -121,7 +132,7 @@ def prepare(problem: Problem) -> tuple[Loop, Sequence[Copy]]:
             f"the policy {loop.policy.kind} is for a horizon of {loop.horizon} steps, but a world of faults lasts "
             "until the nodes have recovered; expected a policy without horizon"
         )
-    quiet = World(loop, 0, (), {})
+    quiet = World(loop, 0, (), {}, keyed=False)
     broken = quiet.run_for(200)
     if broken is not None:
         raise ProblemError(f"without any fault, {broken}; expected nodes that run over this network")
