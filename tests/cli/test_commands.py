@@ -158,7 +158,10 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
             ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x.bmp"),
             "the picture 'x.bmp' ends in '.bmp'; expected",
         ),
-        (("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x"), "the picture 'x' ends in ''; expected one of"),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x"),
+            "the picture 'x' has no ending; expected one of",
+        ),
         (
             ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "no/such/x.svg"),
             "the folder 'no/such' does not exist; expected a folder to write the picture to",

@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
+from taciturn._text import pairs_text
 from taciturn.cli.frame import (
     Confidence,
     File,
@@ -132,7 +132,7 @@ def show(
     if as_json:
         print_json(found.document(), origin(found.problem))
     else:
-        _print.pairs(found.lines())
+        typer.echo(pairs_text(found.lines()))
         if drawn is not None:
             typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
     if plot is not None and drawn is not None:
@@ -176,7 +176,7 @@ def simulate(
     if as_json:
         print_json({"policy": policy.kind} | found.document(), origin(problem, seed, "simulation"))
     else:
-        _print.trajectory(found)
+        typer.echo(found)
     for target, what in ((table, "table"), (plot, "picture")):
         if target is not None:
             told = origin(problem, seed, "simulation")
@@ -249,9 +249,7 @@ def tune(
     if as_json:
         print_json(found.document(), origin(best.problem))
     else:
-        if isinstance(found, TunedPeriod):
-            _print.periods(found)
-        typer.echo(best)
+        typer.echo(found)
         note_seed(seed, best.evaluation.drawn)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
@@ -280,7 +278,7 @@ def certify(file: File, settings: Settings = None, no_functions: NoFunctions = F
     if as_json:
         print_json(found.document(), origin(problem))
     else:
-        _print.certificates(found)
+        typer.echo(found)
 
 
 @app.command(epilog="Example: taciturn bench --rounds 3")
@@ -297,4 +295,4 @@ def bench(
     if as_json:
         print_json(found.document(), origin())
     else:
-        _print.bench(found)
+        typer.echo(found)

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
 from taciturn._ending import remark
 from taciturn.cli.frame import (
     Confidence,
@@ -91,7 +90,7 @@ def tradeoff(
     if as_json:
         print_json(found.document(), origin(problem, seed or 0))
     else:
-        _print.tradeoff(found)
+        typer.echo(found)
         note_seed(seed, any(point.evaluation.drawn for point in found.points))
     if plot is not None:  # after the numbers, which must be printed even if the figure cannot be written
         save(found.plot(), plot, origin(problem, seed or 0, found.method))
@@ -171,9 +170,12 @@ def sweep(
     written, note = save_whole(found, result)
     if note:
         print(f"taciturn: {note}", file=sys.stderr)
-    _print.sweep(found, result if written else None)
+    cells = SweepTable(found)
+    typer.echo(cells)
+    if written:
+        typer.echo(f"result: {result}")
     if table is not None:
-        save_table(SweepTable(found).to_pandas(), table)
+        save_table(cells.to_pandas(), table)
         typer.echo(f"table: {table}")
     missed = ~found.reached & (found.refusal == "")
     if missed.any():
@@ -237,7 +239,7 @@ def compare(
     if as_json:
         print_json(found.document(), origin(problems, seed or 0))
     else:
-        _print.comparison(found)
+        typer.echo(found)
         note_seed(seed, any(one.tuned.evaluation.drawn for one in found.ranking))
     if plot is not None:
         save(found.plot(), plot, origin(problems, seed or 0, found.method))
@@ -306,7 +308,7 @@ def channel(
     if as_json:
         print_json(found.document(), origin(problems, seed))
     else:
-        _print.sharing(found)
+        typer.echo(found)
     if plot is not None:
         save(found.plot(), plot, origin(problems, seed, found.method))
         if not as_json:
@@ -389,7 +391,7 @@ def reproduce(
         documents.append(found.document() | origin(found.problems, seed))
         pictures |= {folder / f"{file}.svg": (picture, found) for file, picture in found.pictures.items()}
         if not as_json:
-            _print.reproduction(found)
+            typer.echo(f"\n{found}")
     if as_json:
         typer.echo(json.dumps(documents, indent=1, allow_nan=False))
     for path, (picture, found) in pictures.items():  # after the numbers, which must be printed even if a figure fails
