@@ -98,7 +98,7 @@ def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Writ
             ["--confidence", "0.99"],
             "a lower bound requires that a send resets the error that determines the cost, but a send of lqg does not",
         ),
-        (EXCESS, ["--confidence", "1"], "confidence is 1; expected 0 < confidence < 1"),
+        (EXCESS, ["--confidence", "1"], "--confidence is 1; expected 0 < --confidence < 1"),
         (EXCESS, ["--confidence", "-0.5"], "confidence is -0.5"),
         (
             OPTIMAL,

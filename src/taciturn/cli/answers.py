@@ -23,7 +23,6 @@ from taciturn.cli.frame import (
     TimeLimit,
     app,
     can_print,
-    check_effort,
     load_changed,
     note_seed,
     print_json,
@@ -54,7 +53,6 @@ def evaluate(
     from taciturn.study.lower import choose_confidence
     from taciturn.study.record import origin
 
-    check_effort(standard_error, steps)
     problem = load_changed(file, settings, no_functions)
     with progress_bar("computing") as progress:
         found = taciturn.evaluate(
@@ -216,7 +214,6 @@ def tune(
     from taciturn.study.periods import TunedPeriod, tune_period
     from taciturn.study.record import origin
 
-    check_effort(standard_error)
     allowed, spent = _budget("rate", rate), _budget("cost", cost)
     problem, on = load_changed(file, settings, no_functions), cast("Any", link)
     with progress_bar("searching") as progress:
@@ -257,13 +254,9 @@ def tune(
 
 def _budget(name: str, text: str | None) -> float | str | None:
     """Return the budget of --rate or --cost."""
-    from taciturn.errors import ProblemError
     from taciturn.study.budget import parse_budget
 
-    try:
-        return None if text is None else parse_budget(name, text)
-    except ProblemError as error:
-        raise typer.BadParameter(str(error), param_hint=f"'--{name}'") from None
+    return None if text is None else parse_budget(name, text)
 
 
 @app.command(epilog="Example: taciturn certify two-mass")

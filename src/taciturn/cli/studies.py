@@ -24,7 +24,6 @@ from taciturn.cli.frame import (
     StandardError,
     Steps,
     app,
-    check_effort,
     load_changed,
     note_seed,
     print_json,
@@ -71,7 +70,6 @@ def tradeoff(
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
-    check_effort(standard_error)
     values = parse_grid(over)
     if plot is not None:
         check_format(plot)
@@ -142,7 +140,6 @@ def sweep(
     from taciturn.study.sweep_table import SweepTable
     from taciturn.study.workers import processes
 
-    check_effort(standard_error, steps)
     if dask is not None and workers is not None:
         raise taciturn.ProblemError(
             "--workers and --dask are both given; expected one of them: a dask scheduler has its own workers"
@@ -162,10 +159,10 @@ def sweep(
             seed=seed or 0,
             standard_error=standard_error,
             steps=steps,
-            confidence=confidence,
+            confidence=confidence or None,
             progress=progress,
         )
-    note_seed(seed, confidence is not None or bool((found.cost_method == "simulation").any()))
+    note_seed(seed, bool(confidence) or bool((found.cost_method == "simulation").any()))
     result = store / "result.nc"
     written, note = save_whole(found, result)
     if note:
@@ -228,7 +225,6 @@ def compare(
     from taciturn._figure import check_format, save
     from taciturn.study.record import origin
 
-    check_effort(standard_error)
     if plot is not None:
         check_format(plot)
     problems = _load_all(files, settings, no_functions)
@@ -288,7 +284,6 @@ def channel(
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
-    check_effort(standard_error)
     if plot is not None:
         check_format(plot)
     problems = _load_all(files, settings, no_functions)

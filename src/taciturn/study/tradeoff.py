@@ -18,6 +18,7 @@ from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
+from taciturn.simulation.average import check_effort
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluate import Evaluation
@@ -238,6 +239,7 @@ def tradeoff(
         ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
     expect_problem("problem", problem)
+    check_effort(seed, standard_error, None)
     grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:
