@@ -24,7 +24,7 @@ FLOORS = {
     "design": 5,
     "simulation": 6, "analyse": 6, "export": 6, "runtime": 6,
     "problem": 7, "study": 7,
-    "twin": 8, "_print": 8, "cli": 8,
+    "twin": 8, "cli": 8,
     "": 9,  # the package itself: its names are imported when they are asked for
 }  # fmt: skip
 # siblings that may meet, in one direction; the command line uses the package as its users do
@@ -37,7 +37,7 @@ MEETINGS = {
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
     ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_progress", "_arrays"),
     ("_progress", "_text"),
-    ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "_print"), ("cli", "twin"),
+    ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "twin"),
     ("renewal", "program"),
 }  # fmt: skip
 

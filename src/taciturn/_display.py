@@ -8,9 +8,10 @@ from html import escape
 from typing import Any, cast
 
 LONGEST = 200  # largest number of characters in a line
-SHORT = 40  # largest number of characters of one value in a line
+SHORT = 60  # largest number of characters of one value in a line
 LISTED = 4  # longest vector that a line shows entry by entry
 WIDEST = 12  # most rows or columns of a matrix that a notebook shows entry by entry
+FULL = 10_000  # largest number of characters of one value in a notebook
 STYLE = "text-align: left; vertical-align: top"
 
 
@@ -18,7 +19,8 @@ class Displayed:
     """Base class of objects with a ``repr`` of at most 200 characters and a table for notebooks.
 
     A dataclass is declared with ``repr=False``. It overrides ``summary`` if its fields are not suitable for readers,
-    and ``short`` if a few words are more informative than its name.
+    with the most important values first, since a long line is cut at its end. It overrides ``short`` if a few words are
+    more informative than its name.
     """
 
     def summary(self) -> Mapping[str, object]:
@@ -60,38 +62,44 @@ def html_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
     return f"<table>{f'<thead><tr>{head}</tr></thead>' if header else ''}<tbody>{body}</tbody></table>"
 
 
-def brief(value: Any) -> str:
-    """Return a short text for a value: a number, the size of an array, or the number of entries of a collection."""
+def brief(value: Any, longest: int = SHORT) -> str:
+    """Return a short text for a value: a number, the size of an array, or the first entries of a collection."""
     if hasattr(value, "dtype"):
         return brief(value.item()) if value.size == 1 else _array(value)
     if isinstance(value, Displayed):
         text = value.short()
     elif isinstance(value, float):
-        return f"{value:.6g}"
+        return f"{value:z.6g}"
     elif isinstance(value, str):
-        return repr(_cut(value))
+        return repr(_cut(value, longest))
     elif isinstance(value, Mapping):
-        text = _joined("{}", [f"{name}: {brief(entry)}" for name, entry in cast("Mapping[str, Any]", value).items()])
+        named = cast("Mapping[str, Any]", value)
+        return _joined("{}", [f"{name}: {brief(entry, longest)}" for name, entry in named.items()], longest)
     elif isinstance(value, Sequence | set | frozenset):
-        text = _joined("[]", [brief(entry) for entry in cast("Iterable[Any]", value)])
+        return _joined("[]", [brief(entry, longest) for entry in cast("Iterable[Any]", value)], longest)
     elif is_dataclass(value):
         text = type(value).__name__
     else:
         text = getattr(value, "__name__", "function") if callable(value) else " ".join(str(value).split())
-    return _cut(text)
+    return _cut(text, longest)
 
 
 def _rows(named: Mapping[str, object]) -> list[tuple[str, object]]:
     return [(name, value) for name, value in named.items() if not _is_empty(value)]
 
 
-def _cut(text: str) -> str:
-    return text if len(text) <= SHORT else f"{text[: SHORT - 1]}…"
+def _cut(text: str, longest: int) -> str:
+    return text if len(text) <= longest else f"{text[: longest - 1]}…"
 
 
-def _joined(ends: str, parts: Sequence[str]) -> str:
-    text = f"{ends[0]}{', '.join(parts)}{ends[1]}"
-    return text if len(text) <= SHORT else f"{len(parts)} entr{'y' if len(parts) == 1 else 'ies'}"
+def _joined(ends: str, parts: Sequence[str], longest: int) -> str:
+    """Return the first entries of a collection, as many as fit, or their number if not even one does."""
+    shown = list(parts)
+    while shown and sum(map(len, shown)) + 2 * len(shown) > longest:
+        shown = [*shown[: -2 if shown[-1] == "…" else -1], "…"]
+        if len(shown) == 1:
+            return f"{len(parts)} entr{'y' if len(parts) == 1 else 'ies'}"
+    return f"{ends[0]}{', '.join(shown)}{ends[1]}"
 
 
 def _array(value: Any) -> str:
@@ -104,14 +112,16 @@ def _cell(value: Any) -> str:
     """Return a value as HTML: text in full, a list of texts line by line, a small matrix entry by entry."""
     if isinstance(value, str):
         return escape(value)
+    if isinstance(value, Mapping):
+        named = cast("Mapping[str, object]", value)
+        return "<br>".join(escape(f"{name} = {brief(one, FULL)}") for name, one in named.items())
     if isinstance(value, tuple | list):
         listed = cast("Sequence[object]", value)
-        if all(isinstance(one, str) for one in listed):
-            return "<br>".join(escape(str(one)) for one in listed)
+        return "<br>".join(escape(one if isinstance(one, str) else brief(one, FULL)) for one in listed)
     elif hasattr(value, "dtype") and value.ndim in (1, 2) and value.size > 1 and max(value.shape) <= WIDEST:
         rows = value if value.ndim == 2 else [value]
         return html_table([], [[escape(brief(entry)) for entry in row] for row in rows])
-    return escape(brief(value))
+    return escape(brief(value, FULL))
 
 
 def _is_empty(value: Any) -> bool:

@@ -27,6 +27,7 @@ WIDTH, HEIGHT = 7.0, 4.2  # inches
 LETTER = 0.08  # width of a letter of a tick label, in inches
 LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
 SLANT = 30  # degrees by which long tick labels are rotated
+LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 Size: TypeAlias = tuple[float, float]
 BARS = "bars: ± 1 standard error"
 Style = Literal["line", "dashed", "dotted", "steps", "stems", "stars", "bars", "below"]
@@ -66,17 +67,16 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
         height: height of a new figure in inches, if no ``figsize`` is given.
 
     Raises:
-        ProblemError: the number of axes differs from the number of panels.
+        ProblemError: ``ax`` or ``figsize`` is not of this form, both are given, or the number of axes differs from the
+            number of panels.
     """
-    if ax is None:
+    given = _check_canvas(ax, figsize, len(panels))
+    if not given:
         figure: Any = _figure_class()(figsize=figsize or (WIDTH, height), layout="constrained")
         shared = not any(panel.xlabel for panel in panels[:-1])
         axes: Any = list(figure.subplots(len(panels), 1, squeeze=False, sharex=shared)[:, 0])
     else:
-        axes = list(ax) if hasattr(ax, "__iter__") else [ax]
-        if len(axes) != len(panels):
-            raise ProblemError(f"ax has {len(axes)} axes; expected {len(panels)}, one for each panel of this figure")
-        figure = axes[0].figure
+        axes, figure = given, given[0].figure
     for axis, panel in zip(axes, panels, strict=True):
         axis.set_prop_cycle(color=COLORS)
         for series in panel.series:
@@ -107,6 +107,37 @@ def _separate(axis: Any, panel: Panel) -> None:
         axis.tick_params(axis="x", labelrotation=SLANT)
         for label in axis.get_xticklabels():
             label.set(horizontalalignment="right", rotation_mode="anchor")
+
+
+def _check_canvas(ax: Any, figsize: Any, panels: int) -> list[Any]:
+    """Return the given axes, or an empty list for a new figure.
+
+    Raises:
+        ProblemError: as for ``draw``.
+    """
+    if figsize is not None:
+        if ax is not None:
+            raise ProblemError(
+                "ax and figsize are both given, but figsize is the size of a new figure; expected one of them: set the "
+                "size of the figure that contains ax"
+            )
+        sizes: list[Any] = list(figsize) if hasattr(figsize, "__iter__") else []
+        if len(sizes) != 2 or not all(isinstance(size, int | float) and 0 < size < LARGEST for size in sizes):
+            raise ProblemError(
+                f"figsize is {figsize!r}; expected two positive numbers, the width and the height of the figure in "
+                f"inches, such as figsize=({WIDTH:g}, {HEIGHT:g})"
+            )
+    if ax is None:
+        return []
+    axes: list[Any] = list(ax) if hasattr(ax, "__iter__") else [ax]
+    if not all(hasattr(axis, "set_xlabel") for axis in axes):
+        raise ProblemError(f"ax is {ax!r}; expected axes of matplotlib: figure, ax = matplotlib.pyplot.subplots()")
+    if len(axes) != panels:
+        raise ProblemError(
+            f"ax has {len(axes)} axes; expected {panels}, one for each panel of this figure: "
+            f"figure, ax = matplotlib.pyplot.subplots({panels})"
+        )
+    return axes
 
 
 def __getattr__(name: str) -> Any:
@@ -154,11 +185,12 @@ def draw_lanes(
     boxes: Sequence[Sequence[str]], arrows: Sequence[Arrow], ax: Any = None, figsize: Size | None = None
 ) -> Figure:
     """Draw boxes side by side, with a vertical line below each box and arrows between the lines, from top to bottom."""
+    given = _check_canvas(ax, figsize, 1)
     apart = max(2.2, 0.6 + 0.085 * max((len(arrow.label) for arrow in arrows), default=0))  # inches
     height = 0.2 * max(map(len, boxes)) + 0.5 * len(arrows) + 0.6
     size = figsize or (apart * (len(boxes) - 1) + 2.4, height)
-    figure: Any = _figure_class()(figsize=size, layout="constrained") if ax is None else ax.figure
-    axis: Any = figure.subplots() if ax is None else ax
+    figure: Any = given[0].figure if given else _figure_class()(figsize=size, layout="constrained")
+    axis: Any = given[0] if given else figure.subplots()
     axis.set_axis_off()
     axis.set_xlim(-1.2, apart * (len(boxes) - 1) + 1.2)
     axis.set_ylim(-0.5 * len(arrows) - 0.4, height - 0.5 * len(arrows) - 0.4)
@@ -182,7 +214,8 @@ def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str =
     """
     path = Path(path)
     if path.suffix.lower() not in formats:
-        raise ProblemError(f"the {what} {str(path)!r} ends in {path.suffix!r}; expected one of {', '.join(formats)}")
+        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        raise ProblemError(f"the {what} {str(path)!r} {ending}; expected one of {', '.join(formats)}")
     if path.is_dir():
         raise ProblemError(f"the {what} {str(path)!r} is a folder; expected the name of a file")
     if not path.parent.is_dir():

@@ -76,9 +76,8 @@ def read_variables(path: Path) -> dict[str, Variable]:
         ProblemError: the file has another ending, or cannot be read.
     """
     if path.suffix.lower() not in ENDINGS:
-        raise ProblemError(
-            f"{str(path)!r} ends in {path.suffix!r}; expected a matrix file that ends in {' or '.join(ENDINGS)}"
-        )
+        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
+        raise ProblemError(f"{str(path)!r} {ending}; expected a matrix file that ends in {' or '.join(ENDINGS)}")
     try:
         check_regular(path)  # the same error for a missing file in both formats
         return _numpy(path) if path.suffix.lower() == ".npz" else _matlab(path)

@@ -74,6 +74,11 @@ class Loop(Displayed):
                 "accumulate in the weights; expected precision 'float64', or a cost without discount"
             )
 
+    def summary(self) -> Mapping[str, object]:
+        """Return the policy, the cost of sending every sample, the plant and the network by name."""
+        shown = {"policy": self.policy.kind, "cost_all_time": self.policy.cost_all_time, "nominal": self.nominal}
+        return {**shown, "plant": self.problem.short(), "network": self.network.short(), "precision": self.precision}
+
     @property
     def nominal(self) -> bool:
         """True if plant, network and cost are those of the policy's design, so that its theory applies."""
@@ -175,13 +180,8 @@ class Loop(Displayed):
             burst = self.network.burst(link)
             if burst is not None:
                 drawn[is_bad(link)] = (draws.random(paths) < burst.share_bad).astype(np.float64)[None]
-        rows: list[Array] = []
-        for state in program.states:
-            if isinstance(state.start, tuple):
-                name, index = state.start
-                rows.append(drawn[name][index])
-            else:
-                rows.append(np.full(paths, state.start))
+        starts = [state.start for state in program.states]
+        rows = [drawn[at[0]][at[1]] if isinstance(at, tuple) else np.full(paths, at) for at in starts]
         return np.array(rows).reshape(len(rows), paths)
 
     def final_cost(self, program: Program, states: Array) -> Array | None:

@@ -50,7 +50,7 @@ def test_python_prints_what_the_commands_print(run: Run, tmp_path: Path) -> None
     assert f"{found}\n" == run("evaluate", file).out
     assert f"{tuned}\n" == run("tune", file, "--rate", "0.3").out
     assert "beyond " in str(tuned)
-    assert repr(found).startswith("Evaluation(policy='periodic', unit='step',")
+    assert repr(found).startswith("Evaluation(policy='periodic', cost=0.7684")
 
 
 @pytest.mark.parametrize("policy", ['kind = "periodic"\nevery = 1', 'kind = "all-time"'])
@@ -83,12 +83,12 @@ def test_tune_prints_one_document(run: Run, tmp_path: Path) -> None:
         (["--rate", "0.3", "--cost", "1"], "expected one of them"),
         (["--rate", "nan"], "rate is nan"),
         (["--rate", "0"], "rate is 0"),
-        (["--rate", "x"], "Invalid value for '--rate'"),
+        (["--rate", "x"], "--rate is 'x'; expected a number, or"),
         (
             ["--rate", "+5%"],
-            "Invalid value for '--rate': rate is '+5%'; expected a number, or a percentage such as 50%",
+            "--rate is '+5%'; expected a number, or a percentage such as 50% of the rate of",
         ),
-        (["--cost", "5%"], "Invalid value for '--cost': cost is '5%'; expected a number, or a percentage such as +5%"),
+        (["--cost", "5%"], "--cost is '5%'; expected a number, or a percentage such as +5%"),
         (["--rate", "5%", "--least-period", "0.1"], "expected --rate with a number, and no --cost"),
         (["--rate", "0.3", "--link", "radio"], "link is 'radio'"),
         (["--rate", "0.3", "--standard-error", "-1"], "--standard-error is -1"),

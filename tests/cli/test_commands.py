@@ -74,7 +74,7 @@ def test_a_refusal_is_one_line_and_exit_code_2() -> None:
     """As a process: nothing on standard output, no traceback."""
     done = execute("nowhere")
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
-    assert done.stderr.startswith("taciturn: No such command 'nowhere'")
+    assert done.stderr.startswith("taciturn: there is no command 'nowhere'; see taciturn --help")
 
 
 def test_a_reader_that_leaves_early_is_no_error() -> None:
@@ -111,60 +111,92 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (("nonsense",), "No such command 'nonsense'"),
-        (("--nonsense",), "No such option: --nonsense"),
-        (("evaluate",), "Missing argument 'FILE'"),
-        (("evaluate", "two-mass", "two-mass"), "Got unexpected extra argument"),
-        (("evaluate", "two-mass", "--nonsense"), "No such option: --nonsense"),
-        (("evaluate", "two-mass", "--stepz", "9"), "No such option: --stepz (Possible options: "),
-        (("evaluate", "two-mass", "--seed"), "Option '--seed' requires an argument"),
-        (("evaluate", "two-mass", "--seed", "x"), "Invalid value for '--seed'"),
-        (("evaluate", "two-mass", "--seed", "1.5"), "Invalid value for '--seed'"),
-        (("evaluate", "two-mass", "--seed", "9" * 5000), "Invalid value for '--seed'"),
-        (("evaluate", "two-mass", "--seed", "-1"), "seed is -1; expected a whole number, at least 0"),
-        (("evaluate", "two-mass", "--steps", "0"), "--steps is 0; expected a whole number, at least 1"),
-        (("evaluate", "two-mass", "--steps", "-5"), "--steps is -5; expected a whole number, at least 1"),
-        (("evaluate", "two-mass", "--steps", "5"), "steps is 5; expected a whole number, at least 1024"),
-        (("evaluate", "two-mass", "--steps", "1.5"), "Invalid value for '--steps'"),
+        (("nonsense",), "there is no command 'nonsense'; see taciturn --help"),
+        (("--nonsense",), "taciturn has no option --nonsense; see taciturn --help"),
+        (
+            ("evaluate",),
+            "FILE is missing; expected, for example, taciturn evaluate two-mass",
+        ),
+        (
+            ("evaluate", "two-mass", "two-mass"),
+            "'two-mass' is one argument too many; expected taciturn evaluate ",
+        ),
+        (
+            ("evaluate", "two-mass", "--nonsense"),
+            "taciturn evaluate has no option --nonsense; see taciturn evaluate --help",
+        ),
+        (
+            ("evaluate", "two-mass", "--stnd", "9"),
+            "taciturn evaluate has no option --stnd; see taciturn evaluate --help. Did you mean '--standard-error'?",
+        ),
+        (
+            ("evaluate", "two-mass", "--theta", "1"),
+            "taciturn evaluate has no option --theta; see taciturn evaluate --h",
+        ),
+        (
+            ("evaluate", "two-mass", "--stepz", "9"),
+            "taciturn evaluate has no option --stepz; see taciturn evaluate --help. Did you mean '--steps'?",
+        ),
+        (("evaluate", "two-mass", "--seed"), "--seed has no value; expected a value after it"),
+        (
+            ("evaluate", "two-mass", "--seed", "x"),
+            "--seed is 'x'; expected a whole number; see taciturn",
+        ),
+        (
+            ("evaluate", "two-mass", "--seed=1.5"),
+            "--seed is '1.5'; expected a whole number; see taciturn",
+        ),
+        (("evaluate", "two-mass", "--seed", "9" * 5000), "--seed is '999"),
+        (("evaluate", "two-mass", "--seed", "-1"), "--seed is -1; expected a whole number, at least 0"),
+        (("evaluate", "two-mass", "--steps", "0"), "--steps is 0; expected a whole number, at least 1024"),
+        (("evaluate", "two-mass", "--steps", "-5"), "--steps is -5; expected a whole number, at least 1024"),
+        (("evaluate", "two-mass", "--steps", "5"), "--steps is 5; expected a whole number, at least 1024"),
+        (("evaluate", "two-mass", "--steps", "1.5"), "--steps is '1.5'; expected a whole number; see"),
         (("evaluate", "two-mass", "--steps", "9" * 30), "--steps is 1e+30; expected --steps < 1e+13"),
         (("evaluate", "two-mass", "--standard-error", "0"), "--standard-error is 0; expected 0 < --standard-error"),
         (("evaluate", "two-mass", "--standard-error", "-1"), "--standard-error is -1; expected 0 < --standard-error"),
         (("evaluate", "two-mass", "--standard-error", "nan"), "--standard-error is nan; expected a finite number"),
         (("evaluate", "two-mass", "--standard-error", "inf"), "--standard-error is inf; expected a finite number"),
-        (("evaluate", "two-mass", "--standard-error", "x"), "Invalid value for '--standard-error'"),
+        (("evaluate", "two-mass", "--standard-error", "x"), "--standard-error is 'x'; expected a number; see"),
         (
             ("evaluate", "two-mass", "--standard-error", "1", "--steps", "2000"),
-            "standard_error and steps are both given; expected one of them",
+            "--standard-error and --steps are both given; expected one of them",
         ),
         (
             ("evaluate", "two-mass", "--method", "nonsense"),
-            "method is 'nonsense'; expected 'auto', 'simulation', 'exact' or 'conditional sampling'",
+            "--method is 'nonsense'; expected 'auto', 'simulation', 'exact' or 'conditional sampling'",
         ),
         (
             ("evaluate", "two-mass-lqg", "--method", "exact"),
-            "method is 'exact', but lqg has no closed form for this problem, and its trigger depends on more than",
+            "--method is 'exact', but lqg has no closed form for this problem, and its trigger depends on more than",
         ),
         (
             ("evaluate", "two-mass", "--precision", "half"),
-            "precision is 'half'; expected 'float64' or 'float32'",
+            "--precision is 'half'; expected 'float64' or 'float32'",
         ),
-        (("bench", "--rounds", "2"), "rounds is 2; expected a whole number, at least 3"),
-        (("bench", "--rounds", "1" + "0" * 20), "rounds is 1e+20; expected rounds < 1000"),
-        (("bench", "--rounds", "x"), "Invalid value for '--rounds'"),
-        (("tradeoff", "two-mass"), "Missing option '--over'"),
-        (("tradeoff", "two-mass", "--over"), "Option '--over' requires an argument"),
+        (("bench", "--rounds", "2"), "--rounds is 2; expected a whole number, at least 3"),
+        (("bench", "--rounds", "1" + "0" * 20), "--rounds is 1e+20; expected --rounds < 1000"),
+        (("bench", "--rounds", "x"), "--rounds is 'x'; expected a whole number; see"),
+        (
+            ("tradeoff", "two-mass"),
+            "--over is missing; expected, for example, taciturn tradeoff two-mass --over",
+        ),
+        (("tradeoff", "two-mass", "--over"), "--over has no value; expected a value after it"),
         (
             ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x.bmp"),
             "the picture 'x.bmp' ends in '.bmp'; expected",
         ),
-        (("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x"), "the picture 'x' ends in ''; expected one of"),
+        (
+            ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "x"),
+            "the picture 'x' has no ending; expected one of",
+        ),
         (
             ("tradeoff", "two-mass", "--over", "theta=1", "--plot", "no/such/x.svg"),
             "the folder 'no/such' does not exist; expected a folder to write the picture to",
         ),
         (
             ("tradeoff", "two-mass", "--over", "theta=1", "--seed", "-1"),
-            "seed is -1; expected a whole number, at least 0",
+            "--seed is -1; expected a whole number, at least 0",
         ),
         (
             ("tradeoff", "two-mass", "--over", "theta=1", "--standard-error", "-1"),
@@ -172,11 +204,11 @@ def test_without_a_command_the_help_is_shown(run: Run) -> None:
         ),
         (
             ("evaluate", "two-mass", "--over", "theta=2"),
-            "No such option: --over; use taciturn evaluate FILE --set NAME=VALUE, or tacit",
+            "taciturn evaluate has no option --over; see taciturn evaluate --help; --set NAME=VALUE changes a param",
         ),
         (
             ("reproduce", "chapter2", "--theta", "1"),
-            "No such option: --theta (Possible options: --help); use taciturn",
+            "taciturn reproduce has no option --theta; see taciturn reproduce --help",
         ),
         (
             ("reproduce", "Chapter 2"),
@@ -203,7 +235,7 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
     for method in ("exact", "auto"):
         document = json.loads(run("evaluate", path, "--json", "--method", method).out)
         assert (document["cost"]["method"], document["cost"]["standard_error"], document["steps"]) == ("exact", 0.0, 0)
-    assert run("evaluate", path, "--steps", "0").sentence == "--steps is 0; expected a whole number, at least 1"
+    assert run("evaluate", path, "--steps", "0").sentence == "--steps is 0; expected a whole number, at least 1024"
     assert run("evaluate", path, "--standard-error", "nan").sentence.startswith("--standard-error is nan; expected")
 
 
@@ -217,8 +249,8 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         (".=1", "--over '.=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
         ("plant..dt=1", "--over 'plant..dt=1' is malformed; expected NAME=v1,v2,…, such as theta=0.1,1"),
         ("thet=1", "the changed problem: policy.thet is not a parameter of lqg; expected one of theta, period,"),
-        ("theta=0.1,-1", "theta is -1; expected 0 ≤ theta"),
-        ("theta=nan", "theta is nan; expected a finite number"),
+        ("theta=0.1,-1", "the changed problem: policy.theta is -1; expected 0 ≤ theta"),
+        ("theta=nan", "the changed problem: policy.theta is nan; expected a finite number"),
         ("theta=true", "the changed problem: policy.theta is 'true'; expected a number"),
         ("theta=0.1,a", "the changed problem: policy.theta is 'a'; expected a number"),
         ("trigger=joint,sep", "the changed problem: policy.trigger is 'sep'; expected 'joint' or 'separate'"),
@@ -230,12 +262,18 @@ def test_a_closed_form_is_exact_and_takes_no_steps(run: Run, write: Write, polic
         ("plant.dt.x=1", "plant.dt.x is not a key: dt is 1.0; expected a key such as plant.dt"),
         ("plant.A.0=1", "plant.A.0 is not a key: A is [[1.2]]; expected a key such as plant.dt"),
         ("cost.R=1,2", "the changed problem: cost.R is 1; expected a list"),
-        ("cost.discount=0.9", "cost.discount is 0.9, which lqg does not use; expected an average cost: remove"),
+        (
+            "cost.discount=0.9",
+            "the changed problem: cost.discount is 0.9, which lqg does not use; expected an average cost: remove",
+        ),
         (
             "network.actuator_loss=0.1",
             "the changed problem: network.actuator_loss is given, which lqg does not use; expected ideal links",
         ),
-        ("network.delay=1", "network.delay is given, which lqg does not use; expected ideal links: remove it"),
+        (
+            "network.delay=1",
+            "the changed problem: network.delay is given, which lqg does not use; expected ideal links: remove it",
+        ),
     ],
 )
 def test_a_wrong_value_to_trade_off_over_is_refused_before_anything_runs(

@@ -11,7 +11,6 @@ from cli.conftest import COST, POLICY, Run, Write
 
 import taciturn
 from taciturn import ProblemError
-from taciturn._print import tradeoff
 from taciturn.analyse.limits import LowerBound
 from taciturn.study.tradeoff import Point, Tradeoff
 
@@ -58,22 +57,20 @@ def test_evaluate_prints_a_lower_bound_and_a_verdict(run: Run, write: Write) -> 
     assert low < document["rates"]["actuator"]["value"] < high
 
 
-def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tradeoff_prints_and_draws_the_lower_bounds_that_exist() -> None:
     """Next to a point without one; the figure has none if the bounds belong to controllers that differ."""
     masses = taciturn.load("two-mass")
     pair = [taciturn.evaluate(masses.changed({"theta": theta}), steps=2000) for theta in (0.1, 1.0)]
     pair[0] = replace(pair[0], lower_bound=LowerBound(0.7345678, 0.999, 0.2, 0.01))
     found = Tradeoff(tuple(Point({"theta": k}, one) for k, one in enumerate(pair)), {}, "step", None)
     assert [row["no_schedule_below"] for row in found.records()] == [0.734567, None]
-    tradeoff(found)
-    text = capsys.readouterr().out
+    text = str(found)
     assert "0.734567" in text
     assert "a figure shows" not in text
     assert "no schedule costs less" in found.plot().axes[0].get_legend_handles_labels()[1]
     other = replace(pair[1], cost_all_time=0.5)
     mixed = replace(found, points=(found.points[0], Point({"theta": 1}, other)))
-    tradeoff(mixed)
-    assert "a figure shows no lower bounds" in capsys.readouterr().out
+    assert "a figure shows no lower bounds" in str(mixed)
     assert "no schedule costs less" not in mixed.plot().axes[0].get_legend_handles_labels()[1]
 
 
@@ -101,7 +98,7 @@ def test_the_document_has_a_lower_bound_where_there_is_one(run: Run, write: Writ
             ["--confidence", "0.99"],
             "a lower bound requires that a send resets the error that determines the cost, but a send of lqg does not",
         ),
-        (EXCESS, ["--confidence", "1"], "confidence is 1; expected 0 < confidence < 1"),
+        (EXCESS, ["--confidence", "1"], "--confidence is 1; expected 0 < --confidence < 1"),
         (EXCESS, ["--confidence", "-0.5"], "confidence is -0.5"),
         (
             OPTIMAL,

@@ -213,4 +213,5 @@ def test_what_cannot_be_read_is_one_sentence(run: Run) -> None:
     for path in sorted(Path().glob("[ect]*")):
         assert told(str(path)).sentence.startswith(f"'{path}' cannot be read (")
     assert told("no.mat").sentence == "'no.mat' cannot be read (No such file or directory); expected a matrix file"
+    assert told("a").sentence == "'a' has no ending; expected a matrix file that ends in .mat or .npz"
     assert told("a.csv").sentence == "'a.csv' ends in '.csv'; expected a matrix file that ends in .mat or .npz"

@@ -9,9 +9,9 @@ import pytest
 import xarray
 from cli.conftest import Run, Write
 
-from taciturn import _print
 from taciturn.cli.frame import progress_bar
 from taciturn.simulation import sampling
+from taciturn.study.sweep_table import SweepTable
 
 EFFORT = ("--steps", "20000", "--workers", "1")
 
@@ -59,17 +59,17 @@ def test_cells_that_are_not_precise_are_named(
     assert "more:" not in sentence("0.1,1,2")
 
 
-def test_a_summary_fits_80_columns(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_summary_fits_80_columns() -> None:
     """With long values, which other grids have too."""
     cells = {name: (("theta", "cost.R"), [[value]]) for name, value in (("cost", 0.7405479), ("cost_error", 0.0))}
     cells |= {"cost_standard_error": (("theta", "cost.R"), [[5.6e-6]]), "refusal": (("theta", "cost.R"), [[""]])}
     cells |= {"cost_method": (("theta", "cost.R"), [["simulation"]])}
     cells |= {"rate_actuator": (("theta", "cost.R"), [[0.272]], {"units": "sends per step"})}
     found = xarray.Dataset(cells, {"theta": [0.05], "cost.R": ["[[0.1, 0.0], [0.0, 0.1]]"]})
-    _print.sweep(found, Path("result.nc"))
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 6
+    lines = str(SweepTable(found)).splitlines()
+    assert len(lines) == 5
     assert max(map(len, lines)) <= 80
+    assert lines[0] == "1 cells over theta (1) × cost.R (1): 1 evaluated, 0 refused"
 
 
 def test_the_bar_counts_cells(monkeypatch: pytest.MonkeyPatch) -> None:

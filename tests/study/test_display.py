@@ -166,7 +166,7 @@ def test_a_table_of_results_is_the_same_in_pandas_text_and_latex(name: str, tmp_
     records = value.records()
     table = value.to_pandas()
     assert len(table) == len(records)
-    value.to_csv(tmp_path / "table.csv")
+    assert value.to_csv(tmp_path / "table.csv") == value.to_csv() == (tmp_path / "table.csv").read_text("utf-8")
     with (tmp_path / "table.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(records)
@@ -192,6 +192,68 @@ def test_an_estimate_has_the_digits_that_its_error_supports() -> None:
     assert r"$0.1$ & $0.75$ & $0.744180 \pm 0.000031$ \\" in BOTH.to_latex()
 
 
+@pytest.mark.parametrize(
+    ("name", "numbers"),
+    [
+        ("evaluation", ("cost=0.74403 ± 0.00046", "rates={actuator: 0.5936 ± 0.0044}", "cost_bound=0.806826")),
+        ("tradeoff", ("theta=[0.1, 1]", "rate_actuator=[0.58", "cost=[0.744")),
+        ("comparison", ("rate=0.5", "a: 0.7547", "b: 0.768473")),
+        ("tuned", ("theta = 0.19", "cost=0.7548", "rates={actuator: 0.49")),
+        ("problem", ("parameters={theta: 0.1}",)),
+        ("several parameters", ("parameters={theta: 0.0516, actuation: 'model', delta: 0.25, h_min: 2}",)),
+        ("plant", ("poles='marginally stable: 0.809017",)),
+        ("loop", ("policy='lqg'", "cost_all_time=0.733478", "nominal=True")),
+        ("policy", ("cost_all_time=0.733478", "guarantee='at most 0.806826: ")),
+        ("contestant", ("policy='lqg'", "parameter='theta = 0.19", "cost=0.7547")),
+        ("trajectory", ("steps=20", "of 20'}")),
+    ],
+)
+def test_a_line_contains_the_key_numbers(name: str, numbers: tuple[str, ...]) -> None:
+    """They come first, so that a line of 200 characters always has them."""
+    held = shown()
+    names = {"theta": 0.0516, "actuation": "model", "delta": 0.25, "h_min": 2}
+    more = {
+        "several parameters": dataclasses.replace(held["problem"], parameters=names),
+        "contestant": held["comparison"].ranking[0],
+    }
+    text = repr((held | more)[name])
+    assert all(number in text for number in numbers), text
+
+
+@pytest.mark.parametrize("name", [*TABLES, "reproduction"])
+def test_a_result_prints_the_table_of_its_command(name: str) -> None:
+    """Several lines of at most 80 columns, with its numbers; schedules have no command."""
+    text = str(shown()[name])
+    if name != "schedule":
+        assert len(text.splitlines()) > 1
+        assert max(map(len, text.splitlines())) <= 80
+        assert re.search(r"\d\.\d", text)
+
+
+def test_numbers_that_round_to_zero_have_no_sign() -> None:
+    """In a line, in an estimate and in LaTeX."""
+    assert str(taciturn.Estimate(-0.0, 0.0, "exact")) == "0"
+    assert str(taciturn.Estimate(-1e-9, 0.01, "simulation")) == "0.000 ± 0.010"
+    path = dataclasses.replace(shown()["trajectory"], input=-0.0 * shown()["trajectory"].input)
+    assert "$-0$" not in path.to_latex()
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("comparison", {"ax": 3}, "ax is 3; expected axes of matplotlib: figure, ax = matplotlib.pyplot.subplots()"),
+        ("policy", {"ax": 3}, "ax is 3; expected axes of matplotlib"),
+        ("comparison", {"figsize": "big"}, "figsize is 'big'; expected two positive numbers, the width and the height"),
+        ("policy", {"figsize": (1, -2)}, "figsize is (1, -2); expected two positive numbers"),
+        ("comparison", {"ax": 3, "figsize": (7, 4)}, "ax and figsize are both given, but figsize is the size of a new"),
+    ],
+)
+def test_axes_and_sizes_that_are_none_are_refused(name: str, given: dict[str, Any], message: str) -> None:
+    """In one sentence, by figures of results and by diagrams."""
+    with pytest.raises(taciturn.ProblemError, match=f"^{re.escape(message)}"):
+        shown()[name].plot(**given)
+
+
 def test_the_column_that_numbers_the_rows_is_written(tmp_path: Path) -> None:
     """Time is the index of a path in pandas, and the first column of its text."""
     path = shown()["trajectory"]
@@ -207,7 +269,8 @@ def test_a_notebook_shows_the_ends_of_a_long_table() -> None:
     problem = taciturn.load("two-mass-lqg")
     path = taciturn.simulate(problem.close(problem.design()), 1000)
     page = path.html()
-    assert page.count("<tr>") == 1 + 1 + 20 + 1 + 10  # unit, heading, first, gap, last
+    assert page.count("<tr>") == 2 + 1 + 20 + 1 + 10  # unit and notice, heading, first, gap, last
+    assert ">970 of 1000 rows; to_pandas() and to_csv() return all<" in page
     assert f">{path.time[-1]:.6g}<" in page
     assert {">yes<", ">no<"} <= set(re.findall(">(?:yes|no)<", page))
 

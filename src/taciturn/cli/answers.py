@@ -7,7 +7,7 @@ from typing import Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
+from taciturn._text import pairs_text
 from taciturn.cli.frame import (
     Confidence,
     File,
@@ -23,7 +23,6 @@ from taciturn.cli.frame import (
     TimeLimit,
     app,
     can_print,
-    check_effort,
     load_changed,
     note_seed,
     print_json,
@@ -54,7 +53,6 @@ def evaluate(
     from taciturn.study.lower import choose_confidence
     from taciturn.study.record import origin
 
-    check_effort(standard_error, steps)
     problem = load_changed(file, settings, no_functions)
     with progress_bar("computing") as progress:
         found = taciturn.evaluate(
@@ -132,7 +130,7 @@ def show(
     if as_json:
         print_json(found.document(), origin(found.problem))
     else:
-        _print.pairs(found.lines())
+        typer.echo(pairs_text(found.lines()))
         if drawn is not None:
             typer.echo(f"\n{drawn.text(plain=not can_print('┌▶┄'))}")
     if plot is not None and drawn is not None:
@@ -176,7 +174,7 @@ def simulate(
     if as_json:
         print_json({"policy": policy.kind} | found.document(), origin(problem, seed, "simulation"))
     else:
-        _print.trajectory(found)
+        typer.echo(found)
     for target, what in ((table, "table"), (plot, "picture")):
         if target is not None:
             told = origin(problem, seed, "simulation")
@@ -216,7 +214,6 @@ def tune(
     from taciturn.study.periods import TunedPeriod, tune_period
     from taciturn.study.record import origin
 
-    check_effort(standard_error)
     allowed, spent = _budget("rate", rate), _budget("cost", cost)
     problem, on = load_changed(file, settings, no_functions), cast("Any", link)
     with progress_bar("searching") as progress:
@@ -249,9 +246,7 @@ def tune(
     if as_json:
         print_json(found.document(), origin(best.problem))
     else:
-        if isinstance(found, TunedPeriod):
-            _print.periods(found)
-        typer.echo(best)
+        typer.echo(found)
         note_seed(seed, best.evaluation.drawn)
     if not best.evaluation.reached:
         refuse("the budget, or the standard error of the cost, was not reached; give a larger --standard-error")
@@ -259,13 +254,9 @@ def tune(
 
 def _budget(name: str, text: str | None) -> float | str | None:
     """Return the budget of --rate or --cost."""
-    from taciturn.errors import ProblemError
     from taciturn.study.budget import parse_budget
 
-    try:
-        return None if text is None else parse_budget(name, text)
-    except ProblemError as error:
-        raise typer.BadParameter(str(error), param_hint=f"'--{name}'") from None
+    return None if text is None else parse_budget(name, text)
 
 
 @app.command(epilog="Example: taciturn certify two-mass")
@@ -280,7 +271,7 @@ def certify(file: File, settings: Settings = None, no_functions: NoFunctions = F
     if as_json:
         print_json(found.document(), origin(problem))
     else:
-        _print.certificates(found)
+        typer.echo(found)
 
 
 @app.command(epilog="Example: taciturn bench --rounds 3")
@@ -297,4 +288,4 @@ def bench(
     if as_json:
         print_json(found.document(), origin())
     else:
-        _print.bench(found)
+        typer.echo(found)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
-from taciturn._text import WIDTH
+from taciturn._text import WIDTH, pairs_text
 from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
 
 if TYPE_CHECKING:
@@ -84,11 +83,11 @@ def export(
     if as_json:
         print_json(document, origin(problem, seed))
     else:
-        _print.pairs(lines)
+        typer.echo(pairs_text(lines))
         if command:  # its lines end in a backslash, so that it can be copied
             parts = textwrap.wrap(command, WIDTH - len(INDENT) - 2, break_long_words=False, break_on_hyphens=False)
             typer.echo(f"{'next':14s} " + f" \\\n{INDENT}".join([f"cd {quote(str(c))} &&", *parts]))
-            _print.pairs(sized)
+            typer.echo(pairs_text(sized))
 
 
 def _lines(measured: tuple[str, dict[str, Sizes]] | None) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ import typer.core
 from taciturn._blas import prefer_one_thread
 from taciturn._ending import Interrupted, ends_on_signals, has_ended
 from taciturn._text import wrapped_text
+from taciturn.cli.usage import name_options, usage_text
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 
 if TYPE_CHECKING:
@@ -38,7 +39,7 @@ HELP = """Event-triggered control for linear systems, with guarantees on perform
 \b
 Start with a built-in problem, then describe your own:
   taciturn evaluate two-mass    cost, rate, guarantee, periodic control
-  taciturn new mine.toml        a problem file for your plant, from a few questions
+  taciturn new mine.toml        a problem file for your plant
   taciturn tradeoff mine.toml --over theta=0.01,0.1,1 --plot mine.svg
 """
 READ_ON = """\b
@@ -55,7 +56,17 @@ WIDEST = 160  # largest width of help texts in columns; on narrower terminals th
 
 
 class Groups(typer.core.TyperGroup):
-    """Group of commands whose help lists the commands by purpose, each with its full description."""
+    """Group of commands whose help lists them by purpose, and whose errors name the options that were typed."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the chosen command."""
+        from taciturn.errors import TaciturnError
+
+        try:
+            return super().invoke(ctx)
+        except TaciturnError as error:
+            chosen = self.commands.get(ctx.invoked_subcommand or "")
+            raise error if chosen is None else name_options(error, chosen) from None
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write a section of the help for each group of commands."""
@@ -158,7 +169,7 @@ def _run() -> None:
     except TaciturnError as error:
         refuse(str(error))
     except typer.TyperException as error:
-        refuse(error.format_message() + _elsewhere(error))
+        refuse(usage_text(error))
     except (typer.Abort, KeyboardInterrupt):
         sys.exit(130)
     except BrokenPipeError:
@@ -174,14 +185,6 @@ def _run() -> None:
         )
     else:
         sys.exit(code if isinstance(code, int) else 0)
-
-
-def _elsewhere(error: Exception) -> str:
-    """Return the remedy if a parameter was given as an option of one of these commands."""
-    command = getattr(getattr(error, "ctx", None), "info_name", None)
-    if not hasattr(error, "option_name") or command not in ("evaluate", "reproduce"):
-        return ""
-    return "; use taciturn evaluate FILE --set NAME=VALUE, or taciturn tradeoff FILE --over NAME=v1,v2,…"
 
 
 class _Sentences(logging.Handler):
@@ -247,17 +250,6 @@ def can_print(letters: str) -> bool:
     except UnicodeError:
         return False
     return True
-
-
-def check_effort(standard_error: float | None, steps: int | None = None) -> None:
-    """Raise an error if a standard error or a number of steps is out of range."""
-    from taciturn._arrays import count, number
-
-    if standard_error is not None:
-        number("--standard-error", standard_error, 0.0)
-    if steps is not None:
-        count("--steps", steps)
-        number("--steps", steps, high=1e13)  # hours
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
 from taciturn._ending import until_stopped
 from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
 from taciturn.cli.links import check_counts, read_burst, read_fates, read_outage, read_probability, tick_length
@@ -111,7 +110,7 @@ def network(
     if as_json:
         print_json(found.document(), origin(problem))
     else:
-        _print.network(found)
+        typer.echo(found)
 
 
 @app.command(epilog="Example: taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from taciturn import _print
 from taciturn._ending import remark
 from taciturn.cli.frame import (
     Confidence,
@@ -25,7 +24,6 @@ from taciturn.cli.frame import (
     StandardError,
     Steps,
     app,
-    check_effort,
     load_changed,
     note_seed,
     print_json,
@@ -72,7 +70,6 @@ def tradeoff(
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
-    check_effort(standard_error)
     values = parse_grid(over)
     if plot is not None:
         check_format(plot)
@@ -91,7 +88,7 @@ def tradeoff(
     if as_json:
         print_json(found.document(), origin(problem, seed or 0))
     else:
-        _print.tradeoff(found)
+        typer.echo(found)
         note_seed(seed, any(point.evaluation.drawn for point in found.points))
     if plot is not None:  # after the numbers, which must be printed even if the figure cannot be written
         save(found.plot(), plot, origin(problem, seed or 0, found.method))
@@ -143,7 +140,6 @@ def sweep(
     from taciturn.study.sweep_table import SweepTable
     from taciturn.study.workers import processes
 
-    check_effort(standard_error, steps)
     if dask is not None and workers is not None:
         raise taciturn.ProblemError(
             "--workers and --dask are both given; expected one of them: a dask scheduler has its own workers"
@@ -163,17 +159,20 @@ def sweep(
             seed=seed or 0,
             standard_error=standard_error,
             steps=steps,
-            confidence=confidence,
+            confidence=confidence or None,
             progress=progress,
         )
-    note_seed(seed, confidence is not None or bool((found.cost_method == "simulation").any()))
+    note_seed(seed, bool(confidence) or bool((found.cost_method == "simulation").any()))
     result = store / "result.nc"
     written, note = save_whole(found, result)
     if note:
         print(f"taciturn: {note}", file=sys.stderr)
-    _print.sweep(found, result if written else None)
+    cells = SweepTable(found)
+    typer.echo(cells)
+    if written:
+        typer.echo(f"result: {result}")
     if table is not None:
-        save_table(SweepTable(found).to_pandas(), table)
+        save_table(cells.to_pandas(), table)
         typer.echo(f"table: {table}")
     missed = ~found.reached & (found.refusal == "")
     if missed.any():
@@ -226,7 +225,6 @@ def compare(
     from taciturn._figure import check_format, save
     from taciturn.study.record import origin
 
-    check_effort(standard_error)
     if plot is not None:
         check_format(plot)
     problems = _load_all(files, settings, no_functions)
@@ -237,7 +235,7 @@ def compare(
     if as_json:
         print_json(found.document(), origin(problems, seed or 0))
     else:
-        _print.comparison(found)
+        typer.echo(found)
         note_seed(seed, any(one.tuned.evaluation.drawn for one in found.ranking))
     if plot is not None:
         save(found.plot(), plot, origin(problems, seed or 0, found.method))
@@ -286,7 +284,6 @@ def channel(
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
-    check_effort(standard_error)
     if plot is not None:
         check_format(plot)
     problems = _load_all(files, settings, no_functions)
@@ -306,7 +303,7 @@ def channel(
     if as_json:
         print_json(found.document(), origin(problems, seed))
     else:
-        _print.sharing(found)
+        typer.echo(found)
     if plot is not None:
         save(found.plot(), plot, origin(problems, seed, found.method))
         if not as_json:
@@ -389,7 +386,7 @@ def reproduce(
         documents.append(found.document() | origin(found.problems, seed))
         pictures |= {folder / f"{file}.svg": (picture, found) for file, picture in found.pictures.items()}
         if not as_json:
-            _print.reproduction(found)
+            typer.echo(f"\n{found}")
     if as_json:
         typer.echo(json.dumps(documents, indent=1, allow_nan=False))
     for path, (picture, found) in pictures.items():  # after the numbers, which must be printed even if a figure fails

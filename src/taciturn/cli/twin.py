@@ -78,9 +78,9 @@ def twin(
     as_json: Json = False,
 ) -> None:
     """Run the digital twin of a robot: rigid bodies, camera, image processing, and packets over UDP."""
-    from taciturn import _print
     from taciturn._arrays import number
     from taciturn._figure import check_format, save
+    from taciturn._text import pairs_text
     from taciturn.runtime.keys import read_keys
     from taciturn.twin.catalogue import find_robot
     from taciturn.twin.faults import parse_fault
@@ -123,7 +123,7 @@ def twin(
     if as_json:
         print_json(done.document(), done.origin())
     else:
-        _print.pairs(lines_of(done))
+        typer.echo(pairs_text(lines_of(done)))
     if not live:
         keep(done)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from taciturn import _print
+import typer
+
 from taciturn.cli.frame import print_json
 
 if TYPE_CHECKING:
@@ -24,6 +25,6 @@ def run_world(problem: Problem, seed: int, others: Sequence[str], as_json: bool)
     if as_json:
         print_json(found.document(), origin(problem))
     else:
-        _print.world(found)
+        typer.echo(found)
     if found.broken is not None:
         raise ProblemError(f"world {seed} breaks an invariant at {found.broken}; expected none: please report it")

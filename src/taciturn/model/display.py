@@ -50,13 +50,13 @@ def plant_rows(plant: Plant | ContinuousPlant) -> Rows:
 
 
 def _poles(A: Array, continuous: bool) -> str:
-    """Return the poles of a plant as text, with its stability without control."""
+    """Return the stability of a plant without control, and its poles, as text."""
     poles = eigenvalues(A)
     size = max(float(np.abs(poles).max()), 1e-300) if continuous else 1.0
     margin = float(poles.real.max() if continuous else np.abs(poles).max() - 1) / size
     stable = "marginally stable" if abs(margin) < BLUR else "stable" if margin < 0 else "unstable"
     shown = (complex(p.real) if abs(p.imag) < BLUR * abs(p) else complex(p) for p in poles)
-    return f"{', '.join(map(mode_text, shown))}: {stable}"
+    return f"{stable}: {', '.join(map(mode_text, shown))}"
 
 
 def cost_text(cost: Cost) -> str:

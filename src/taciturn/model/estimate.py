@@ -55,13 +55,13 @@ class Estimate(Displayed):
         """Return the value with as many digits as its standard error, or its claimed error, supports."""
         spread = self.standard_error or self.error
         if spread <= EXACT * abs(self.value):  # only rounding errors
-            return f"{self.value:.6g}"
+            return f"{self.value:z.6g}"
         if spread <= FINE * abs(self.value):  # the error is below the printed digits; JSON contains it
-            return f"{self.value:.9g}"
+            return f"{self.value:z.9g}"
         digits = max(0, 1 - _exponent(spread))
         if digits > 12 or abs(self.value) >= 1e15:
-            return f"{self.value:.{12 if digits > 12 else 6}g} ± {spread:.2g}"
-        return f"{round(self.value, digits) + 0.0:.{digits}f} ± {spread:.{digits}f}"  # + 0.0: zero has no sign
+            return f"{self.value:z.{12 if digits > 12 else 6}g} ± {spread:.2g}"
+        return f"{self.value:z.{digits}f} ± {spread:.{digits}f}"
 
 
 def _exponent(value: float) -> int:

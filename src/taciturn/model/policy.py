@@ -168,7 +168,7 @@ class Policy(Displayed):
         return {
             "kind": self.kind,
             "cost_all_time": self.cost_all_time,
-            "guarantee": None if proved is None else f"{proved.statement}: at most {proved.cost:.6g}",
+            "guarantee": None if proved is None else f"at most {proved.cost:.6g}: {proved.statement}",
             "period": per,
             "plant": self.model.short(),
             "decisions": [f"{name}: {' or '.join(one.labels)}" for name, one in self.decisions.items()],

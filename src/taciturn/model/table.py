@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, cast
 
 import numpy.typing as npt
 
-from taciturn._display import Displayed, brief, html_pairs, html_table
+from taciturn._display import FULL, Displayed, brief, html_pairs, html_table
 from taciturn._files import write_whole
 from taciturn._table import check_table, data_frame, save_table
 from taciturn._version import __version__
@@ -70,16 +70,20 @@ class Tabular(Displayed, ABC):
             return data_frame(columns, self.index, columns.pop(self.index))
         return data_frame(columns, "row", range(len(next(iter(columns.values()), ()))))
 
-    def to_csv(self, path: str | Path) -> None:
-        """Write the table of ``to_pandas`` to a CSV file.
+    def to_csv(self, path: str | Path | None = None) -> str:
+        """Return the table of ``to_pandas`` as CSV text, and write it to a file if a path is given.
 
         Raises:
             ProblemError: if the name does not end in .csv, the file cannot be written, or pandas is not installed.
         """
-        target = Path(path)
-        check_table(target, (".csv",))
-        frame = self.to_pandas()
-        save_table(frame.reset_index() if self.index else frame, target)
+        target = None if path is None else Path(path)
+        if target is not None:
+            check_table(target, (".csv",))
+        frame: Any = self.to_pandas()  # pandas' types are incomplete
+        frame = frame.reset_index() if self.index else frame
+        if target is not None:
+            save_table(frame, target)
+        return frame.to_csv(index=False)
 
     def to_latex(self, path: str | Path | None = None) -> str:
         r"""Return the table in LaTeX, and write it to a file if a path is given.
@@ -104,9 +108,11 @@ class Tabular(Displayed, ABC):
         """Return the table as HTML, with its general attributes; a long table shows only its first and last rows."""
         columns = self.columns()
         rows = [[escape(_text(value)) for value in row] for row in zip(*columns.values(), strict=True)]
+        told = self.about()
         if len(rows) > FIRST + LAST:
+            told["omitted"] = f"{len(rows) - FIRST - LAST} of {len(rows)} rows; to_pandas() and to_csv() return all"
             rows = [*rows[:FIRST], ["…"] * len(columns), *rows[-LAST:]]
-        above = html_pairs(type(self).__name__, self.about())
+        above = html_pairs(type(self).__name__, told)
         return above + html_table([name.replace("_", " ") for name in columns], rows)
 
 
@@ -122,13 +128,13 @@ def _text(value: Any) -> str:
         value = value.item()
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return "" if value is None else str(value) if isinstance(value, str | Estimate) else brief(value)
+    return "" if value is None else str(value) if isinstance(value, str | Estimate) else brief(value, FULL)
 
 
 def _entry(value: object) -> str:
     if isinstance(value, Estimate):
         return "$" + str(value).replace("±", r"\pm") + "$"
-    return f"${value:.6g}$" if isinstance(value, float) else _plain(_text(value))
+    return f"${value:z.6g}$" if isinstance(value, float) else _plain(_text(value))
 
 
 def _plain(text: str) -> str:

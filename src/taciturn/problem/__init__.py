@@ -76,6 +76,7 @@ class Problem(Displayed):
         actual: the simulated plant, if it differs from ``plant``.
         reference: the reference to track, or None.
         source: tables of the problem file, needed to change single keys.
+        name: name of the problem file, for messages.
 
     Raises:
         ProblemError: if ``network`` is not a Network, or the policy kind is unknown.
@@ -89,6 +90,7 @@ class Problem(Displayed):
     actual: Plant | ContinuousPlant | None = None
     reference: Reference | None = None
     source: Mapping[str, Any] | None = None
+    name: str = ""
 
     def __post_init__(self) -> None:
         """Check the network and the policy kind; the parameters are checked by the design."""
@@ -138,6 +140,13 @@ class Problem(Displayed):
             ProblemError: if a parameter is unknown, missing or out of range, or the policy would ignore a part of the
                 problem: a network, a link, a reference, an initial state or another plant.
         """
+        try:
+            return self._designed()
+        except TaciturnError as error:
+            key = "policy." if str(error).partition(" ")[0] in _named(self.kind) else ""
+            raise type(error)(f"{self.name}: {key}{error}" if self.name else str(error)) from None
+
+    def _designed(self) -> AnyPolicy:
         parameters = check_parameters(self.kind, self.parameters)
         design, used = CATALOGUE[self.kind], _used(self.kind, self.network, self.reference)
         policy = design(self.plant, self.cost, **used, **parameters)
@@ -197,7 +206,8 @@ class Problem(Displayed):
             kept = [name for table, names in PARTS.items() if table not in touched for name in names]
             return replace(parsed, **{name: getattr(self, name) for name in kept})
         kind, parameters = read_policy(tables["policy"], CHANGED)  # plant, cost and network are unchanged
-        return replace(self, kind=kind, parameters=parameters, source=None if self.source is None else tables)
+        source = None if self.source is None else tables
+        return replace(self, kind=kind, parameters=parameters, source=source, name=CHANGED)
 
 
 def expect_problem(name: str, value: object) -> None:
@@ -274,7 +284,8 @@ def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | 
         plant = _plant(file.plant, known or {})
         actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
         reference = None if file.reference is None else Reference(**file.reference.model_dump())
-        return Problem(plant, cost, _network(file.network, kind), kind, parameters, actual, reference, _copied(tables))
+        network = _network(file.network, kind)
+        return Problem(plant, cost, network, kind, parameters, actual, reference, _copied(tables), name)
     except TaciturnError as error:
         raise type(error)(f"{name}: {error}") from None
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -138,10 +139,12 @@ def _required(root: type[BaseModel], path: Sequence[str]) -> str:
     return "a file with the tables [plant], [cost] and [policy]" if len(path) == 1 else f"it in [{'.'.join(path[:-1])}]"
 
 
-def suggest(word: str, names: Sequence[str]) -> str:
-    """Return a question that suggests the most similar name, or an empty text if no name is similar."""
+def suggest(word: str, names: Sequence[str], similarity: float = 0.5) -> str:
+    """Return a question that suggests the name that a word abbreviates, or the most similar one; empty if none is."""
     lowered = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=0.5)
+    short = "".join(f"{re.escape(letter)}.*" for letter in word.lower()) if len(word) > 2 else "$"
+    near = [name for name in lowered if re.match(short, name)]
+    near = near if len(near) == 1 else difflib.get_close_matches(word.lower(), lowered, n=1, cutoff=similarity)
     return f". Did you mean {lowered[near[0]]!r}?" if near else ""
 
 

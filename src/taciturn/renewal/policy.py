@@ -58,7 +58,7 @@ class EventPolicy(Displayed):
         return {
             "kind": self.kind,
             "cost_all_time": self.cost_all_time,
-            "guarantee": None if self.statement is None or bound is None else f"{self.statement}: at most {bound:.6g}",
+            "guarantee": None if self.statement is None or bound is None else f"at most {bound:.6g}: {self.statement}",
             "plant": self.plant.short(),
             "alpha": self.alpha,
             "trigger": self.trigger,

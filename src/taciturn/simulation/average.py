@@ -20,7 +20,7 @@ from taciturn.simulation.sampling import (
     last_of,
 )
 
-LEAST_STEPS = 1024
+LEAST_STEPS, MOST_STEPS = 1024, 1e13  # the largest number takes hours
 WINDOWS = 3  # least run in units of the burn-in: the burn-in itself, and two windows that are compared
 PER_STEP = 0.05  # counted work per operation of a program in a step, since many run in parallel
 TO_START = 1.2e7  # counted work to build and compile a program
@@ -288,7 +288,7 @@ def check_effort(seed: int, standard_error: float | None, steps: int | None) -> 
     if standard_error is not None:
         number("standard_error", standard_error, 0.0)
     if steps is not None:
-        count("steps", steps, LEAST_STEPS)
+        number("steps", count("steps", steps, LEAST_STEPS), high=MOST_STEPS)
 
 
 def _answers(

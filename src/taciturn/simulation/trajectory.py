@@ -11,14 +11,17 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance
 from taciturn._figure import Panel, Series, Size, draw
+from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.loop import SENT, Loop
 from taciturn.model.policy import Policy, Send
-from taciturn.model.table import Column, Columns, Tabular
+from taciturn.model.table import FIRST, LAST, Column, Columns, Tabular
 from taciturn.program.engine import prepare
 from taciturn.simulation.nonfinite import expect_numbers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+COLUMNS = 6  # columns next to the time that ``str`` prints
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -52,6 +55,12 @@ class Trajectory(Tabular):
     sends: dict[str, npt.NDArray[np.bool_]]
     measurement: Array
 
+    def summary(self) -> Mapping[str, object]:
+        """Return the number of steps, the sends on each link, and the sizes of the signals by name."""
+        sends = {link: f"{int(sent.sum())} of {len(sent)}" for link, sent in self.sends.items()}
+        last = f"0 to {self.time[-1]:.6g} {self.unit}"
+        return {"steps": len(self.time), "time": last, "sends": sends, "state": self.state, "input": self.input}
+
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of states, estimates (dotted), inputs, sends, and the trigger value with its threshold."""
         time = self.time.tolist()
@@ -77,6 +86,29 @@ class Trajectory(Tabular):
         ]
         panels.append(Panel(marks, ylabel="sends", xlabel=f"time ({self.unit})"))
         return draw(panels, ax, figsize, height=1.9 * len(panels))
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn simulate`` prints: the path, as far as it fits, and the number of sends."""
+        named = [("x", self.state), ("u", self.input)]
+        columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
+        left = max(0, len(columns) - (COLUMNS - len(self.sends)))
+        shown = columns[: len(columns) - left]
+        header = [f"time ({self.unit})", *(name for name, _ in shown), *self.sends]
+        rows = [
+            [
+                f"{time:.6g}",
+                *(f"{column[k]:z.4g}" for _, column in shown),
+                *("sent" * bool(s[k]) for s in self.sends.values()),
+            ]
+            for k, time in enumerate(self.time)
+        ]
+        cut = len(rows) > FIRST + LAST
+        parts = [table_text(header, [*rows[:FIRST], ["…"] * len(header), *rows[-LAST:]] if cut else rows, 1)]
+        if left or cut:
+            what = " and ".join(["columns"] * bool(left) + ["steps"] * cut)
+            parts.append(wrapped_text(f"some {what} are omitted; --json, --table and to_pandas() contain all of them"))
+        counts = [(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in self.sends.items()]
+        return "\n".join([*parts, pairs_text(counts)])
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn simulate --json``, with a list over the steps for each quantity."""

@@ -28,6 +28,7 @@ from taciturn.program.controls import CONTROL
 from taciturn.program.ir import Program
 from taciturn.program.machine import Build, Kernel
 from taciturn.simulation.statistics import controlled_mean, mean
+from taciturn.study.printed import bench_text
 
 Contestant = Callable[[int], tuple[int, float]]
 """Function from a seed to the number of simulated steps and the rate of sending in them."""
@@ -61,6 +62,10 @@ class Bench(Tabular):
     def columns(self) -> Columns:
         """Return one row per contestant."""
         return columns_of([{"name": name, "steps_per_second": speed} for name, speed in self.speeds.items()])
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn bench`` prints."""
+        return bench_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn bench --json``."""

@@ -24,6 +24,7 @@ from taciturn.loop import Loop
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.lines import proved
+from taciturn.study.printed import certificates_text
 from taciturn.study.units import TimeUnit, time_unit
 
 Found = TypeVar("Found")
@@ -89,6 +90,10 @@ class Certificates(Tabular):
         return columns_of(
             [{"name": name, "proved": proved(bound), "every_sample": always} for name, bound, always in rows]
         )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn certify`` prints."""
+        return certificates_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn certify --json``."""

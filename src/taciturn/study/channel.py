@@ -23,6 +23,7 @@ from taciturn.simulation.statistics import mean
 from taciturn.study.evaluate import SURE
 from taciturn.study.kinds import gather
 from taciturn.study.prices import DualBound
+from taciturn.study.printed import sharing_text
 from taciturn.study.schedulers import SCHEDULERS, SHORTEST, Game, measure
 from taciturn.study.units import TimeUnit, time_unit
 from taciturn.study.workers import idle
@@ -153,6 +154,10 @@ class Sharing(Tabular):
                 for one in self.shares
             ]
         )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn channel`` prints."""
+        return sharing_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn channel --json``."""

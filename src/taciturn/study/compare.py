@@ -26,6 +26,7 @@ from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import proved
+from taciturn.study.printed import comparison_text
 from taciturn.study.tune import Tuned, tune
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
@@ -62,6 +63,11 @@ class Contestant(Displayed):
     above: Estimate
     cost_bound: float | None
     share_error: float = 0.0
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the policy with its parameter, cost and bound by name."""
+        names = ("name", "policy", "parameter", "cost", "above", "cost_bound", "link", "share")
+        return {name: getattr(self, name) for name in names}
 
     def short(self) -> str:
         """Return the name of the policy and its cost as text."""
@@ -124,6 +130,10 @@ class Comparison(Tabular):
                 for one in self.ranking
             ]
         )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn compare`` prints."""
+        return comparison_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn compare --json``."""

@@ -124,6 +124,11 @@ class Evaluation(Tabular):
         """Exact cost of fair periodic control at the measured rate, or None if there is none."""
         return None if self.clock is None else self.clock.cost
 
+    def summary(self) -> Mapping[str, object]:
+        """Return policy, cost, rates and bounds by name."""
+        names = ("policy", "cost", "rates", "unit", "cost_all_time", "cost_periodic_same_rate", "cost_bound", "method")
+        return {name: getattr(self, name) for name in names}
+
     def short(self) -> str:
         """Return the cost as short text."""
         return f"cost {self.cost}"

@@ -36,6 +36,7 @@ from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import BATCHES, batch_means
 from taciturn.study.logs import PART, Logs
+from taciturn.study.printed import network_text
 from taciturn.study.ticks import cost_of_ticks, measured, settled
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
@@ -114,6 +115,10 @@ class NetworkRun(Tabular):
         ]
         costs = Panel([Series(ticks, self.costs.tolist(), "cost of a step")], ylabel="cost")
         return draw([costs, Panel(marks, xlabel="step", ylabel="sends")], ax, figsize)
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn network`` prints."""
+        return network_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --json``."""

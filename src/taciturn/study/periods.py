@@ -12,6 +12,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
+from taciturn.study.printed import periods_text
 from taciturn.study.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next
@@ -44,6 +45,10 @@ class TunedPeriod(Tabular):
                 for one in self.tried
             ]
         )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn tune --least-period`` prints."""
+        return periods_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tune --least-period --json``."""

@@ -10,6 +10,7 @@ from taciturn._display import Displayed
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
+from taciturn.study.printed import published_text
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,6 +49,10 @@ class Table(Tabular):
     notes: tuple[str, ...]
     headings: Mapping[str, str] = field(default_factory=dict[str, str])
 
+    def __str__(self) -> str:
+        """Return the table as text, with each published number next to the computed one."""
+        return published_text(self)
+
     def columns(self) -> Columns:
         """Return one row per setting, with each printed number next to the computed one."""
         return columns_of(
@@ -82,6 +87,10 @@ class Reproduction(Displayed):
     tables: tuple[Table, ...]
     pictures: Mapping[str, Figure]
     problems: Mapping[str, Problem]
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn reproduce`` prints."""
+        return "\n\n".join(map(str, self.tables))
 
     def html(self) -> str:
         """Return the tables as HTML."""

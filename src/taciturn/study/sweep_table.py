@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular
+from taciturn.study.printed import sweep_text
 
 if TYPE_CHECKING:
     import pandas
@@ -27,6 +28,10 @@ class SweepTable(Tabular):
     def summary(self) -> Mapping[str, object]:
         """Return the number of values for each name of the grid."""
         return {str(name): size for name, size in self.result.sizes.items()}
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn sweep`` prints."""
+        return sweep_text(self.result)
 
     def about(self) -> dict[str, object]:
         """Return the attributes of the result: version, seed, digest of the problem, units."""

@@ -15,13 +15,16 @@ from taciturn._figure import HEIGHT, Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
 from taciturn.errors import ProblemError
+from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
+from taciturn.simulation.average import check_effort
 from taciturn.study.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.clock import ClockKind, ClockPoint
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.fair import clock_of
 from taciturn.study.lines import bound_at_rate, least_cost, periodic_cost, proved
+from taciturn.study.printed import tradeoff_text
 from taciturn.study.store import Store
 from taciturn.study.sweep import check_grid, grid_of, label_of
 from taciturn.study.units import TimeUnit, Unit, rate_unit
@@ -45,6 +48,10 @@ class Point(Displayed):
 
     values: Mapping[str, Any]
     evaluation: Evaluation
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the values of the varied keys, and the cost and rates at these values, by name."""
+        return {"values": self.values, "cost": self.evaluation.cost, "rates": self.evaluation.rates}
 
     def short(self) -> str:
         """Return the values of the varied keys."""
@@ -74,6 +81,13 @@ class Tradeoff(Tabular):
     periodic: Mapping[ClockKind, tuple[ClockPoint, ...]]
     unit: Unit
     guarantee: str | None
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the values of the varied keys, and the rates and costs of all points, by name."""
+        columns = self.columns()
+        names = [*self.points[0].values, *(f"rate_{link}" for link in self.points[0].evaluation.rates), "cost"]
+        shown = {name: [one.value if isinstance(one, Estimate) else one for one in columns[name]] for name in names}
+        return {**shown, "unit": self.unit, "rate_unit": self.rate_unit, "method": self.method}
 
     @property
     def rate_unit(self) -> TimeUnit:
@@ -107,6 +121,10 @@ class Tradeoff(Tabular):
                 for point in self.points
             ]
         )
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn tradeoff`` prints."""
+        return tradeoff_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn tradeoff --json``."""
@@ -221,6 +239,7 @@ def tradeoff(
         ProblemError: no values are given, a key is unknown, or the data are inconsistent.
     """
     expect_problem("problem", problem)
+    check_effort(seed, standard_error, None)
     grid = grid_of(check_grid(over))
     problems = [problem.changed(cell) for cell in grid]
     for changed in problems:

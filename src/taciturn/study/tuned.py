@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -76,6 +77,12 @@ class Tuned(Tabular):
         It is None if the standard error cannot be trusted, as the notes of the evaluation state.
         """
         return self.goal.confidence(self.evaluation)
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the parameter, the budget, and the cost and rates at this parameter by name."""
+        found = self.evaluation
+        values = {"policy": found.policy, "parameter": self.parameter, "goal": self.goal}
+        return {**values, "cost": found.cost, "rates": found.rates, "beyond": self.beyond, "slope": self.slope}
 
     def about(self) -> dict[str, object]:
         """Return the parameter, the budget and the description of the evaluation, by name."""

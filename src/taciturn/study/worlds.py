@@ -22,6 +22,7 @@ from taciturn.problem import Problem
 from taciturn.runtime.faults import Fault
 from taciturn.study.devices import NoCompilerError, compile_devices
 from taciturn.study.invariants import Copy, find_copies
+from taciturn.study.printed import world_text
 from taciturn.study.world import MakeNode, World
 
 
@@ -56,6 +57,10 @@ class WorldRun(Displayed):
     counters: Mapping[str, Mapping[str, int]]
     seconds: float
     notes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn network --world SEED`` prints."""
+        return world_text(self)
 
     def document(self) -> dict[str, Any]:
         """Return the JSON document of ``taciturn network --world SEED --json``."""

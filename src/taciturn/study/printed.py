@@ -1,37 +1,31 @@
-"""Printing of results and tables by the commands, in 80 columns."""
+"""The results of studies as text in 80 columns, as the commands print them; ``lines`` has those of one evaluation."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import typer
-
-from taciturn._text import Lines, pairs_text, per_unit, percent, table_text, wrapped_text
+from taciturn._text import pairs_text, per_unit, percent, table_text, wrapped_text
 from taciturn.model.estimate import Estimate
 from taciturn.study.lines import bound_at_rate, bound_text, least_cost, percent_above, periodic_cost, rounded
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     import xarray
 
-    from taciturn.simulation.trajectory import Trajectory
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
     from taciturn.study.channel import Sharing
     from taciturn.study.compare import Comparison
     from taciturn.study.network import NetworkRun
     from taciturn.study.periods import TunedPeriod
-    from taciturn.study.reproduction import Reproduction, Table
+    from taciturn.study.reproduction import Table
     from taciturn.study.tradeoff import Tradeoff
     from taciturn.study.worlds import WorldRun
 
-COLUMNS, FIRST, LAST = 6, 20, 10  # of a printed path: columns next to the time, first and last steps
 RATES = ("rate_actuator", "rate_sensor")
 
 
-def network(found: NetworkRun) -> None:
-    """Print the cost and the packets of a network run."""
+def network_text(found: NetworkRun) -> str:
+    """Return the cost and the packets of a network run."""
     policy = found.loop.policy
     cost = "-" if found.cost is None else f"{found.cost} {per_unit(found.unit)}"
     lines = [("policy", policy.kind), ("steps", f"{len(found.costs)} in {found.seconds:.1f} s"), ("cost", cost)]
@@ -46,12 +40,11 @@ def network(found: NetworkRun) -> None:
         if report.get("lateness_ms"):
             shown = ", ".join(f"{share} {value:g}" for share, value in report["lateness_ms"].items())
             lines.append(("lateness, ms", f"{name}: {shown}"))
-    lines += [("note", note) for note in found.notes]
-    pairs(lines)
+    return pairs_text([*lines, *(("note", note) for note in found.notes)])
 
 
-def world(found: WorldRun) -> None:
-    """Print the faults, the counters and the recovery of a world."""
+def world_text(found: WorldRun) -> str:
+    """Return the faults, the counters and the recovery of a world."""
     lines = [("world", f"{found.seed}, {found.steps} steps, {found.ticks} steps of nodes in {found.seconds:.2f} s")]
     lines.append(("nodes in C", ", ".join(found.devices) or "none"))
     lines.append(("keys", "one for each link" if found.keyed else "none"))
@@ -63,39 +56,11 @@ def world(found: WorldRun) -> None:
         lines.append(
             ("recovery", f"{found.recovery} steps after the last fault; at most {found.promised} are promised")
         )
-    lines += [("broken", found.broken or "no invariant"), *(("note", note) for note in found.notes)]
-    pairs(lines)
+    return pairs_text([*lines, ("broken", found.broken or "no invariant"), *(("note", note) for note in found.notes)])
 
 
-def trajectory(found: Trajectory) -> None:
-    """Print a path step by step, with as many columns as fit, and the number of sends on each link."""
-    named = [("x", found.state), ("u", found.input)]
-    columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
-    left = max(0, len(columns) - (COLUMNS - len(found.sends)))
-    shown = columns[: len(columns) - left]
-    header = [f"time ({found.unit})", *(name for name, _ in shown), *found.sends]
-    rows = [
-        [
-            f"{time:.6g}",
-            *(f"{column[k] + 0.0:.4g}" for _, column in shown),  # -0.0 as 0
-            *("sent" * bool(s[k]) for s in found.sends.values()),
-        ]
-        for k, time in enumerate(found.time)
-    ]
-    cut = len(rows) > FIRST + LAST
-    _print_table(header, [*rows[:FIRST], ["…"] * len(header), *rows[-LAST:]] if cut else rows)
-    if left or cut:
-        typer.echo(f"some {'columns' if left else 'steps'} are omitted; --json and --table contain all of them")
-    pairs([(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in found.sends.items()])
-
-
-def pairs(lines: Lines) -> None:
-    """Print names and values, one pair per line."""
-    typer.echo(pairs_text(lines))
-
-
-def tradeoff(found: Tradeoff) -> None:
-    """Print the cost against the rate."""
+def tradeoff_text(found: Tradeoff) -> str:
+    """Return the table of ``taciturn tradeoff``: rates, cost, guarantee and periodic control at each point."""
     names = list(found.points[0].values)
     first = found.points[0].evaluation
     of = {link: f", {link}" if len(first.rates) > 1 else "" for link in first.rates}
@@ -120,40 +85,41 @@ def tradeoff(found: Tradeoff) -> None:
                 *(["none" if least is None else f"{least:.6g}"] if bounded else []),
             ]
         )
-    _print_table(header, rows, len(names))
+    parts = [table_text(header, rows, len(names))]
     if first.cost_all_time is not None and len({p.evaluation.cost_all_time for p in found.points}) == 1:
         pace = "" if first.base_rate is None else f" at {first.base_rate:.4g} sends per {first.rate_unit}"
         lines = [("every sample", f"{first.cost_all_time:.6g}{pace}")]
-        pairs(lines + ([("guarantee", found.guarantee)] if found.guarantee else []))
+        parts.append(pairs_text(lines + ([("guarantee", found.guarantee)] if found.guarantee else [])))
     for note in dict.fromkeys(note for point in found.points for note in point.evaluation.notes):
         at = [point.values for point in found.points if note in point.evaluation.notes]
         settings = [", ".join(f"{name} = {value}" for name, value in values.items()) for values in at]
-        typer.echo(wrapped_text(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}"))
+        parts.append(wrapped_text(note if len(at) == len(found.points) else f"{'; '.join(settings)}: {note}"))
     if bounded and not found.one_controller:
-        typer.echo(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
+        parts.append(wrapped_text("a figure shows no lower bounds: they belong to controllers with different costs"))
+    return "\n".join(parts)
 
 
 def _proved(bound: float | None) -> str:
     return "" if bound is None else rounded(bound, 6, 1)
 
 
-def sweep(found: xarray.Dataset, path: Path | None) -> None:
-    """Print the grid of a sweep, the cells with the least and the largest cost, and the file of the result if any."""
+def sweep_text(found: xarray.Dataset) -> str:
+    """Return the grid of a sweep, and the cells with the smallest and the largest cost."""
     grid = " × ".join(f"{name} ({size})" for name, size in found.sizes.items())
-    answered = int((found.refusal == "").sum())
-    typer.echo(f"{found.refusal.size} cells over {grid}, {answered} with an answer")
-    for what, cell in (("least", found.cost.argmin(...)), ("most", found.cost.argmax(...))):
-        at = found.isel(cell)
-        where = ", ".join(f"{name} = {at[name].item()}" for name in found.sizes)
+    refused = int((found.refusal != "").sum())
+    parts = [f"{found.refusal.size} cells over {grid}: {found.refusal.size - refused} evaluated, {refused} refused"]
+    ends = () if refused == found.refusal.size else (("smallest", found.cost.argmin), ("largest", found.cost.argmax))
+    for name, find in ends:
+        at = found.isel(find(...))
+        where = ", ".join(f"{key} = {at[key].item()}" for key in found.sizes)
         cost = Estimate(at.cost.item(), at.cost_standard_error.item(), at.cost_method.item(), at.cost_error.item())
-        rates = [f"{at[name].item():.4g} {at[name].units} ({name[5:]})" for name in RATES if name in found]
-        typer.echo(wrapped_text(f"{what} cost {cost} at {where}; {', '.join(rates)}"))
-    if path is not None:
-        typer.echo(f"result: {path}")
+        rates = [f"{at[key].item():.4g} {at[key].units} ({key[5:]})" for key in RATES if key in found]
+        parts.append(f"{name} cost {cost} at {where}; {', '.join(rates)}")
+    return "\n".join(map(wrapped_text, parts))
 
 
-def periods(found: TunedPeriod) -> None:
-    """Print the periods that were tried at a given rate."""
+def periods_text(found: TunedPeriod) -> str:
+    """Return the periods that were tried at a given rate, and the best of them."""
     names = ["period", found.best.parameter.name, "cost", "consistent"]
     rows = [
         [
@@ -164,12 +130,12 @@ def periods(found: TunedPeriod) -> None:
         ]
         for one in found.tried
     ]
-    _print_table(names, rows)
-    typer.echo(f"{'period':14s} {found.best.problem.parameters['period']:g}")
+    period = pairs_text([("period", f"{found.best.problem.parameters['period']:g}")])
+    return "\n".join([table_text(names, rows, 1), period, str(found.best)])
 
 
-def comparison(found: Comparison) -> None:
-    """Print a ranking."""
+def comparison_text(found: Comparison) -> str:
+    """Return the table of ``taciturn compare``: the ranking, the common rate and the notes."""
     header = ["", "policy", "parameter", f"cost {per_unit(found.unit)}", "extra cost", "above the first", "guarantee"]
     rows: list[list[str]] = []
     for one in found.ranking:
@@ -184,21 +150,21 @@ def comparison(found: Comparison) -> None:
                 _proved(one.cost_bound) or "none",
             ]
         )
-    _print_table(header, rows, 2)
     lines = [("rate", f"{found.rate:.6g} sends per {found.rate_unit}")]
     if found.cost_all_time is not None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
-    pairs(lines)
+    parts = [table_text(header, rows, 2), pairs_text(lines)]
     for one in found.ranking:
         share = percent(one.share, 1, error=one.share_error)
         shared = "" if one.share == 1 else f"the first value in {share} of the time, else the second; "
         notes = "; ".join(one.tuned.evaluation.notes)
         if shared or notes:
-            typer.echo(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
+            parts.append(wrapped_text(f"{one.name}: {(shared + notes).removesuffix('; ')}"))
+    return "\n".join(parts)
 
 
-def sharing(found: Sharing) -> None:
-    """Print the cost of the loops on a shared channel."""
+def sharing_text(found: Sharing) -> str:
+    """Return the cost of the loops on a shared channel."""
     base, bound = found.cost_all_time, found.lower_bound
 
     def above(cost: float) -> str:
@@ -228,7 +194,6 @@ def sharing(found: Sharing) -> None:
         lines.append(("on the channel", f"{found.busy} packets per step, collisions included"))
     if found.price is not None and found.waiting is not None:
         lines += [("price", f"{found.price:.6g} per send"), ("waiting", f"{found.waiting} loops per step")]
-    pairs([*lines, *(("note", note) for note in found.notes)])
     rows = [
         [
             one.name,
@@ -240,14 +205,13 @@ def sharing(found: Sharing) -> None:
         ]
         for one in found.shares
     ]
-    _print_table(
-        ["", "loops", f"cost per {found.unit}", "every sample", "sends per check", "best periodic: sends per check"],
-        rows,
-    )
+    per = "sends per check"
+    header = ["", "loops", f"cost per {found.unit}", "every sample", per, f"best periodic: {per}"]
+    return "\n".join([pairs_text([*lines, *(("note", note) for note in found.notes)]), table_text(header, rows, 1)])
 
 
-def certificates(found: Certificates) -> None:
-    """Print the certificates of a loop, next to those for sending every sample."""
+def certificates_text(found: Certificates) -> str:
+    """Return the certificates of a loop, next to those for sending every sample."""
     ends = "to 0" if found.limit == 0 else f"until the cost is at most {_shown(found.limit)} per {found.unit}"
     more = f", and {_shown(found.gain_residual)} per step" if found.gain_residual else ""
     table = [
@@ -256,25 +220,21 @@ def certificates(found: Certificates) -> None:
         ("cost", found.cost_bound, found.cost_all_time, f"at most, per {found.unit}"),
         ("E|x|²", found.mean_square_bound, found.mean_square_all_time, "at most, at sampling instants"),
     ]
-    pairs([("policy", f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}")])
+    policy = f"{found.policy}, {found.states} states, actions {', '.join(found.actions)}"
     rows = [[name, _shown(value), _shown(always)] for name, value, always, _ in table]
-    _print_table(["", "proved", "every sample"], rows)
-    pairs([(name, text) for name, value, _, text in table if value is not None])
-    if found.notes:
-        pairs([("note", note) for note in found.notes])
+    parts = [pairs_text([("policy", policy)]), table_text(["", "proved", "every sample"], rows, 1)]
+    parts.append(pairs_text([(name, text) for name, value, _, text in table if value is not None]))
+    return "\n".join(filter(None, [*parts, pairs_text([("note", note) for note in found.notes])]))
 
 
 def _shown(value: float | None) -> str:
     return "none" if value is None else f"{value:.6g}"
 
 
-def reproduction(found: Reproduction) -> None:
-    """Print published numbers next to computed numbers."""
-    for table in found.tables:
-        typer.echo(f"\n{table.name}")
-        _print_table(*_columns(table), len(table.rows[0].setting))
-        for note in table.notes:
-            typer.echo(wrapped_text(note, "  "))
+def published_text(found: Table) -> str:
+    """Return a table of published numbers next to computed numbers."""
+    notes = [wrapped_text(note, "  ") for note in found.notes]
+    return "\n".join([found.name, table_text(*_columns(found), len(found.rows[0].setting)), *notes])
 
 
 def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
@@ -296,19 +256,13 @@ def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
     return header, rows
 
 
-def bench(found: Bench) -> None:
-    """Print the simulation speed of this machine."""
+def bench_text(found: Bench) -> str:
+    """Return the simulation speed of this machine."""
     about = found.machine
-    typer.echo(wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians"))
+    title = wrapped_text(f"two-mass loop, {about['processor']} ({about['vectors']}), one thread, medians")
     rows = [[name, f"{speed / 1e6:.4g}"] for name, speed in found.speeds.items()]
-    _print_table(["", "million steps/s"], rows)
-    for name, ratio in found.ratios.items():
-        typer.echo(f"{name.replace('_', ' '):28s} {ratio:.3g}")
-    for name, seconds in found.compile_seconds.items():
-        typer.echo(f"{f'machine code, {name}':28s} {1000 * seconds:.3g} ms")
+    lines = [(name.replace("_", " "), f"{ratio:.3g}") for name, ratio in found.ratios.items()]
+    lines += [(f"machine code, {name}", f"{1000 * seconds:.3g} ms") for name, seconds in found.compile_seconds.items()]
     for name, ratio in found.variance_ratios.items():
-        typer.echo(f"{f'variance, {name}'.replace('_', ' '):28s} {ratio:.3g} times less per step")
-
-
-def _print_table(header: list[str], rows: list[list[str]], names: int = 1) -> None:
-    typer.echo(table_text(header, rows, names))
+        lines.append((f"variance, {name}".replace("_", " "), f"{ratio:.3g} times less per step"))
+    return "\n".join([title, table_text(["", "million steps/s"], rows, 1), pairs_text(lines)])
