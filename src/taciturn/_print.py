@@ -68,7 +68,7 @@ def world(found: WorldRun) -> None:
 
 def trajectory(found: Trajectory) -> None:
     """Print a path step by step, with as many columns as fit, and the number of sends on each link."""
-    named = [("x", found.state), ("u", found.input)]
+    named = [("x", found.state), ("u", found.input), *([("xhat", found.estimate)] if found.predicts else [])]
     columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
     left = max(0, len(columns) - (COLUMNS - len(found.sends)))
     shown = columns[: len(columns) - left]
@@ -85,7 +85,10 @@ def trajectory(found: Trajectory) -> None:
     _print_table(header, [*rows[:FIRST], ["…"] * len(header), *rows[-LAST:]] if cut else rows)
     if left or cut:
         typer.echo(f"some {'columns' if left else 'steps'} are omitted; --json and --table contain all of them")
-    pairs([(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in found.sends.items()])
+    lines = [(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in found.sends.items()]
+    if found.predicts:
+        lines.append(("xhat", "prediction of x by the actuator's model, which gives the input u = L xhat"))
+    pairs(lines)
 
 
 def pairs(lines: Lines) -> None:
