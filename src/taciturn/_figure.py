@@ -24,9 +24,9 @@ MARKERS = "os^DvPX*"
 EMBEDDED = {"svg.hashsalt": "taciturn", "pdf.fonttype": 42, "ps.fonttype": 42}
 """Settings for reproducible files with embedded TrueType fonts, which publishers require."""
 WIDTH, HEIGHT = 7.0, 4.2  # inches
-LETTER = 0.08  # width of a letter of a tick label, in inches
+LETTER = 0.08  # width of a letter of a label, in inches
 LONGEST_NAME = 24  # largest number of letters in a line of a name next to an axis
-SLANT = 30  # degrees by which long tick labels are rotated
+SLANT = 30  # degrees by which long labels of the x axis are rotated
 LARGEST = 400.0  # largest width or height in inches; matplotlib cannot draw more than 65,536 pixels
 Size: TypeAlias = tuple[float, float]
 BARS = "bars: ± 1 standard error"
@@ -97,7 +97,7 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
 
 
 def _separate(axis: Any, panel: Panel) -> None:
-    """Rotate the tick labels of the x axis if they would overlap."""
+    """Rotate the labels of the x axis if they would overlap."""
     low, high = sorted(axis.get_xlim())
     ticks = [tick for tick in axis.get_xticks() if low <= tick <= high]
     longest = max(map(len, axis.xaxis.get_major_formatter().format_ticks(ticks)), default=0)

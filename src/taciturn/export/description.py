@@ -61,6 +61,8 @@ def may_lose(loop: Loop) -> bool:
 def list_variables(loop: Loop) -> tuple[Variable, ...]:
     """Return the variables of the FMU for the policy of a loop, except the time."""
     links, first, model = used_links(loop), REFERENCES, loop.policy.model
+    predicts = loop.policy.prediction is not None  # the input of the plant is then u = L x̂
+    applied, where = ("Predicted state", "of the actuator's model") if predicts else ("Input", "of the plant")
     found = [
         Variable(f"y[{i + 1}]", first["y"] + i, "number", "input", f"Measurement {i + 1} of the plant")
         for i in range(model.outputs)
@@ -74,7 +76,7 @@ def list_variables(loop: Loop) -> tuple[Variable, ...]:
             for link in links
         ]  # fmt: skip
     found += [
-        Variable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"Input {i + 1} of the plant")
+        Variable(f"u[{i + 1}]", first["u"] + i, "number", "output", f"{applied} {i + 1} {where}")
         for i in range(model.inputs)
     ]
     for link in links:

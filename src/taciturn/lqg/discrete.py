@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -32,6 +33,7 @@ class Discrete(Displayed):
         noise_cost: inter-sample noise cost per step, which no policy can change.
         jumps: Poisson jumps as the noise of a step, or None; plant.W is the covariance of the noise in both cases.
         sampled: whether the plant is continuous in time, so that rates are per second.
+        prediction: the model of an actuator that predicts, or None; the input of ``plant`` is the state of this model.
     """
 
     plant: Plant
@@ -43,10 +45,15 @@ class Discrete(Displayed):
     noise_cost: float
     jumps: JumpNoise | None = None
     sampled: bool = False
+    prediction: Prediction | None = None
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the fields by name, with the number of inputs of the plant before it was sampled."""
+        return {**super().summary(), "plant": self.short()}
 
     def short(self) -> str:
         """Return the numbers of states, inputs and outputs of the plant, as text."""
-        return self.plant.short()
+        return self.plant.short(self.prediction)
 
     @cached_property
     def moving(self) -> Bits:
@@ -129,4 +136,6 @@ def discretise(
     C, V = (None, None) if plant.full_state else (plant.C, plant.V)
     discrete = Plant(sampled.A, sampled.B, sampled.W, C, V, period, plant.mean, plant.covariance, plant.input_limit)
     jumps = None if plant.jumps is None else JumpNoise(plant.A, plant.jumps, period)
-    return Discrete(discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True)
+    return Discrete(
+        discrete, sampled.Q, sampled.R, sampled.N, cost, period, sampled.noise_cost, jumps, True, prediction
+    )

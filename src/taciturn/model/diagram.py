@@ -31,13 +31,15 @@ class Place(Displayed):
         nodes: nodes at the site, in the order sensor, controller, actuator.
         measures: number of entries of ``y``, 0 without a sensor.
         decides: names of the decisions taken at the site.
-        applies: number of entries of ``input``, 0 without an actuator.
+        applies: number of inputs of the plant, 0 without an actuator.
+        predicts: number of states that the actuator's model predicts between steps, 0 without such a model.
     """
 
     nodes: tuple[NodeName, ...]
     measures: int
     decides: tuple[str, ...]
     applies: int
+    predicts: int = 0
 
     @property
     def lines(self) -> list[str]:
@@ -47,6 +49,8 @@ class Place(Displayed):
             found.append(f"measures y ({self.measures})")
         if self.decides:
             found.append(f"decides {', '.join(self.decides)}")
+        if self.predicts:
+            found.append(f"predicts state ({self.predicts})")
         if self.applies:
             found.append(f"applies input ({self.applies})")
         return found
@@ -156,6 +160,7 @@ class Diagram(Displayed):
                 "measures": place.measures,
                 "decides": list(place.decides),
                 "applies": place.applies,
+                "predicts": place.predicts,
             }
             for place in self.places
         ]
@@ -202,12 +207,14 @@ def draw_diagram(policy: Policy) -> Diagram:
     for node in NODES:
         if policy.site(node) not in sites:
             sites.append(policy.site(node))
+    model = policy.prediction
+    applied, predicted = (policy.model.inputs, 0) if model is None else model.L.shape
     places = tuple(
         Place(
             tuple(node for node in NODES if node in site),
             policy.model.outputs if "sensor" in site else 0,
             tuple(step.decision for step in policy.steps if isinstance(step, Decide) and step.at in site),
-            policy.model.inputs if "actuator" in site else 0,
+            *((applied, predicted) if "actuator" in site else (0, 0)),
         )
         for site in sites
     )

@@ -9,7 +9,7 @@ from taciturn._modes import eigenvalues, mode_text
 from taciturn._text import Lines, percent
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
-from taciturn.model.plant import ContinuousPlant, Plant
+from taciturn.model.plant import ContinuousPlant, Plant, Prediction
 from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
@@ -17,9 +17,15 @@ WIDEST = 12  # largest number of columns of a matrix that is printed in full
 Rows = dict[str, str | Array | None]
 
 
-def plant_size(plant: Plant | ContinuousPlant) -> str:
-    """Return the numbers of states, inputs and outputs of a plant as text."""
-    sizes = ((plant.states, "state"), (plant.inputs, "input"), (plant.C.shape[0], "output"))
+def plant_size(plant: Plant | ContinuousPlant, prediction: Prediction | None = None) -> str:
+    """Return the numbers of states, inputs and outputs of a plant as text.
+
+    Args:
+        plant: the plant.
+        prediction: the model of an actuator that predicts, whose state then replaces the input of the sampled plant.
+    """
+    inputs = plant.inputs if prediction is None else len(prediction.L)
+    sizes = ((plant.states, "state"), (inputs, "input"), (plant.C.shape[0], "output"))
     return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in sizes)
 
 

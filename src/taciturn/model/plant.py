@@ -27,11 +27,11 @@ class _Shown(Displayed):
 
         return plant_rows(cast("Plant | ContinuousPlant", self))
 
-    def short(self) -> str:
-        """Return the numbers of states, inputs and outputs as text."""
+    def short(self, prediction: Prediction | None = None) -> str:
+        """Return the numbers of states, inputs and outputs as text; a given prediction is not counted as an input."""
         from taciturn.model.display import plant_size  # imported here, since that module imports this one
 
-        return plant_size(cast("Plant | ContinuousPlant", self))
+        return plant_size(cast("Plant | ContinuousPlant", self), prediction)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

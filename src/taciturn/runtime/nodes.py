@@ -114,7 +114,8 @@ class Nodes:
             measurement: measurement y, (p,).
 
         Returns:
-            Plant input u, (m,).
+            Plant input u, (m,). If the actuator predicts, the predicted state x̂, (n,), from which the actuator
+            integrates its model until the next step, and applies u = L x̂ (``policy.prediction``).
 
         Raises:
             ProblemError: the measurement has the wrong size, or is not finite.

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array, count, instance
-from taciturn._figure import Panel, Series, Size, draw
+from taciturn._figure import Panel, Series, Size, Style, draw
 from taciturn._text import pairs_text, table_text, wrapped_text
 from taciturn.loop import SENT, Loop
 from taciturn.model.policy import Policy, Send
@@ -32,14 +32,15 @@ class Trajectory(Tabular):
         time: time of each step, (steps,).
         unit: unit of the time: ``"s"``, or ``"steps"`` if the plant has no ``dt``.
         state: state of the plant, (steps, n).
-        estimate: estimate x̂, (steps, n); empty if the policy has none.
-        input: input applied to the plant, (steps, m).
+        estimate: estimate x̂, (steps, n); empty if the policy has none. If the actuator predicts, it is the prediction.
+        input: input applied to the plant, (steps, m); if the actuator predicts, the input at the beginning of the step.
         trigger_value: value of silence in the send decision, (steps,); for a policy that plans its sends in advance, it
             indicates whether or when a send is due. It is empty if no send decision depends on signals; if several do,
             the first one is recorded.
         threshold: least value of sending in this decision; nothing is sent while trigger_value ≤ threshold.
         sends: whether a packet was sent at each step, by link, (steps,).
         measurement: measurement y, (steps, p).
+        predicts: whether the actuator integrates the model dx̂/dt = (A + BL) x̂ between steps, and applies u = L x̂.
     """
 
     index: ClassVar[str] = "time"
@@ -54,6 +55,7 @@ class Trajectory(Tabular):
     threshold: Array
     sends: dict[str, npt.NDArray[np.bool_]]
     measurement: Array
+    predicts: bool = False
 
     def summary(self) -> Mapping[str, object]:
         """Return the number of steps, the sends on each link, and the sizes of the signals by name."""
@@ -62,11 +64,13 @@ class Trajectory(Tabular):
         return {"steps": len(self.time), "time": last, "sends": sends, "state": self.state, "input": self.input}
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
-        """Return a figure of states, estimates (dotted), inputs, sends, and the trigger value with its threshold."""
+        """Return a figure of states, estimates or predictions (dotted), inputs, sends, and trigger with threshold."""
         time = self.time.tolist()
         states = [Series(time, x.tolist(), f"$x_{{{i + 1}}}$", color=i) for i, x in enumerate(self.state.T)]
-        states += [Series(time, x.tolist(), style="dotted", color=i) for i, x in enumerate(self.estimate.T)]
-        inputs = [Series(time, u.tolist(), f"$u_{{{i + 1}}}$", "steps") for i, u in enumerate(self.input.T)]
+        names = [f"prediction of $x_{{{i + 1}}}$" if self.predicts else "" for i in range(self.estimate.shape[1])]
+        states += [Series(time, x.tolist(), names[i], "dotted", color=i) for i, x in enumerate(self.estimate.T)]
+        style: Style = "line" if self.predicts else "steps"  # an input that is predicted changes between steps
+        inputs = [Series(time, u.tolist(), f"$u_{{{i + 1}}}$", style) for i, u in enumerate(self.input.T)]
         panels = [Panel(states, ylabel="state"), Panel(inputs, ylabel="input")]
         if self.trigger_value.size:
             crossed = [
@@ -89,7 +93,7 @@ class Trajectory(Tabular):
 
     def __str__(self) -> str:
         """Return the text that ``taciturn simulate`` prints: the path, as far as it fits, and the number of sends."""
-        named = [("x", self.state), ("u", self.input)]
+        named = [("x", self.state), ("u", self.input), *([("xhat", self.estimate)] if self.predicts else [])]
         columns = [(f"{name}{i + 1}", column) for name, values in named for i, column in enumerate(values.T)]
         left = max(0, len(columns) - (COLUMNS - len(self.sends)))
         shown = columns[: len(columns) - left]
@@ -108,6 +112,8 @@ class Trajectory(Tabular):
             what = " and ".join(["columns"] * bool(left) + ["steps"] * cut)
             parts.append(wrapped_text(f"some {what} are omitted; --json, --table and to_pandas() contain all of them"))
         counts = [(f"sends, {link}", f"{int(sent.sum())} of {len(sent)} steps") for link, sent in self.sends.items()]
+        if self.predicts:
+            counts.append(("xhat", "prediction of x by the actuator's model, which gives the input u = L xhat"))
         return "\n".join([*parts, pairs_text(counts)])
 
     def document(self) -> dict[str, Any]:
@@ -119,6 +125,7 @@ class Trajectory(Tabular):
             "state": self.state.tolist(),
             "estimate": self.estimate.tolist(),
             "input": self.input.tolist(),
+            "predicts": self.predicts,
             "measurement": self.measurement.tolist(),
             "trigger_value": self.trigger_value.tolist(),
             "threshold": self.threshold.tolist(),
@@ -176,7 +183,10 @@ def simulate(loop: Loop, ticks: int, *, seed: int = 0) -> Trajectory:
     dt = loop.problem.plant.dt
     time, unit = np.arange(ticks, dtype=np.float64) * (dt or 1.0), "steps" if dt is None else "s"
     estimate, applied, measured = map(stacked, ("estimate", "applied", "y"))
-    return Trajectory(time, unit, states, estimate, applied, silent, others, sends, measured)
+    model = loop.policy.prediction
+    if model is not None:  # the sampled plant takes the state of the actuator's model as its input
+        estimate, applied = applied, applied @ model.L.T
+    return Trajectory(time, unit, states, estimate, applied, silent, others, sends, measured, model is not None)
 
 
 def _weighed(policy: Policy, records: Mapping[str, Array]) -> tuple[Array, Array]:
