@@ -47,7 +47,10 @@ class Series:
 
 @dataclass(frozen=True)
 class Panel:
-    """One pair of axes with its series; ``names`` are the labels at y = 0, 1, …"""
+    """One pair of axes with its series; ``names`` are the labels at y = 0, 1, …
+
+    A legend ``beside`` the axes never covers a curve that fills them.
+    """
 
     series: Sequence[Series]
     xlabel: str = ""
@@ -55,6 +58,7 @@ class Panel:
     title: str = ""
     names: Sequence[str] = ()
     ylim: tuple[float, float] | None = None
+    beside: bool = False
 
 
 def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, height: float = HEIGHT) -> Figure:
@@ -91,7 +95,11 @@ def draw(panels: Sequence[Panel], ax: Any = None, figsize: Size | None = None, h
             axis.set_yticks(range(len(panel.names)), ["\n".join(folded(name, LONGEST_NAME)) for name in panel.names])
         if any(series.label for series in panel.series):
             bars = any(series.error is not None and any(series.error) for series in panel.series)
-            axis.legend(fontsize="small", framealpha=0.8, title=BARS if bars else None, title_fontsize="x-small")
+            place: Any = (
+                {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0} if panel.beside else {}
+            )
+            title = BARS if bars else None
+            axis.legend(fontsize="small", framealpha=0.8, title=title, title_fontsize="x-small", **place)
         _separate(axis, panel)
     return figure
 

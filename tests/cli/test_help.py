@@ -13,7 +13,7 @@ import typer.main
 from cli.conftest import Run
 
 from taciturn.cli import words
-from taciturn.cli.frame import GROUPS, app
+from taciturn.cli.frame import EXAMPLE, GROUPS, app
 from taciturn.design.catalogue import CATALOGUE
 
 COMMANDS = sorted(name for names in GROUPS.values() for name in names)
@@ -36,10 +36,12 @@ def complete(run: Run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Calla
     return complete
 
 
-def test_help_lists_every_command_once_under_what_it_is_for(run: Run) -> None:
+def test_help_lists_every_command_once_under_what_it_is_for(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its whole first sentence, a first example, and where to read on."""
     assert sorted(typer.main.get_group(app).commands) == COMMANDS
+    monkeypatch.setenv("COLUMNS", "80")
     told = run("--help").out
+    assert max(map(len, told.splitlines())) <= 80
     for title, names in GROUPS.items():
         section = told.partition(f"\n{title}:\n")[2].partition("\n\n")[0]
         assert [line.split()[0] for line in section.splitlines() if line[:2] == "  " and line[2] != " "] == list(names)
@@ -57,13 +59,19 @@ def test_every_command_that_designs_a_policy_changes_its_keys() -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_example_of_a_command_is_one(name: str) -> None:
-    """Its words are those that the command takes."""
+def test_the_example_of_a_command_is_one(run: Run, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """Its words are those that the command takes, and every file that it reads is a built-in problem."""
     command = typer.main.get_group(app).commands[name]
     assert command.epilog is not None
-    first, second, *arguments = shlex.split(command.epilog.removeprefix("Example: "))
+    first, second, *arguments = shlex.split(command.epilog.removeprefix(EXAMPLE))
     assert (first, second) == ("taciturn", name)
-    command.make_context(name, arguments)
+    given = command.make_context(name, arguments).params
+    for word in [given.get("file"), *(given.get("files") or ())]:
+        assert word is None or word in words.complete_file("")
+    monkeypatch.setenv("COLUMNS", "80")
+    shown = run(name, "--help").out
+    assert max(map(len, shown.splitlines())) <= 80
+    assert f"\n    {command.epilog.removeprefix(EXAMPLE)}" in shown, "on one line, so that it can be pasted"
 
 
 def test_pages_that_help_names_are_there() -> None:

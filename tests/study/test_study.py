@@ -152,6 +152,7 @@ def test_a_trajectory_can_be_drawn_and_tabulated() -> None:
     problem = taciturn.load("two-mass-lqg").changed({"actuation": "model"})
     path = taciturn.simulate(problem.close(problem.design()), 50)
     assert [axis.get_ylabel() for axis in path.plot().axes] == ["state", "input", "trigger", "sends"]
+    assert all(axis.get_legend().get_bbox_to_anchor()._bbox.x0 > 1 for axis in path.plot().axes), "beside the curves"
     table = path.to_pandas()
     assert table.shape == (50, 4 + 4 + 1 + 2 + 2 + 1)
     assert table.index.name == "time"

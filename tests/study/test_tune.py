@@ -13,8 +13,9 @@ import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.problem.parameters import check_parameters
+from taciturn.study import search
 from taciturn.study.budget import budget_of
-from taciturn.study.search import Goal
+from taciturn.study.search import Goal, Search
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")
@@ -250,7 +251,7 @@ def test_what_no_tick_is_left_for_is_refused_at_the_first_look(
     with pytest.raises(ProblemError) as caught:
         tune(problem, **budget, progress=looks.append)
     assert words in str(caught.value)
-    assert len(looks) == 1
+    assert max(looks) == pytest.approx(1 - search.LEFT), "the end of the first trial"
 
 
 def test_a_period_may_be_shorter_than_the_one_to_start_from() -> None:
@@ -287,3 +288,18 @@ def test_a_confidence_is_claimed_only_where_it_holds() -> None:
     near = Goal("rate", found.rates["actuator"].value, None)
     assert near.confidence(found) == pytest.approx(0.5)
     assert near.confidence(replace(found, trusted=False)) is None
+
+
+def test_a_search_reports_progress_within_a_trial(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A long trial moves the bar before it ends."""
+    told: list[float] = []
+
+    def look_at(*given: Any) -> None:
+        given[-1](0.5)
+        raise ProblemError("enough")
+
+    monkeypatch.setattr(search, "look_at", look_at)
+    looking = Search(MASSES, TRADEOFF_PARAMETERS["lqg"][0], Goal("rate", 0.3, None), 0, told.append)
+    assert [looking.look(value) for value in (1.0, 2.0)] == [None, None]
+    first, second = 1 - search.LEFT, 1 - search.LEFT**2
+    assert told == pytest.approx([first / 2, first, (first + second) / 2, second])

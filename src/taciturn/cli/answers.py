@@ -9,6 +9,7 @@ import typer
 
 from taciturn._text import pairs_text
 from taciturn.cli.frame import (
+    EXAMPLE,
     Confidence,
     File,
     GivenSeed,
@@ -31,7 +32,7 @@ from taciturn.cli.frame import (
 )
 
 
-@app.command(epilog="Example: taciturn evaluate two-mass --standard-error 1e-3")
+@app.command(epilog=EXAMPLE + "taciturn evaluate two-mass --standard-error 1e-3")
 def evaluate(
     file: File,
     settings: Settings = None,
@@ -91,7 +92,7 @@ def evaluate(
         )
 
 
-@app.command(epilog="Example: taciturn show two-mass")
+@app.command(epilog=EXAMPLE + "taciturn show two-mass")
 def show(
     file: File,
     settings: Settings = None,
@@ -139,7 +140,7 @@ def show(
             typer.echo(f"picture: {plot}")
 
 
-@app.command(epilog="Example: taciturn simulate two-mass --ticks 200 --plot path.svg")
+@app.command(epilog=EXAMPLE + "taciturn simulate two-mass --ticks 200 --plot path.svg")
 def simulate(
     file: File,
     ticks: Annotated[int, typer.Option(help="Number of steps.")] = 100,
@@ -186,7 +187,7 @@ def simulate(
                 typer.echo(f"{what}: {target}")
 
 
-@app.command(epilog="Example: taciturn tune two-mass --rate 0.3")
+@app.command(epilog=EXAMPLE + "taciturn tune two-mass --rate 0.3")
 def tune(
     file: File,
     settings: Settings = None,
@@ -259,7 +260,7 @@ def _budget(name: str, text: str | None) -> float | str | None:
     return None if text is None else parse_budget(name, text)
 
 
-@app.command(epilog="Example: taciturn certify two-mass")
+@app.command(epilog=EXAMPLE + "taciturn certify two-mass")
 def certify(file: File, settings: Settings = None, no_functions: NoFunctions = False, as_json: Json = False) -> None:
     """Compute certificates of decay rate, l2 gain and cost from linear matrix inequalities."""
     import taciturn
@@ -274,7 +275,7 @@ def certify(file: File, settings: Settings = None, no_functions: NoFunctions = F
         typer.echo(found)
 
 
-@app.command(epilog="Example: taciturn bench --rounds 3")
+@app.command(epilog=EXAMPLE + "taciturn bench --rounds 3")
 def bench(
     as_json: Json = False,
     rounds: Annotated[int, typer.Option(help="Number of measurement rounds, of which the medians are printed.")] = 5,

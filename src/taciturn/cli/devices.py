@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from taciturn._text import WIDTH, pairs_text
-from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
+from taciturn.cli.frame import (
+    EXAMPLE,
+    File,
+    Json,
+    NoFunctions,
+    Seed,
+    Settings,
+    app,
+    load_changed,
+    print_json,
+    progress_bar,
+)
 
 if TYPE_CHECKING:
     from taciturn.export.cortex import Sizes
@@ -18,7 +29,7 @@ if TYPE_CHECKING:
 INDENT = " " * 15  # of the values behind the names
 
 
-@app.command(epilog="Example: taciturn export two-mass --c out")
+@app.command(epilog=EXAMPLE + "taciturn export two-mass --c out")
 def export(
     file: File,
     c: Annotated[str | None, typer.Option("--c", metavar="DIR", help="Write C99 sources to this folder.")] = None,

@@ -18,6 +18,7 @@ import typer.core
 from taciturn._blas import prefer_one_thread
 from taciturn._ending import Interrupted, ends_on_signals, has_ended
 from taciturn._text import wrapped_text
+from taciturn.cli.usage import EXAMPLE as EXAMPLE
 from taciturn.cli.usage import name_options, usage_text
 from taciturn.cli.words import complete_file, complete_from, complete_kind
 

@@ -13,7 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 import typer
 
 from taciturn._ending import until_stopped
-from taciturn.cli.frame import File, Json, NoFunctions, Seed, Settings, app, load_changed, print_json, progress_bar
+from taciturn.cli.frame import (
+    EXAMPLE,
+    File,
+    Json,
+    NoFunctions,
+    Seed,
+    Settings,
+    app,
+    load_changed,
+    print_json,
+    progress_bar,
+)
 from taciturn.cli.links import check_counts, read_burst, read_fates, read_outage, read_probability, tick_length
 from taciturn.cli.worlds import run_world
 
@@ -49,7 +60,7 @@ WATCHED = 100  # steps without a usable packet after which a node in real time i
 BEATS = 3  # marks that a silent sender sends within this limit
 
 
-@app.command(epilog="Example: taciturn network two-mass --ticks 1000 --loss 0.2")
+@app.command(epilog=EXAMPLE + "taciturn network two-mass --ticks 1000 --loss 0.2")
 def network(
     file: File,
     settings: Settings = None,
@@ -113,7 +124,7 @@ def network(
         typer.echo(found)
 
 
-@app.command(epilog="Example: taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")
+@app.command(epilog=EXAMPLE + "taciturn node controller two-mass --bind :9102 --peer :9103 --plant :9100")
 def node(
     role: Annotated[str, typer.Argument(metavar="sensor|controller|actuator")],
     file: File,
@@ -234,7 +245,7 @@ def node(
         typer.echo(json.dumps(server.finish(lambda: True if ticks else stopped())))
 
 
-@app.command(epilog="Example: taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
+@app.command(epilog=EXAMPLE + "taciturn plant two-mass --bind :9100 --peer :9102 --ticks 200")
 def plant(
     file: File,
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address of the node that receives measurements.")],
@@ -273,7 +284,7 @@ def plant(
         typer.echo(json.dumps(report | plant_cost(problem, loop, server.costs, final)))
 
 
-@app.command(epilog="Example: taciturn relay --bind :9012 --peer :9002 --loss 0.6")
+@app.command(epilog=EXAMPLE + "taciturn relay --bind :9012 --peer :9002 --loss 0.6")
 def relay(
     peer: Annotated[str, typer.Option(metavar="HOST:PORT", help="Address at the end of the link.")],
     bind: Bind = "127.0.0.1:0",

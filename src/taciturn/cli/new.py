@@ -10,7 +10,7 @@ import typer
 
 from taciturn._ending import remark
 from taciturn._grid import parse_number
-from taciturn.cli.frame import Kind, app
+from taciturn.cli.frame import EXAMPLE, Kind, app
 from taciturn.cli.questions import Questions
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ GOALS = {
 SQUARE = "a number (times the identity), a diagonal, or a matrix"
 
 
-@app.command(epilog="Example: taciturn new mine.toml --from plant.mat --kind lqg")
+@app.command(epilog=EXAMPLE + "taciturn new mine.toml --kind lqg")
 def new(
     out: Annotated[Path, typer.Argument(metavar="[OUT.toml]", help="File to write.")] = Path("problem.toml"),
     source: Annotated[

@@ -12,6 +12,7 @@ import typer
 
 from taciturn._ending import remark
 from taciturn.cli.frame import (
+    EXAMPLE,
     Confidence,
     File,
     GivenSeed,
@@ -45,7 +46,7 @@ Over = Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help=OVER)]
 Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1 (this process).")]
 
 
-@app.command(epilog="Example: taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
+@app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
 def tradeoff(
     file: File,
     over: Over,
@@ -103,7 +104,7 @@ def tradeoff(
         )
 
 
-@app.command(epilog="Example: taciturn sweep two-mass --over theta=0.1,1,10 --over actuation=hold,model --store cells")
+@app.command(epilog=EXAMPLE + "taciturn sweep two-mass --over theta=0.1,1,10 --store cells --workers 2")
 def sweep(
     file: File,
     over: Over,
@@ -201,7 +202,7 @@ def _missed(found: xarray.Dataset, missed: Any, steps: int | None) -> str:
     )
 
 
-@app.command(epilog="Example: taciturn compare two-mass mine.toml --rate 0.3")
+@app.command(epilog=EXAMPLE + "taciturn compare two-mass two-mass-lqg --rate 0.3")
 def compare(
     files: Annotated[
         list[str],
@@ -246,7 +247,7 @@ def compare(
         refuse(f"rate or standard error were not reached by {', '.join(missed)}; give a larger --standard-error")
 
 
-@app.command(epilog="Example: taciturn channel two-mass --copies 100 --capacity 10")
+@app.command(epilog=EXAMPLE + "taciturn channel two-mass --copies 100 --capacity 10")
 def channel(
     files: Annotated[
         list[str],
@@ -333,7 +334,7 @@ def _numbers(option: str, text: str) -> list[int]:
         raise ProblemError(f"{option} is {text!r}; expected integers, such as 1000 or 500,20") from None
 
 
-@app.command(epilog="Example: taciturn reproduce chapter2 --out pictures")
+@app.command(epilog=EXAMPLE + "taciturn reproduce chapter2 --out pictures")
 def reproduce(
     names: Annotated[
         list[str] | None,

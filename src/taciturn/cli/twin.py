@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from taciturn._ending import until_stopped
-from taciturn.cli.frame import File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
+from taciturn.cli.frame import EXAMPLE, File, Json, NoFunctions, Plot, Seed, app, print_json, progress_bar
 from taciturn.cli.links import check_counts, tick_length
 from taciturn.cli.network import Bind, Key, Loops, RealTime, TickLength
 
@@ -30,7 +30,7 @@ Faults = Annotated[
 ]
 
 
-@app.command(epilog="Example: taciturn twin rover --seed 1")
+@app.command(epilog=EXAMPLE + "taciturn twin rover --seed 1")
 def twin(
     robot: Robot,
     file: Annotated[
@@ -195,7 +195,7 @@ def _live(
     return done[0]
 
 
-@app.command(epilog="Example: taciturn camera rover rover --peer :9001")
+@app.command(epilog=EXAMPLE + "taciturn camera rover rover --peer :9001")
 def camera(
     robot: Robot,
     file: File,

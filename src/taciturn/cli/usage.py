@@ -8,6 +8,7 @@ from typing import Any
 
 from taciturn.errors import TaciturnError
 
+EXAMPLE = "\b\nExample:\n  "  # start of the last paragraph of the help of a command, which is not wrapped
 ALIKE = 0.65  # least similarity of a suggested command or option, from 0 to 1
 SUBJECT = re.compile(r"(\w+)(?: and (\w+))? (?:is|are|has) ")
 
@@ -28,7 +29,7 @@ def usage_text(error: Any) -> str:
         return _no_option(path, error.option_name, options)
     param = getattr(error, "param", None)
     if hasattr(error, "param_type"):
-        example = (context.command.epilog or "").removeprefix("Example: ")
+        example = (context.command.epilog or "").removeprefix(EXAMPLE)
         return f"{_shown(param)} is missing; expected, for example, {example}; {see}"
     if param is not None:
         from taciturn._arrays import quoted

@@ -71,13 +71,13 @@ class Trajectory(Tabular):
         states += [Series(time, x.tolist(), names[i], "dotted", color=i) for i, x in enumerate(self.estimate.T)]
         style: Style = "line" if self.predicts else "steps"  # an input that is predicted changes between steps
         inputs = [Series(time, u.tolist(), f"$u_{{{i + 1}}}$", style) for i, u in enumerate(self.input.T)]
-        panels = [Panel(states, ylabel="state"), Panel(inputs, ylabel="input")]
+        panels = [Panel(states, ylabel="state", beside=True), Panel(inputs, ylabel="input", beside=True)]
         if self.trigger_value.size:
             crossed = [
                 Series(time, self.trigger_value.tolist(), "trigger", "line"),
                 Series(time, self.threshold.tolist(), "threshold", "dashed"),
             ]
-            panels.append(Panel(crossed, ylabel="trigger"))
+            panels.append(Panel(crossed, ylabel="trigger", beside=True))
         marks = [
             Series(
                 self.time[sent].tolist(),
@@ -88,7 +88,7 @@ class Trajectory(Tabular):
             )
             for i, (link, sent) in enumerate(self.sends.items())
         ]
-        panels.append(Panel(marks, ylabel="sends", xlabel=f"time ({self.unit})"))
+        panels.append(Panel(marks, f"time ({self.unit})", "sends", names=("", "sent"), beside=True))
         return draw(panels, ax, figsize, height=1.9 * len(panels))
 
     def __str__(self) -> str:

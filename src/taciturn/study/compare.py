@@ -247,7 +247,8 @@ def compare(
             for problem in choices:
                 wanted = _wanted(problem) if standard_error is None else standard_error
                 tuned = tune(problem, rate=rate, link=link, seed=seed + index, standard_error=wanted, progress=report)
-                alike.append(_at_rate(name, tuned, rate, link or _only_link(tuned)))
+                decides = link or cast("LinkName", next(iter(tuned.evaluation.rates)))  # without a name, the only one
+                alike.append(_at_rate(name, tuned, rate, decides))
             found.append(min(alike, key=lambda one: one.cost.value))
         except TaciturnError as error:
             raise type(error)(f"{name}: {error}") from None
@@ -392,11 +393,6 @@ def _loop(one: Contestant) -> Loop | None:
         return None
     loop = tuned.problem.close(policy)
     return None if loop.identity is None else loop
-
-
-def _only_link(tuned: Tuned) -> LinkName:
-    """Return the only link on which the policy decides, whose rate was tuned because no link was named."""
-    return cast("LinkName", next(iter(tuned.evaluation.rates)))
 
 
 def _bound(evaluation: Evaluation) -> float | None:

@@ -113,8 +113,8 @@ class NetworkRun(Tabular):
             )
             for i, (link, sent) in enumerate(self.sends.items())
         ]
-        costs = Panel([Series(ticks, self.costs.tolist(), "cost of a step")], ylabel="cost")
-        return draw([costs, Panel(marks, xlabel="step", ylabel="sends")], ax, figsize)
+        costs = Panel([Series(ticks, self.costs.tolist(), "cost of a step")], ylabel="cost", beside=True)
+        return draw([costs, Panel(marks, "step", "sends", names=("", "sent"), beside=True)], ax, figsize)
 
     def __str__(self) -> str:
         """Return the text that ``taciturn network`` prints."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from taciturn import _scipy
 from taciturn._display import Displayed
-from taciturn._progress import Progress
+from taciturn._progress import Progress, Stages
 from taciturn._text import per_unit
 from taciturn.design.catalogue import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
@@ -20,6 +20,7 @@ from taciturn.problem import Problem
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.trials import look_at
 
+LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws
 LONGER = 8  # factor on these steps if a loop has not settled, and for the last trial
 FIRST, GROWTH, FARTHEST = (
@@ -112,6 +113,7 @@ class Search:
         self.problem, self.tuning, self.goal, self.seed, self.progress = problem, tuning, goal, seed, progress
         self.rising = tuning.falls == (goal.name == "cost")  # whether the rate or cost increases with the value
         self._seen: dict[float, Look | TaciturnError] = {}
+        self._stage = Stages(progress, 0.0, 1 - LEFT)  # of the present trial
 
     def look(self, value: float) -> Look | None:
         """Return the trial of a value, or None if no policy can be designed or the loop diverges."""
@@ -120,8 +122,8 @@ class Search:
                 self._seen[value] = self._settled(value)
             except TaciturnError as error:
                 self._seen[value] = error
-            if self.progress is not None:
-                self.progress(1 - 0.93 ** len(self._seen))  # the number of trials is not known in advance
+            self._stage(1.0)
+            self._stage = Stages(self.progress, *(1 - LEFT ** (len(self._seen) + k) for k in (0, 1)))
         found = self._seen[value]
         return found if isinstance(found, Look) else None
 
@@ -136,7 +138,7 @@ class Search:
 
     def _look(self, value: float, steps: int | None = None, standard_error: float | None = None) -> Look:
         changed = self.problem.changed({self.tuning.name: value})
-        evaluation = look_at(changed, self.seed, steps, standard_error)
+        evaluation = look_at(changed, self.seed, steps, standard_error, self._stage)
         found = self.goal.of(evaluation)
         return Look(value, evaluation, found.value - self.goal.budget, found.standard_error + found.error)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from taciturn._progress import Progress
 from taciturn.analyse.renewal import decides_alone, expect_affordable
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Policy
@@ -13,7 +14,9 @@ from taciturn.study.evaluate import Evaluation, evaluate
 ROUGHLY = 1e-5  # relative accuracy of the cost in a trial by quadrature
 
 
-def look_at(problem: Problem, seed: int, steps: int | None, standard_error: float | None) -> Evaluation:
+def look_at(
+    problem: Problem, seed: int, steps: int | None, standard_error: float | None, progress: Progress | None = None
+) -> Evaluation:
     """Return an evaluation by quadrature if one applies, else by a simulation of the given number of steps.
 
     Args:
@@ -21,19 +24,20 @@ def look_at(problem: Problem, seed: int, steps: int | None, standard_error: floa
         seed: seed of the random draws.
         steps: number of steps of the simulation; None for full precision, also of the quadrature.
         standard_error: absolute standard error of the cost at full precision.
+        progress: callback that receives the fraction done.
     """
     policy = problem.designed()
     if isinstance(policy, OptimalPolicy) or (isinstance(policy, Policy) and _serves(problem, policy)):
         wanted = standard_error if steps is None else ROUGHLY * abs(policy.cost_all_time) or None
         try:
-            found = evaluate(problem, seed=seed, method="exact", standard_error=wanted)
+            found = evaluate(problem, seed=seed, method="exact", standard_error=wanted, progress=progress)
         except ProblemError:
             if isinstance(policy, OptimalPolicy):
                 raise
         else:
             if found.reached or isinstance(policy, OptimalPolicy):
                 return found
-    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error)
+    return evaluate(problem, seed=seed, steps=steps, standard_error=standard_error, progress=progress)
 
 
 def _serves(problem: Problem, policy: Policy) -> bool:
