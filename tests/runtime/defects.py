@@ -66,6 +66,8 @@ def _numbers_start_again(true: Callable[..., None], node: Node, saved: Any) -> N
 
 
 def _any_sum(true: Callable[..., Any], wire: Wire, datagram: bytes) -> Any:
+    if wire.keyed:  # the tag shows a change
+        return true(wire, datagram)
     return true(wire, datagram[:-4] + zlib.crc32(datagram[:-4]).to_bytes(4, "big"))
 
 
@@ -157,10 +159,10 @@ SHOWN = {  # a world that shows each defect
     "a clock that is some steps fast is not corrected": 22,
     "a node does not doubt its clock after a gap": 36,
     "the watchdog never expires": 1,
-    "the watchdog never expires in C": 30,
+    "the watchdog never expires in C": 52,
     "sequence numbers start again from a saved state": 29,
     "all starts have one epoch": 36,
-    "the checksum is not checked": 2,
+    "the checksum is not checked": 22,
     "a clock that is some steps slow is not corrected": 5,
     "marks do not stop the watchdog": 2,
     "the safe input is of a later epoch": 93,
