@@ -3,7 +3,8 @@
     python benchmarks/worlds.py [--worlds 10000] [--first 0] [--processes 2] [--store FILE] [--json OUT]
     python benchmarks/worlds.py --defects [--worlds 1000] [--processes 2] [--store FILE] [--json OUT]
 
-World k runs the policy k mod 4 of the four below, and about half of its nodes in C if there is a compiler. With
+World k runs the policy k mod 4 of the four below, about half of its nodes in C if there is a compiler, and about half
+of all worlds have keys. With
 --store, finished worlds are kept, one line of JSON each, so that a stopped run continues.
 
 With --defects, the nodes have one planted defect at a time: the table tells in which world each defect is found first.
@@ -35,7 +36,7 @@ TOGETHER = 20  # worlds that a process runs in one go
 def described(found: WorldRun) -> dict[str, Any]:
     """Return what happened in a world."""
     return {
-        "faults": len(found.faults), "devices": len(found.devices), "ticks": found.ticks, "steps": found.steps,
+        "faults": len(found.faults), "keyed": found.keyed, "devices": len(found.devices), "ticks": found.ticks, "steps": found.steps,
         "seed": found.seed, "broken": found.broken, "recovery": found.recovery, "promised": found.promised,
         "seconds": found.seconds,
     }  # fmt: skip
@@ -111,7 +112,7 @@ def run_worlds(asked: argparse.Namespace) -> dict[str, Any]:
         here = [world for world in found if world["seed"] % len(BUILT_IN) == i]
         good = [world for world in here if world["broken"] is None]
         rows.append({
-            "policy": name, "worlds": len(here), "broken": len(here) - len(good),
+            "policy": name, "worlds": len(here), "keyed": sum(world["keyed"] for world in here), "broken": len(here) - len(good),
             "faults": sum(world["faults"] for world in here), "ticks": sum(world["ticks"] for world in here),
             "nodes_in_c": sum(world["devices"] for world in here),
             "largest_recovery": max((world["recovery"] for world in good), default=None),

@@ -9,10 +9,12 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 from taciturn.runtime import clock, serve, world
+from taciturn.runtime import packet as packets
 from taciturn.runtime.clock import JUMPED, Phase
 from taciturn.runtime.inbox import Inbox, Stream
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet, Wire
+from taciturn.runtime.reception import Reception, _Session
 from taciturn.runtime.serve import NodeServer
 
 
@@ -64,6 +66,8 @@ def _numbers_start_again(true: Callable[..., None], node: Node, saved: Any) -> N
 
 
 def _any_sum(true: Callable[..., Any], wire: Wire, datagram: bytes) -> Any:
+    if wire.keyed:  # the tag shows a change
+        return true(wire, datagram)
     return true(wire, datagram[:-4] + zlib.crc32(datagram[:-4]).to_bytes(4, "big"))
 
 
@@ -98,6 +102,18 @@ def _safe_of_the_future(true: Callable[..., None], server: NodeServer, now: floa
         node.epoch = epoch
 
 
+def _any_answer(true: Callable[..., bool], reception: Reception, answer: Packet) -> bool:
+    session = reception._known.setdefault((answer.link, answer.loop), _Session())
+    session.nonce = answer.nonce
+    return true(reception, answer)
+
+
+def _old_nonce(true: Callable[..., Packet], reception: Reception, challenge: Packet, *given: Any) -> Packet:
+    old = OLD.setdefault((id(reception), challenge.link), challenge)
+    return true(reception, challenge._replace(nonce=old.nonce), *given)
+
+
+OLD: dict[tuple[int, str], Packet] = {}  # first challenge that each process has received on a link
 LATE_IN_C = "channel->has_behind ? packet->tick > channel->behind.tick : packet->tick >= channel->newest"
 DEFECTS: dict[str, Defect] = {
     "packets far ahead do not correct the clock": around(Node, "sort_in", _ahead_is_ignored),
@@ -120,6 +136,15 @@ DEFECTS: dict[str, Defect] = {
     "marks do not stop the watchdog": around(Node, "sort_in", _marks_are_not_heard),
     "the safe input is of a later epoch": around(NodeServer, "_expire", _safe_of_the_future),
     "late packets are not counted in C": Defect(core={"node->counters.late++;": ""}),
+    "packets are used before the answer to a challenge": Defect(((Reception, "admits", lambda *_: True),)),
+    "packets are used before the answer to a challenge in C": Defect(
+        core={"(known && packet->tick >= channel->first)": "true"}
+    ),
+    "an old answer is a proof": around(Reception, "accepts", _any_answer),
+    "an old answer is a proof in C": Defect(core={" || packet->nonce != nonce_of(node, i)": ""}),
+    "a node answers with an old nonce": around(Reception, "answer", _old_nonce),
+    "a forged packet is used": Defect(((packets, "_is_signed", lambda *_: True),)),
+    "a forged packet is used in C": Defect(core={"return difference == 0U;": "return true;"}),
 }
 SHOWN = {  # a world that shows each defect
     "packets far ahead do not correct the clock": 72,
@@ -134,12 +159,19 @@ SHOWN = {  # a world that shows each defect
     "a clock that is some steps fast is not corrected": 22,
     "a node does not doubt its clock after a gap": 36,
     "the watchdog never expires": 1,
-    "the watchdog never expires in C": 30,
+    "the watchdog never expires in C": 52,
     "sequence numbers start again from a saved state": 29,
     "all starts have one epoch": 36,
-    "the checksum is not checked": 2,
+    "the checksum is not checked": 22,
     "a clock that is some steps slow is not corrected": 5,
     "marks do not stop the watchdog": 2,
     "the safe input is of a later epoch": 93,
     "late packets are not counted in C": 4,
+    "packets are used before the answer to a challenge": 2,
+    "packets are used before the answer to a challenge in C": 9,
+    "an old answer is a proof": 60,
+    "an old answer is a proof in C": 86,
+    "a node answers with an old nonce": 8,
+    "a forged packet is used": 11,
+    "a forged packet is used in C": 11,
 }

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from runtime.defects import DEFECTS, SHOWN
 from runtime.seeded import of_seed, problem
 
+from taciturn.runtime.attacks import Forgery, KeyChange, Recording
 from taciturn.runtime.faults import Crash, Fault, Jump, Loss, Pause, Replay
+from taciturn.study.devices import compile_devices
 from taciturn.study.worlds import prepare, run_world
 
 CUT = ("controller", "actuator")
@@ -31,9 +33,11 @@ def test_no_invariant_breaks(first: int) -> None:
         assert found.recovery <= found.promised
 
 
-def test_a_seed_gives_the_same_world_again() -> None:
-    """Faults, counters and recovery are equal; another seed gives another world."""
-    runs = [replace(of_seed(seed), seconds=0.0) for seed in (4, 4, 8)]
+@pytest.mark.parametrize("seed", [4, 8])
+def test_a_seed_gives_the_same_world_again(seed: int) -> None:
+    """Keys, nonces, faults, counters and recovery are equal; another seed gives another world."""
+    runs = [replace(of_seed(number), seconds=0.0) for number in (seed, seed, seed + 20)]
+    assert runs[0].keyed == (seed == 8)
     assert runs[0].document() == runs[1].document()
     assert runs[0].document() != runs[2].document()
 
@@ -57,6 +61,32 @@ def test_a_fault_alone_is_survived(fault: Fault) -> None:
     found = run_world(problem("remote-scalar"), 1, [fault])
     assert found.broken is None
     assert found.counters["network"]["sent"] > 300
+
+
+@pytest.mark.parametrize(
+    ("fault", "counter"),
+    [
+        (Recording(60, 8, CUT, 500, 1_000_000), "unproven"),
+        (Recording(60, 8, CUT, -500, 5), "unproven"),
+        (Recording(60, 8, CUT), "replayed"),
+        (Forgery(60, 8, CUT, former=False), "forged"),
+        (Forgery(60, 8, CUT, former=True), "forged"),
+    ],
+    ids=["a session far ahead", "a session that seems to go on", "this session", "an unknown key", "another key"],
+)
+@pytest.mark.parametrize("in_c", [False, True], ids=["Python", "C"])
+def test_with_a_key_no_packet_of_an_attacker_is_used(fault: Fault, counter: str, in_c: bool) -> None:
+    """It is counted, while the actuator has started again and believes nobody yet, and after a change of the key."""
+    if in_c and shutil.which("cc") is None:
+        pytest.skip("NOT SHOWN: nodes in C need a compiler, and there is no `cc`")
+    faults = [KeyChange(1, 42, "actuator"), Crash(55, 5, "actuator", False), fault]
+    chosen = problem("remote-scalar")
+    devices = {"actuator": compile_devices(prepare(chosen)[0])["actuator"]} if in_c else {}
+    found = run_world(chosen, 0 if in_c else 1, faults, devices, keyed=True)
+    assert found.broken is None
+    assert found.devices == (("actuator",) if in_c else ())
+    refused = {"unproven": 1, "duplicate": 1, "replayed": 1} if counter == "replayed" else {counter: 1}
+    assert sum(found.counters["actuator"].get(name, 0) for name in refused) > 5
 
 
 @pytest.mark.parametrize(
@@ -92,11 +122,11 @@ def test_a_planted_defect_is_found_in_a_world(name: str) -> None:
     print(f"\n{name}: world {found.seed}, {found.broken}")
 
 
-def test_at_least_nineteen_of_twenty_planted_defects_are_found() -> None:
+def test_all_planted_defects_but_one_are_found() -> None:
     """Each within the first thousand worlds."""
-    assert len(DEFECTS) == 20
+    assert len(DEFECTS) == 27
     assert SHOWN.keys() <= DEFECTS.keys()
-    assert len(SHOWN) >= 19
+    assert len(SHOWN) >= len(DEFECTS) - 1
 
 
 def shortest(faults: Sequence[Fault], broken: Callable[[Sequence[Fault]], bool]) -> list[Fault]:

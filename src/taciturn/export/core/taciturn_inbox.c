@@ -207,15 +207,21 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
   }
 }
 
-/* Decode a datagram with the keys of its link. */
+/* Decode a datagram with the keys of its link. If only other links have keys, their packets show that a tag is expected,
+ * but no tag is correct. */
 static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
   unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
   const tac_key *keys = node->keys[(link < (unsigned)TAC_SENDS) ? link : 0U];
-  tac_verdict verdict = tac_decode(&node->data->wire, keys[0], datagram, size, packet);
-  if (verdict == TAC_FORGED && keys[1].bytes != NULL) {
+  bool has_key = keys[0].bytes != NULL;
+  tac_verdict verdict;
+  for (unsigned i = 0U; !has_key && keys[0].bytes == NULL && i < (unsigned)TAC_SENDS; i++) {
+    keys = node->keys[i];
+  }
+  verdict = tac_decode(&node->data->wire, keys[0], datagram, size, packet);
+  if (has_key && verdict == TAC_FORGED && keys[1].bytes != NULL) {
     verdict = tac_decode(&node->data->wire, keys[1], datagram, size, packet);
   }
-  return verdict;
+  return (verdict == TAC_OK && !has_key && keys[0].bytes != NULL) ? TAC_FORGED : verdict;
 }
 
 bool tac_receive(tac_node *node, const uint8_t *datagram, size_t size) {
