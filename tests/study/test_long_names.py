@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import taciturn
-from taciturn import Estimate, _print
+from taciturn import Estimate
 from taciturn._figure import Panel, Series, draw
 from taciturn._text import WIDTH, folded, table_text, wrapped_text
 from taciturn.study.compare import Comparison, Contestant
@@ -43,10 +43,9 @@ def comparison() -> Comparison:
     return Comparison(0.65, "step", 0.02, tuple(replace(one, name=name) for name in names))
 
 
-def test_every_line_of_a_comparison_fits_and_every_number_is_whole(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_line_of_a_comparison_fits_and_every_number_is_whole() -> None:
     """Long names take several lines, of which together nothing is missing."""
-    _print.comparison(comparison())
-    text = capsys.readouterr().out
+    text = str(comparison())
     assert max(map(len, text.splitlines())) <= WIDTH
     one: Contestant = comparison().ranking[0]
     assert text.count(str(one.cost)) == 3
@@ -61,10 +60,9 @@ def test_the_error_of_a_share_is_printed_and_moves_the_cost() -> None:
     assert one.cost.standard_error == pytest.approx(one.share_error * 1.0)
 
 
-def test_the_share_of_a_comparison_is_printed_with_its_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_share_of_a_comparison_is_printed_with_its_error() -> None:
     """As a percentage of the time."""
-    _print.comparison(comparison())
-    assert "the first value in 50.0 ± 1.6 % of the time" in " ".join(capsys.readouterr().out.split())
+    assert "the first value in 50.0 ± 1.6 % of the time" in " ".join(str(comparison()).split())
 
 
 @pytest.mark.parametrize("width", [1, 7, 20, 200])

@@ -207,8 +207,8 @@ static void count_refusal(tac_counters *counters, tac_verdict verdict) {
   }
 }
 
-/* Decode a datagram with the keys of its link. If only other links have keys, their packets show that a tag is expected,
- * but no tag is correct. */
+/* Decode a datagram with the keys of its link. If only other links have keys, their packets show that a tag is
+ * expected, but no tag is correct. */
 static tac_verdict decode(const tac_node *node, const uint8_t *datagram, size_t size, tac_packet *packet) {
   unsigned link = (size > (size_t)LINK_AT) ? datagram[LINK_AT] : 0U;
   const tac_key *keys = node->keys[(link < (unsigned)TAC_SENDS) ? link : 0U];
