@@ -74,7 +74,7 @@ PAGE = Path(__file__).parent.parent.parent / "docs" / "network.md"
         (["network", "two-mass", "--world", "-1"], "seed is -1"),
         (["network", "lossy-double-integrator", "--world", "1"], "is for a horizon of 100 steps"),
         (["relay", "--peer", ":9", "--burst", "0.1"], "--burst is '0.1'; expected four probabilities"),
-        (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "loss and burst are both given"),
+        (["relay", "--peer", ":9", "--burst", "0.1,0.1,0,1", "--loss", "0.1"], "--loss and --burst are both given"),
     ],
 )
 def test_what_cannot_run_is_refused_in_a_sentence(run: Run, arguments: list[str], told: str) -> None:

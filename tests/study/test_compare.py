@@ -98,7 +98,7 @@ def test_bounds_are_those_at_the_rate() -> None:
         ({"one": MASSES, "other": MASSES.changed({"cost.R": [[1.0]]})}, "differ in [cost]"),
         ({"one": MASSES, "other": MASSES.changed({"plant.V": [[1.0, 0.0], [0.0, 1.0]]})}, "differ in [plant]"),
         ({"one": MASSES, "far": MASSES.changed({"trigger": "separate"})}, "far: no theta gives lqg the rate 0.3"),
-        ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: C or V is given"),
+        ({"one": MASSES, "lossy": with_policy("lossy-lqg", price=1.0)}, "lossy: the changed problem: C or V is given"),
     ],
 )
 def test_what_cannot_be_compared_is_one_sentence(problems: dict[str, Problem], words: str) -> None:

@@ -95,14 +95,8 @@ def network(
     check_counts({"--ticks": ticks})
     problem = load_changed(file, settings, no_functions)
     if world is not None:
-        others = {
-            "--ticks": ticks,
-            "--real-time": real_time,
-            "--tick": tick,
-            "--loss": loss,
-            "--namespaces": namespaces,
-        }
-        others |= {"--seed": seed, "--key": key}
+        others = {"--ticks": ticks, "--real-time": real_time, "--tick": tick, "--loss": loss}
+        others |= {"--namespaces": namespaces, "--seed": seed, "--key": key}
         run_world(problem, world, [name for name, value in others.items() if value], as_json)
         return
     policy = problem.design()
