@@ -223,7 +223,7 @@ def _message(sentence: str) -> str:
 
 
 def refuse(sentence: str) -> None:
-    """Print an error message to standard error and exit with code 2, unless a signal has ended the command."""
+    """Print an error message and exit with code 2; if a signal has stopped the command, raise Interrupted instead."""
     if has_ended():
         raise Interrupted
     print(end="", flush=True)  # the results so far come before the error

@@ -44,7 +44,7 @@ class Clocked:
             self.forever = 0.0
 
     def cost(self, rate: float) -> float:
-        """Return the mean cost per check if sends are periodic at a given rate per check, in [0, 1]."""
+        """Return the mean cost per check of periodic sending at a rate between 0 and 1 sends per check."""
         if rate * LONGEST < 1:
             return self.forever
         interval = max(1 / rate, 1.0)

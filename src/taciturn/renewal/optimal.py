@@ -212,7 +212,7 @@ class _Iteration:
         self.window = find_window(white, self.region, self.window.covariance, self.effort)
 
     def attempt(self, density: float, factor: float, step: int) -> Solved | None:
-        """Return the optimal schedule computed on nodes of a given density, in a window scaled by a factor."""
+        """Return the optimal schedule, computed with a density of quadrature nodes; factor scales their region."""
         found = self._iterate(density, factor, step, MOST_NODES, self.settled)
         if found is not None and step == 1:
             _gaps(found, ROUGHLY)  # rejects a region with holes before many nodes are used

@@ -88,7 +88,7 @@ class Measured(Displayed):
 
 
 def measure(loop: Loop, request: Request, progress: Progress | None) -> Measured:
-    """Return cost and rates, in closed form or by the candidate with the least predicted work.
+    """Return cost and rates, in closed form or by the method with the shortest predicted computing time.
 
     Raises:
         ProblemError: the requested method does not apply.
@@ -192,7 +192,7 @@ def measure_optimum(loop: Loop, price: float, request: Request, progress: Progre
 def candidates_of(
     loop: Loop, request: Request, progress: Progress | None
 ) -> tuple[list[Candidate], NoQuadratureError | None]:
-    """Return the requested methods that apply to a loop, and the reason why another method does not apply."""
+    """Return the requested methods that apply to a loop, and the reason if a requested method does not apply."""
     found, refused = list[Candidate](), None
     if request.method == "exact" or (request.method == "auto" and request.steps is None):
         try:

@@ -212,7 +212,7 @@ class Search:
         return abs(self._place(ends[0].value) - self._place(ends[1].value))
 
     def refine(self, look: Look, standard_error: float | None) -> tuple[Look, float | None, float | None]:
-        """Return a trial at full precision, corrected along the slope of the neighbouring trials.
+        """Repeat a trial at full precision, and correct its values for the remaining distance from the budget.
 
         Also return the standard error of its value as a solution of the budget, or None if the budget does not depend
         on the value here, and the derivative of the cost with respect to the rate, or None if the rate does not change.

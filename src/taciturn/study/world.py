@@ -38,7 +38,7 @@ MakeNode: TypeAlias = Callable[..., Node]
 
 
 def promised_steps(heartbeat: int, keyed: bool) -> int:
-    """Return the steps after the last fault within which all nodes use the packets of their present step again.
+    """Return the number of steps after the last fault by which every node must use packets of its present step again.
 
     A clock that has jumped is corrected after ``AGREED`` packets or marks, of which one arrives in ``heartbeat`` steps.
     By then the node may be ``JUMPED`` steps ahead, and waits. With keys, the first packet may only cause a challenge.

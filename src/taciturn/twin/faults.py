@@ -97,8 +97,10 @@ def parse_fault(text: str) -> Fault:
     (start,) = _numbers(text, found["start"] or "0", 1)
     (lasts,) = _numbers(text, found["lasts"], 1) if found["lasts"] else (kind.lasts,)
     size = _numbers(text, found["size"], kind.most) if found["size"] else kind.size
-    if start < 0 or lasts < 0 or (found["lasts"] and lasts == 0) or (found["name"] == "light" and size[0] <= 0):
-        raise ProblemError(f"the fault is {text!r}; expected START >= 0, SECONDS > 0, and for light SIZE > 0")
+    if start < 0 or lasts < 0 or (found["lasts"] and lasts == 0):
+        raise ProblemError(f"the fault is {text!r}; expected START >= 0 and SECONDS > 0")
+    if found["name"] == "light" and size[0] <= 0:
+        raise ProblemError(f"the fault is {text!r}; expected SIZE > 0, the share of the light that remains")
     return Fault(found["name"], start, lasts, size)
 
 
