@@ -108,7 +108,7 @@ WRONG: list[tuple[tuple[Step, ...], dict[str, Any], str]] = [
     (
         (COMMAND, Decide("controller", "send", Trigger({"a": Form(("y",), ONE), "b": Form()})), SEND, INPUT),
         {},
-        "Psi over ('y',) has shape (1, 1); expected (2, 2)",
+        "Psi for ('y',) has shape (1, 1); expected (2, 2)",
     ),
     (
         (*STEPS, Evaluate("controller", "sum", (Form(plus={"y": 1.0}),))),
@@ -228,12 +228,12 @@ def test_a_scheduled_gain_is_read_by_a_location_of_its_size() -> None:
         (lambda: Trigger({"send": Form()}), "a trigger has the options ['send']; expected at least two"),
         (lambda: Form(("y",)), "a form has signals ('y',) without Psi; expected Psi and signals, or neither of them"),
         (lambda: Form(Psi=ONE), "a form has Psi without signals; expected Psi and signals, or neither of them"),
-        (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
-        (lambda: Form(("y",), [[1, 2]]), "Psi over ('y',) is not symmetric; expected a symmetric matrix"),
+        (lambda: Form(("y",), [[1, 2], [3, 4]]), "Psi for ('y',) is not symmetric; expected a symmetric matrix"),
+        (lambda: Form(("y",), [[1, 2]]), "Psi for ('y',) is not symmetric; expected a symmetric matrix"),
         (lambda: Form(("y",), [[np.nan]]), "Psi contains nan at index (0, 0); expected finite numbers"),
         (
             lambda: Form(("y",), Scheduled("clock", [[[1, 2], [3, 4]]])),
-            "Psi over ('y',) is not symmetric; expected a symmetric matrix",
+            "Psi for ('y',) is not symmetric; expected a symmetric matrix",
         ),
         (lambda: Form(("y",), Scheduled("clock", [1.0])), "Psi is a table of numbers; expected a table of matrices"),
         (lambda: Form(constant=np.nan), "the constant of a form is nan; expected a finite number"),

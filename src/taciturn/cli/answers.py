@@ -194,7 +194,9 @@ def tune(
     no_functions: NoFunctions = False,
     rate: Annotated[
         str | None,
-        typer.Option(metavar="X|P%", help="Largest rate: sends per step or per second, or e.g. 50% of all samples."),
+        typer.Option(
+            metavar="X|P%", help="Largest rate: sends per step or second (0.5), or percent of all samples (50%)."
+        ),
     ] = None,
     cost: Annotated[
         str | None,

@@ -295,7 +295,7 @@ class Time(ABC):
         return None
 
     def judged(self, given: Quadratic, axes: Axes, here: Quadratic, found: Answer, slowest: float) -> Solution:
-        """Return a Riccati solution with an error bound that is evaluated in the coordinates of its computation.
+        """Return a Riccati solution with its error bound, evaluated in the coordinates of the solver.
 
         Args:
             given: the problem as it was given.

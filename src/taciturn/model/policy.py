@@ -272,9 +272,9 @@ class Policy(Displayed):
         self._check_schedule(form.constant)
         size = sum(self._size(name) for name in form.signals)
         if form.Psi is not None and shape_of(form.Psi) != (size, size):
-            raise ProblemError(f"Psi over {form.signals} has shape {shape_of(form.Psi)}; expected {(size, size)}")
+            raise ProblemError(f"Psi for {form.signals} has shape {shape_of(form.Psi)}; expected {(size, size)}")
         if form.bell is not None and len(form.bell.Pi) != size:
-            raise ProblemError(f"Pi over {form.signals} has shape {form.bell.Pi.shape}; expected {(size, size)}")
+            raise ProblemError(f"Pi for {form.signals} has shape {form.bell.Pi.shape}; expected {(size, size)}")
         for name in form.plus:
             if self._size(name) != 1:
                 raise ProblemError(f"{name} has {self._size(name)} entries; expected a scalar signal")

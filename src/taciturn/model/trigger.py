@@ -136,7 +136,7 @@ class Form(Displayed):
                 or np.allclose(values, swapped, rtol=1e-9, atol=1e-12 * np.abs(values).max(initial=0.0))
             )
             if not same:
-                raise ProblemError(f"Psi over {signals} is not symmetric; expected a symmetric matrix")
+                raise ProblemError(f"Psi for {signals} is not symmetric; expected a symmetric matrix")
             halves = (values + swapped) / 2
             checked = Scheduled(checked.by, halves) if isinstance(checked, Scheduled) else frozen(halves)
         object.__setattr__(self, "signals", signals)

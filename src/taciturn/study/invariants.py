@@ -1,4 +1,4 @@
-"""Invariants of each step of a world of faults, which are checked from outside of the nodes.
+"""Invariants that must hold at each step of a simulated network with faults.
 
 The monitor decodes every datagram that a process sends, and compares what nodes and plant use with it. It reads the
 counters and the state of the nodes, but it does not rely on their handling of packets.
@@ -69,7 +69,7 @@ class Life:
         self.read: dict[tuple[str, str], Order] = defaultdict(lambda: BEFORE)
 
     def counters(self) -> Counter[str]:
-        """Return what node and server have counted, also in an earlier life with this state."""
+        """Return the counters of node and server, which include earlier runs with the same saved state."""
         measured = Counter({"measurements": self.server.measured})
         return self.node.counters + self.server.refused + self.server.reception.counters + measured
 
