@@ -18,6 +18,7 @@ from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._axes import Quadratic, rounding_floor, units_of
 from taciturn.lqg._mean_square import MeanSquare
+from taciturn.lqg._repetition import Repetition, fill_earlier
 from taciturn.lqg.riccati import regulate, states_with_cost
 
 TURNS = 100
@@ -131,7 +132,7 @@ def regulate_lossy_finite(
     n, m = B.shape
     K, P = np.zeros((horizon + 1, n, n)), np.zeros((horizon + 1, n, n))
     L, Gamma = np.zeros((horizon, m, n)), np.zeros((horizon, n, n))
-    K[horizon] = terminal
+    K[horizon], repetition = terminal, Repetition()
     for k in reversed(range(horizon)):
         with np.errstate(over="ignore", invalid="ignore"):
             K[k], P[k], L[k], Gamma[k] = lossy_step(A, B, Q, R, K[k + 1], P[k + 1], channel)
@@ -141,6 +142,10 @@ def regulate_lossy_finite(
                 f"the cost-to-go overflows {horizon - k} steps before the end of the horizon of {horizon}: the losses "
                 "are too large for this plant; expected a shorter horizon, or smaller losses"
             )
+        period = repetition.period(k, K[k], P[k])
+        if period is not None:
+            fill_earlier((K, P, L, Gamma), k, period)
+            break
     return LossyRegulator(*(frozen(part) for part in (K, P, L, Gamma, np.zeros((n, n)))))
 
 

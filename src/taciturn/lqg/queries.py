@@ -14,6 +14,7 @@ from taciturn._modes import radius, summed
 from taciturn.errors import UnstableError
 from taciturn.lqg import _dare
 from taciturn.lqg._flow import flow
+from taciturn.lqg._repetition import Repetition
 from taciturn.lqg.kalman import resting_states, steady_filter
 from taciturn.model.plant import Plant
 from taciturn.model.schedule import Schedule
@@ -302,9 +303,14 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
 
     Source: khashooei2017
     """
-    predictor, covariance = Predictor(plant), [initial]
+    predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
     for _ in range((horizon or LONGEST) - 1):
         covariance.append(predictor.follow(covariance[-1], True))
+        period = None if horizon is None else repetition.period(len(covariance), covariance[-1])
+        if horizon is not None and period is not None:
+            cycle = covariance[-period:]
+            covariance += [cycle[k % period] for k in range(horizon - len(covariance))]
+            break
         cycle = None if horizon is not None else _cycle(predictor, covariance)
         if cycle is not None:
             return frozen(np.array(covariance[: cycle[1]])), cycle[0]

@@ -25,6 +25,7 @@ from taciturn.lqg import _care, _dare
 from taciturn.lqg._axes import Quadratic
 from taciturn.lqg._cache import kept
 from taciturn.lqg._newton import Solution, refuse_doubtful
+from taciturn.lqg._repetition import Repetition, fill_earlier
 
 __all__ = [
     "FiniteRegulator",
@@ -168,7 +169,7 @@ def regulate_finite(
     horizon = _arrays.count("horizon", horizon)
     n, m = B.shape
     K, L, H = np.zeros((horizon + 1, n, n)), np.zeros((horizon, m, n)), np.zeros((horizon, m, m))
-    K[horizon] = _arrays.symmetric("terminal", terminal, n, "states × states")
+    K[horizon], repetition = _arrays.symmetric("terminal", terminal, n, "states × states"), Repetition()
     for k in reversed(range(horizon)):
         with np.errstate(over="ignore", invalid="ignore"):
             H[k] = symmetrised(R + B.T @ K[k + 1] @ B)
@@ -185,6 +186,10 @@ def regulate_finite(
         closed = A + B @ L[k]
         with np.errstate(over="ignore", invalid="ignore"):  # an overflow is detected and reported in the next step
             K[k] = symmetrised(closed.T @ K[k + 1] @ closed + Q + N @ L[k] + L[k].T @ N.T + L[k].T @ R @ L[k])
+        period = repetition.period(k, K[k])
+        if period is not None:
+            fill_earlier((K, L, H), k, period)
+            break
     if not np.isfinite(K[0]).all():
         raise UnstableError(f"the cost-to-go overflows at step 0 of the horizon of {horizon}; shorten the horizon")
     return FiniteRegulator(_arrays.frozen(K), _arrays.frozen(L), _arrays.frozen(H))

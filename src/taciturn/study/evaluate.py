@@ -214,8 +214,9 @@ def evaluate(
             fast.
         confidence: confidence of a lower bound on the cost of any scheduling at this rate (see ``bound_below``). If it
             is omitted, neither this bound nor ``rate_bounds`` is computed, since both take seconds.
-        time_limit: time limit in seconds; default: none. When it has passed, the best answer so far is returned, with
-            its actual error and ``reached`` False. A lower bound that is not yet found is omitted, with a note.
+        time_limit: time limit in seconds after the design of the policy; default: none. When it has passed, the best
+            answer so far is returned, with its actual error and ``reached`` False. A lower bound that is not yet found
+            is omitted, with a note.
         progress: callback that receives the fraction done.
 
     Returns:
