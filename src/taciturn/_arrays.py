@@ -35,9 +35,12 @@ def array(name: str, value: ArrayLike, shape: Shape, meaning: str = "") -> Array
         transposed = result.ndim == len(shape) == 2 and all(want in (None, got) for got, want in turned)
         hint = ". Did you pass its transpose?" if transposed else ""
         raise ProblemError(f"{name} has shape {result.shape}; expected {_shape_text(shape, meaning)}{hint}")
-    if not math.isfinite(np.vdot(result, result)) and not np.isfinite(result).all():  # a square may overflow
-        where = tuple(int(i) for i in np.argwhere(~np.isfinite(result))[0])
-        raise ProblemError(f"{name} contains {result[where]} at index {where}; expected finite numbers")
+    if not math.isfinite(np.vdot(result, result)):
+        infinite = ~np.isfinite(result)
+        wrong = infinite if infinite.any() else np.abs(result) == np.abs(result).max()
+        where = tuple(int(i) for i in np.argwhere(wrong)[0])
+        expected = "finite numbers" if infinite.any() else "numbers with finite squares: use larger units"
+        raise ProblemError(f"{name} contains {result[where]} at index {where}; expected {expected}")
     result.setflags(write=False)
     return result
 

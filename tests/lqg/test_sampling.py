@@ -239,7 +239,7 @@ def test_a_period_over_which_the_state_overflows_is_refused():
     with pytest.raises(ProblemError, match="shorten the period"):
         sample([[10.0]], [[1]], [[1]], [[1]], [[0]], [[1]], 200.0)
     with pytest.raises(ProblemError, match="shorten the period"):
-        sample([[1e200]], [[1]], [[1]], [[1]], [[0]], [[1]], 1e200)
+        sample([[1e150]], [[1]], [[1]], [[1]], [[0]], [[1]], 1e200)
 
 
 @pytest.mark.parametrize(("period", "told"), [(5.0, "e^22"), (20.0, "e^88"), (1000.0, "e^4400")])

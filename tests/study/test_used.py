@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from taciturn import Cost, Network, Plant, Problem, close, design
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.model.policy import Assign, NodeName, Policy, Received, Send
-from taciturn.study.evaluate import without_effect
+from taciturn.study.effects import forgotten_start, without_effect
 
 PAGE = Path(__file__).parents[2] / "docs" / "problem-file.md"
 SOME = ("lqg", "lossy-lqg", "integral", "optimal")
@@ -171,3 +172,13 @@ def test_a_grid_has_each_value_once() -> None:
     problem = Problem(SCALAR, Cost(ONE, ONE), Network(), "lqg", {"theta": 0.5})
     with pytest.raises(ProblemError, match="theta has the value 1 twice; expected each value once"):
         taciturn.tradeoff(problem, {"theta": [1, 0.5, 1.0]})
+
+
+def test_an_initial_state_has_no_effect_on_an_average_and_a_note_says_so() -> None:
+    """An average forgets it; a finite horizon and a discounted cost do not."""
+    problem = taciturn.load("remote-scalar")
+    plant = replace(problem.plant, mean=np.array([1.0]))
+    given = replace(problem, plant=plant, cost=Cost([[1.0]], [[1.0]]))
+    assert forgotten_start(given) == ("initial.mean had no effect: the cost is an average over all time",)
+    assert forgotten_start(replace(given, cost=Cost([[1.0]], [[1.0]], horizon=9, terminal=[[1.0]]))) == ()
+    assert forgotten_start(replace(given, cost=Cost([[1.0]], [[1.0]], discount=0.9))) == ()

@@ -128,9 +128,7 @@ Confidence = Annotated[
 Steps = Annotated[int | None, typer.Option(help="Fixed total number of simulated steps (instead of a standard error).")]
 TimeLimit = Annotated[
     float | None,
-    typer.Option(
-        "--time", metavar="SECONDS", help="Time limit after the design, at which the best result is printed."
-    ),
+    typer.Option("--time", metavar="SECONDS", help="Time limit after the design, at which the best result is printed."),
 ]
 StandardError = Annotated[
     float | None, typer.Option(help="Absolute standard error of the cost. Default: 1e-4 of the cost.")

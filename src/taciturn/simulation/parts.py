@@ -80,9 +80,10 @@ class Part(Displayed):
 
     def diverges(self, how: str) -> UnstableError:
         """Return the exception for a diverging loop, with the observation that shows the divergence."""
+        ranges = ", the range of the payload" if self.loop.network.payload != "float64" else ""
         return UnstableError(
             f"the loop of {self.loop.policy.kind} diverges: {how}; expected a stable loop: send more often, "
-            "or check [plant.actual] and input_limit"
+            f"or check [plant.actual]{ranges} and input_limit"
         )
 
     def refuse_runaways(self, costs: Array, ticks: int) -> None:

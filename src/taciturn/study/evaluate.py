@@ -23,6 +23,7 @@ from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
 from taciturn.simulation.events import average_events
 from taciturn.study.clock import ClockMix
+from taciturn.study.effects import forgotten_start, without_effect
 from taciturn.study.fair import periodic_at
 from taciturn.study.lines import evaluation_records, evaluation_text
 from taciturn.study.lower import bounded, contradicted, expect_bound
@@ -279,7 +280,7 @@ def _evaluated(
         measured = measure(loop, request, first)
         certified = None if confidence is None else bound_rate(loop)
     asked = {"steps": request.steps, "precision": None if precision == "float64" else precision}
-    found, notes = measured.averages, measured.notes + without_effect(asked, measured.method)
+    found, notes = measured.averages, measured.notes + without_effect(asked, measured.method) + forgotten_start(problem)
     policy, lower = loop.policy, None
     if confidence is not None:
         resets(loop)
@@ -363,14 +364,6 @@ def _events(problem: Problem, policy: EventPolicy, request: Request, progress: P
         notes=policy.notes,
         bound_error=policy.bound_error(interval),
     )
-
-
-def without_effect(asked: Mapping[str, object], method: str) -> tuple[str, ...]:
-    """Return a note on simulation options that were given although another method gave the answer."""
-    given = [f"{name} = {value}" for name, value in asked.items() if value is not None]
-    if not given or method == "simulation":
-        return ()
-    return (f"{' and '.join(given)} had no effect: no loop was simulated",)
 
 
 def _linearisation(policy: Policy) -> Linearisation:
