@@ -36,10 +36,9 @@ TOGETHER = 20  # worlds that a process runs in one go
 def described(found: WorldRun) -> dict[str, Any]:
     """Return what happened in a world."""
     return {
-        "faults": len(found.faults), "keyed": found.keyed, "devices": len(found.devices), "ticks": found.ticks,
-        "steps": found.steps,
-        "seed": found.seed, "broken": found.broken, "recovery": found.recovery, "promised": found.promised,
-        "seconds": found.seconds,
+        "faults": len(found.faults), "devices": len(found.devices), "ticks": found.ticks, "steps": found.steps,
+        "seed": found.seed, "keyed": found.keyed, "broken": found.broken, "recovery": found.recovery,
+        "promised": found.promised, "seconds": found.seconds,
     }  # fmt: skip
 
 
@@ -113,8 +112,8 @@ def run_worlds(asked: argparse.Namespace) -> dict[str, Any]:
         here = [world for world in found if world["seed"] % len(BUILT_IN) == i]
         good = [world for world in here if world["broken"] is None]
         rows.append({
-            "policy": name, "worlds": len(here), "keyed": sum(world["keyed"] for world in here),
-            "broken": len(here) - len(good),
+            "policy": name, "worlds": len(here), "broken": len(here) - len(good),
+            "keyed": sum(world["keyed"] for world in here),
             "faults": sum(world["faults"] for world in here), "ticks": sum(world["ticks"] for world in here),
             "nodes_in_c": sum(world["devices"] for world in here),
             "largest_recovery": max((world["recovery"] for world in good), default=None),

@@ -12,6 +12,8 @@ from export.test_nodes_in_c import LOOP, LOOPS
 from runtime.test_packets import KEY
 
 from taciturn.model.policy import NodeName
+from taciturn.model.wire import LINKS
+from taciturn.runtime.keys import Keys
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.reception import answer_to
@@ -151,6 +153,22 @@ def test_keys_change_without_a_stop() -> None:
     device.set_keys("sensor", KEY)
     assert not device.receive(old.encode(command(2, 9, 3)))
     assert device.counters["forged"] == 3
+
+
+def test_a_link_without_a_key_accepts_nothing_if_another_link_has_one() -> None:
+    """A datagram on it is refused for the reason that a host gives, whether it has a tag or not."""
+    device, loop = node("actuator", "delayed"), LOOPS["delayed"]()
+    device.set_keys("sensor", None)
+    host = Wire(loop.policy, loop.network, Keys({"actuator": (KEY,)}))
+    mark, told = Packet("mark", "sensor", 3, 0, (), 3, LOOP), wire("delayed")
+    changed = bytearray(told.encode(mark._replace(link="actuator")))
+    changed[6] = LINKS.index("sensor")
+    untagged = Wire(loop.policy, loop.network).encode(mark)
+    wrong = [told.encode(mark), wire("delayed", OTHER).encode(mark), bytes(changed), untagged, untagged + bytes(16)]
+    assert not any(device.receive(datagram) for datagram in wrong)
+    reasons = [str(host.decode(datagram)) for datagram in wrong]
+    assert reasons == ["forged", "forged", "corrupted", "malformed", "foreign"]
+    assert device.counters == {reason: reasons.count(reason) for reason in reasons}
 
 
 FORWARD = {"sensor": "controller", "actuator": "actuator"}  # receivers of packets that travel along a link

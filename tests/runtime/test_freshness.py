@@ -174,6 +174,37 @@ def test_a_restored_node_needs_no_new_proof(tmp_path: Path) -> None:
                 assert server.report()["counters"]["received"] >= 1
 
 
+def test_a_silent_actuator_repeats_its_safe_input() -> None:
+    """A plant that starts again challenges it: it also sends the safe input again, not only its last steps."""
+    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
+        node = Node(POLICY, "actuator", epoch=7, watchdog=2, safe=(-1.5,))
+        server = NodeServer([node], WIRE, there, plant=here.address, tick=TICK)
+        server.run(None, soon(0.08))
+        assert node.silent
+        here.receive(time.monotonic() + 0.05)
+        here.send(WIRE.encode(Packet("challenge", "plant", 0, 0, nonce=4)), there.address)
+        server.run(None, soon(0.01))
+        found = [WIRE.decode(datagram) for datagram in here.receive(time.monotonic() + 0.05)]
+    assert [packet.kind for packet in found if isinstance(packet, Packet)][:2] == ["answer", "input"]
+    assert [packet.values for packet in found if isinstance(packet, Packet)][1] == (-1.5,)
+
+
+def test_a_plant_drops_waiting_inputs_of_a_former_start() -> None:
+    """With a key, the later start may have the smaller epoch."""
+    problem = taciturn.load("two-mass-lqg")
+    with Endpoint(("127.0.0.1", 0)) as here, Endpoint(("127.0.0.1", 0)) as there:
+        plant = SimulatedPlant(problem.close(POLICY))
+        numbers = iter(range(5))
+        server = PlantServer([plant], WIRE, there, here.address, tick=0.1, epoch=50, draw=lambda: next(numbers))
+        for nonce, epoch, tick in ((0, 60, 1), (1, 2, 0)):
+            given = Packet("input", "plant", tick, tick, (float(epoch),), epoch)
+            here.send(WIRE.encode(given), there.address)
+            here.send(WIRE.encode(Packet("answer", "plant", 0, 0, (), epoch, back=True, nonce=nonce)), there.address)
+            here.send(WIRE.encode(given), there.address)
+        server.run(2, lambda: False)
+    assert server.inputs == [(2.0,)]
+
+
 def test_a_plant_believes_only_a_running_actuator() -> None:
     """An input that was recorded earlier is not applied; the plant also answers the challenge of its sensor."""
     problem = taciturn.load("two-mass-lqg")

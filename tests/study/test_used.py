@@ -177,7 +177,8 @@ def test_a_grid_has_each_value_once() -> None:
 def test_an_initial_state_has_no_effect_on_an_average_and_a_note_says_so() -> None:
     """An average forgets it; a finite horizon and a discounted cost do not."""
     problem = taciturn.load("remote-scalar")
-    plant = replace(problem.plant, mean=np.array([1.0]))
+    given_plant = problem.plant
+    plant = Plant(given_plant.A, given_plant.B, given_plant.W, mean=[1.0])
     given = replace(problem, plant=plant, cost=Cost([[1.0]], [[1.0]]))
     assert forgotten_start(given) == ("initial.mean had no effect: the cost is an average over all time",)
     assert forgotten_start(replace(given, cost=Cost([[1.0]], [[1.0]], horizon=9, terminal=[[1.0]]))) == ()

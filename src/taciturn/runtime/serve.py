@@ -334,7 +334,9 @@ class NodeServer:
                 self._report_silence(node)
             if given is not None:  # its number is before those of all later steps, whose inputs the plant prefers
                 tick = node.tick + 1
-                self._outbox.send([Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)])
+                out = [Packet("input", PLANT, tick, tick & 0xFFFFFFFF, given, node.epoch, node.loop)]
+                self._outbox.keep(node.loop, out)
+                self._outbox.send(out)
         self._expires = now + self._patience
 
     def _report_silence(self, node: Node) -> None:

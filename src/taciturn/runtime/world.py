@@ -211,6 +211,7 @@ class PlantServer:
         if packet.kind == "answer":
             if self.reception.accepts(packet):
                 self._windows[packet.loop] = Window()
+                self._waiting[packet.loop].clear()
                 self._given[packet.loop] = (-1, -1)
             return False
         return self.reception.admits(packet, sender)

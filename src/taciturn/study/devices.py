@@ -61,14 +61,14 @@ unsigned shim_waiting(const tac_node *node) {
   }
   return count;
 }
-bool shim_settled(const tac_node *node, uint8_t link, uint64_t tick) {
+bool shim_settled(const tac_node *node, uint8_t link, uint64_t number) {
   bool found = false;
   for (unsigned i = 0U; i < node->data->channel_count; i++) {
     const tac_channel *channel = &node->channels[i];
     bool data = node->data->channels[i].link == link && node->data->channels[i].kind == (uint8_t)TAC_DATA;
-    unsigned place = (unsigned)(tick % (uint64_t)TAC_WAITING);
-    bool waits = channel->waits[place] && channel->waiting[place].tick == tick;
-    found = found || (data && (waits || channel->marked > tick));
+    unsigned place = (unsigned)(number % (uint64_t)TAC_WAITING);
+    bool waits = channel->waits[place] && channel->waiting[place].tick == number;
+    found = found || (data && (waits || channel->marked > number));
   }
   return found;
 }

@@ -146,7 +146,10 @@ class Monitor:
         starts = self._starts[role]
         order = (starts.setdefault(packet.epoch, len(starts)), packet.tick)
         if packet.kind in ("data", "input", "measurement"):
-            bisect.insort(self._sent[packet.kind, packet.link, packet.values], order)
+            known = self._sent[packet.kind, packet.link, packet.values]
+            if order in known:
+                return  # again, after a challenge
+            bisect.insort(known, order)
         if packet.link == "plant":
             life = self.lives.get(role)
             if packet.kind == "input" and self._zero and life is not None and life.node.silent and any(packet.values):
