@@ -124,10 +124,22 @@ def test_a_verdict_has_ordinary_digits_and_the_errors_of_its_numbers() -> None:
     found = simulated()
     assert found.cost_all_time is not None
     text = verdict(replace(found, cost_bound_at_rate=3 * found.cost_all_time))
-    assert "at most 200 % by the bound at this rate" in text
+    assert "at most 200.00 % by the bound at this rate" in text
     assert text.startswith("sends ")
     assert text.count("±") == 2
     assert "e+" not in text
+
+
+def test_an_exact_cost_and_its_bound_have_the_same_digits_in_verdict_and_table() -> None:
+    """Two decimals; a bound of 17.003 % is rounded up once."""
+    found = simulated()
+    base = found.cost_all_time
+    assert base is not None
+    cost = Estimate(1.1168447 * base, 0.0, "exact")
+    shown = replace(found, cost=cost, cost_bound=1.17003 * base, cost_bound_at_rate=None)
+    assert "costs 11.68 % above sending every sample, at most 17.01 % by the guarantee" in verdict(shown)
+    assert "+11.68 %" in str(shown)
+    assert "+17.01 %" in str(shown)
 
 
 def test_a_verdict_without_a_bound_above_the_cost_of_every_sample_says_so() -> None:
