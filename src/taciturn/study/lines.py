@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from taciturn._text import Lines, magnitude, pairs_text, per_unit, percent, table_text
+from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
 from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -147,6 +147,7 @@ def _verdict(found: Evaluation) -> list[str]:
     if not found.trusted:
         return ["none: the standard error of the cost cannot be trusted"]
     above, error = found.cost.value / base - 1, found.cost.standard_error / base
+    error = 0.0 if negligible(found.cost.standard_error, found.cost.value) else error
     least = None if lower is None else lower.cost / base - 1
     decimals = max(MOST_DECIMALS, -magnitude(100 * above))
     if least is not None:
@@ -245,7 +246,7 @@ def _moved(cost: float, error: float) -> Estimate:
 def rounded(value: float, digits: int, up: int) -> str:
     """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
     nearest = outward(value, digits, up)
-    return f"{nearest:,.0f}" if 1e4 <= abs(nearest) < 1e12 else f"{nearest:.{digits}g}"
+    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
 
 
 def bound_text(bound: Estimate, up: int) -> str:
@@ -269,7 +270,9 @@ def _queries(schedule: Schedule) -> str:
 
 
 def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = True) -> str:
-    """Return the excess of a cost over the cost of sending every sample, in percent, with its significant digits.
+    """Return the excess of a cost over the cost of sending every sample, in percent, with at most two decimals.
+
+    The last digit is that of the first digit of the standard error.
 
     Args:
         cost: the cost, or a bound on it.
@@ -279,5 +282,5 @@ def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = Tr
     """
     error, decimals = 100 * cost.standard_error / base, MOST_DECIMALS
     if error > 0:
-        decimals = min(decimals, max(0, 1 - magnitude(error)))
+        decimals = min(decimals, max(0, -magnitude(error)))
     return percent(cost.value / base - 1, decimals, up=up, signed=signed)
