@@ -11,7 +11,7 @@ import pytest
 
 import taciturn
 from taciturn import Estimate
-from taciturn._text import percent
+from taciturn._text import percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.clock import Timed
@@ -72,6 +72,15 @@ def row(found: Evaluation, name: str) -> Estimate:
 def test_a_percentage_has_ordinary_digits_and_no_negative_zero(text: str, expected: str) -> None:
     """Bounds are rounded outward, and rounding errors of binary numbers do not count."""
     assert text == expected
+
+
+@pytest.mark.parametrize("before", range(60, 80))
+def test_a_number_stays_on_one_line_with_its_error_and_its_percent_sign(before: int) -> None:
+    """Wherever the line ends; the text is otherwise unchanged."""
+    text = f"{'x' * before} 1.0078 ± 0.0039 % above"
+    lines = wrapped_text(text).splitlines()
+    assert any("1.0078 ± 0.0039 %" in line for line in lines)
+    assert " ".join(lines) == text
 
 
 def test_the_error_of_the_rate_moves_the_bound_and_periodic_control() -> None:
