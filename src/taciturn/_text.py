@@ -12,9 +12,11 @@ WIDTH = 80
 NAME = 14  # least width of the names
 SHORTEST = 8  # least width of a wrapped heading
 LONGEST_NAME = 28  # largest width of a column of names; longer names take several lines
-HUGE = 1e15  # percentages from here on have an exponent
+SMALL, LARGE = 1e-4, 1e6  # numbers below and from here on have an exponent
+FINE = 1e-9  # relative errors up to here are rounding errors, and are not printed
 ROUNDED = 12  # digits of a percentage that are not affected by rounding errors
 GAP = "  "
+FIXED = "\N{NO-BREAK SPACE}"
 Lines = list[tuple[str, str]]
 
 
@@ -69,30 +71,53 @@ def folded(name: str, width: int) -> list[str]:
 
 
 def percent(share: float, decimals: int | None = None, *, error: float = 0.0, up: int = 0, signed: bool = False) -> str:
-    """Return a share as a percentage, in ordinary digits; a zero has no sign.
+    """Return a share as a percentage; a zero has no sign, and a very large percentage has six digits and an exponent.
 
     Args:
         share: the number, of which 1 is 100 %.
         decimals: number of decimals; default: those of six significant digits, without trailing zeros.
-        error: standard error of the share; if it is positive, it is printed and determines the decimals.
+        error: standard error of the share; if it is more than a rounding error, it is printed and determines the
+            decimals.
         up: direction of rounding: 1 up and -1 down, for bounds; 0 to the nearest.
         signed: whether a positive number has a sign.
     """
     value, spread = 100 * share, 100 * error
-    if not abs(value) < HUGE:
-        return f"{value:.3g} %"
-    given = decimals
-    if spread > 0:
-        decimals = min(max(0, 1 - magnitude(spread)), ROUNDED)
-    elif given is None:
-        decimals = max(0, 5 - magnitude(value))
+    if not math.isfinite(value):
+        return f"{value:g} %"
+    if not negligible(error, share):
+        return f"{measured_text(value, spread)} %"
     way = {1: ROUND_CEILING, 0: ROUND_HALF_EVEN, -1: ROUND_FLOOR}[up]
-    shown = Decimal(f"{value:.{ROUNDED}g}").quantize(Decimal(1).scaleb(-(decimals or 0)), way)
+    last = 5 - magnitude(value) if decimals is None or abs(value) >= LARGE else decimals
+    shown = Decimal(f"{value:.{ROUNDED}g}").quantize(Decimal(1).scaleb(-last), way)
     sign = "+" if signed and shown > 0 else ""
-    text = f"{sign}{abs(shown) if shown == 0 else shown:{',' if abs(shown) >= 10_000 else ''}f}"
-    if spread > 0:
-        return f"{text} ± {spread:.{decimals}f} %"
-    return f"{text.rstrip('0').rstrip('.') if given is None and '.' in text else text} %"
+    if abs(value) >= LARGE:
+        return f"{sign}{number_text(float(shown))} %"
+    text = f"{sign}{abs(shown) if shown == 0 else shown:f}"
+    return f"{text.rstrip('0').rstrip('.') if decimals is None and '.' in text else text} %"
+
+
+def number_text(value: float, digits: int = 6) -> str:
+    """Return a number with at most the given number of digits; a very small or very large one has an exponent."""
+    if not LARGE <= abs(value) < 10.0**digits:
+        return f"{value:z.{digits}g}"
+    leading, exponent = f"{value:.{digits - 1}e}".split("e")
+    return f"{leading.rstrip('0').rstrip('.')}e{exponent}"
+
+
+def measured_text(value: float, error: float) -> str:
+    """Return value ± error in one notation, rounded to two digits of the error, which is positive."""
+    last = magnitude(error) - 1
+    if SMALL <= max(abs(value), error) < LARGE and last >= -ROUNDED:
+        decimals = max(0, -last)
+        return f"{value:z.{decimals}f} ± {error:.{decimals}f}"
+    nearest = float(Decimal(value).quantize(Decimal(1).scaleb(last)))
+    shown = f"{nearest:.{max(0, magnitude(nearest) - last)}e}" if nearest else "0"
+    return f"{shown} ± {error:.1e}"
+
+
+def negligible(error: float, value: float) -> bool:
+    """Return whether an error is only a rounding error of the value."""
+    return error <= FINE * abs(value)
 
 
 def magnitude(value: float) -> int:
@@ -142,10 +167,14 @@ def _wrapped(title: str, width: int) -> list[str]:
 
 
 def _hanging(first: str, text: str) -> list[str]:
-    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken."""
+    """Return the lines of a text with a hanging indent; only words that are longer than a line are broken.
+
+    A number, its standard error and its percent sign stay on one line.
+    """
     indent = " " * len(first)
+    text = re.sub("(?<=[0-9]) (?=[%±])|(?<=±) (?=[0-9])", FIXED, text)
     return [
-        line
+        line.replace(FIXED, " ")
         for paragraph, lead in zip(text.split("\n"), [first] + [indent] * text.count("\n"), strict=True)
         for line in textwrap.wrap(
             paragraph,

@@ -343,8 +343,8 @@ def test_a_guarantee_depends_on_the_rate_where_it_says_so() -> None:
         (0.7441234, 0.00034, "0.74412 ± 0.00034"),
         (12345.6, 7.0, "12345.6 ± 7.0"),
         (12345.6, 120.0, "12346 ± 120"),
-        (7.3e99, 1.4e96, "7.3e+99 ± 1.4e+96"),
-        (7.3e-101, 1.4e-104, "7.3e-101 ± 1.4e-104"),
+        (7.3e99, 1.4e96, "7.3000e+99 ± 1.4e+96"),
+        (7.3e-101, 1.4e-104, "7.3000e-101 ± 1.4e-104"),
     ],
 )
 def test_an_estimate_is_shown_with_the_digits_its_error_supports(value: float, error: float, text: str) -> None:

@@ -124,6 +124,11 @@ def test_the_ranking_is_drawn_and_written_down(tmp_path: Path) -> None:
     document: dict[str, Any] = json.loads(json.dumps(found.document(), allow_nan=False))
     assert [place["name"] for place in document["ranking"]] == ["hold", "clock"]
     assert document["ranking"][1]["parameter"]["value"] == [4, 3]
+    slow, fast = (rate["value"] for rate in document["ranking"][1]["rates"])
+    assert (slow, fast) == pytest.approx((2 / 7, 4 / 13))
+    (measured,) = found.ranking[0].rates
+    assert document["ranking"][0]["rates"] == [measured.document("value", "standard_error")]
+    assert f"{measured} (hold), 0.285714 and 0.307692 (clock);" in " ".join(str(found).split())
     assert document["ranking"][1]["parameter"]["beyond"] == [4, 3, 3, 3]
     assert document["ranking"][1]["parameter"]["share"] == pytest.approx((4 / 13 - 0.3) / (4 / 13 - 2 / 7))
 

@@ -11,13 +11,13 @@ import pytest
 
 import taciturn
 from taciturn import Estimate
-from taciturn._text import percent
+from taciturn._text import percent, wrapped_text
 from taciturn.analyse.limits import LowerBound
 from taciturn.renewal.policy import EventPolicy
 from taciturn.study.clock import Timed
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.fair import fair_clock
-from taciturn.study.lines import bound_at_rate, evaluation_records, percent_above, periodic_cost
+from taciturn.study.lines import bound_at_rate, evaluation_records, percent_above, periodic_cost, rounded
 from taciturn.study.lower import contradicted
 
 SCALAR = taciturn.Plant(A=[[1.2]], B=[[1.0]], W=[[0.01]])
@@ -57,7 +57,13 @@ def row(found: Evaluation, name: str) -> Estimate:
         (percent(-1e-9, error=1e-5), "0.0000 ± 0.0010 %"),
         (percent(0.999), "99.9 %"),
         (percent(0.55), "55 %"),
-        (percent(123.4567, 0, signed=True), "+12,346 %"),
+        (percent(123.4567, 0, signed=True), "+12346 %"),
+        (percent(1830042475450.0, 2, signed=True), "+1.83004e+14 %"),
+        (percent(1830042475450.0, 2, up=1), "1.83005e+14 %"),
+        (percent(0.116844794277, 2, error=1e-15), "11.68 %"),
+        (rounded(14_102_855.0, 6, 1), "1.41029e+07"),
+        (rounded(14_102.4, 5, 1), "14103"),
+        (percent_above(Estimate(1.0772, 0.0022, "simulation"), 1.0), "+7.7 %"),
         (percent(float("inf"), 2), "inf %"),
         (percent_above(Estimate(0.99999999, 0.0, "exact"), 1.0), "0.00 %"),
         (str(Estimate(-1e-9, 1e-4, "simulation")), "0.00000 ± 0.00010"),
@@ -66,6 +72,15 @@ def row(found: Evaluation, name: str) -> Estimate:
 def test_a_percentage_has_ordinary_digits_and_no_negative_zero(text: str, expected: str) -> None:
     """Bounds are rounded outward, and rounding errors of binary numbers do not count."""
     assert text == expected
+
+
+@pytest.mark.parametrize("before", range(60, 80))
+def test_a_number_stays_on_one_line_with_its_error_and_its_percent_sign(before: int) -> None:
+    """Wherever the line ends; the text is otherwise unchanged."""
+    text = f"{'x' * before} 1.0078 ± 0.0039 % above"
+    lines = wrapped_text(text).splitlines()
+    assert any("1.0078 ± 0.0039 %" in line for line in lines)
+    assert " ".join(lines) == text
 
 
 def test_the_error_of_the_rate_moves_the_bound_and_periodic_control() -> None:
@@ -124,10 +139,23 @@ def test_a_verdict_has_ordinary_digits_and_the_errors_of_its_numbers() -> None:
     found = simulated()
     assert found.cost_all_time is not None
     text = verdict(replace(found, cost_bound_at_rate=3 * found.cost_all_time))
-    assert "at most 200 % by the bound at this rate" in text
+    assert "at most 200.0 % by the bound at this rate" in text
     assert text.startswith("sends ")
     assert text.count("±") == 2
     assert "e+" not in text
+
+
+def test_an_exact_cost_and_its_bound_have_the_same_digits_in_verdict_and_table() -> None:
+    """Two decimals; a bound of 17.003 % is rounded up once."""
+    found = simulated()
+    base = found.cost_all_time
+    assert base is not None
+    cost = Estimate(1.1168447 * base, 0.0, "exact")
+    shown = replace(found, cost=cost, cost_bound=1.17003 * base, cost_bound_at_rate=None)
+    assert "costs 11.68 % above sending every sample, at most 17.01 % by the guarantee" in verdict(shown)
+    assert "+11.68 %" in str(shown)
+    assert "+17.01 %" in str(shown)
+    assert "costs 11.68 % above" in verdict(replace(shown, cost=replace(cost, standard_error=1e-15)))
 
 
 def test_a_verdict_without_a_bound_above_the_cost_of_every_sample_says_so() -> None:

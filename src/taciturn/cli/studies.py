@@ -46,7 +46,7 @@ Over = Annotated[list[str], typer.Option(metavar="NAME=v1,v2,…", help=OVER)]
 Workers = Annotated[int, typer.Option(min=1, help="Number of processes. Default: 1 (this process).")]
 
 
-@app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot two-mass.svg")
+@app.command(epilog=EXAMPLE + "taciturn tradeoff two-mass --over theta=0.1,1,10 --plot costs.svg")
 def tradeoff(
     file: File,
     over: Over,

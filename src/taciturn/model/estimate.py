@@ -7,15 +7,18 @@ from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
 from taciturn._display import Displayed
+from taciturn._text import measured_text, negligible, number_text
 
 Method: TypeAlias = Literal["exact", "quadrature", "bound", "simulation"]
-EXACT, FINE = 1e-14, 1e-10  # relative errors below which the error is not printed
+EXACT = 1e-14  # relative errors up to here are those of arithmetic; the number is printed with six digits
 Part: TypeAlias = Literal["value", "standard_error", "method", "error"]
 
 
 @dataclass(frozen=True, repr=False)
 class Estimate(Displayed):
     """A computed number that prints as value ± standard error, rounded to two digits of the error.
+
+    An error of at most 1e-9 of the value is not printed; JSON documents contain it.
 
     Args:
         value: the number.
@@ -54,15 +57,6 @@ class Estimate(Displayed):
     def __str__(self) -> str:
         """Return the value with as many digits as its standard error, or its claimed error, supports."""
         spread = self.standard_error or self.error
-        if spread <= EXACT * abs(self.value):  # only rounding errors
-            return f"{self.value:z.6g}"
-        if spread <= FINE * abs(self.value):  # the error is below the printed digits; JSON contains it
-            return f"{self.value:z.9g}"
-        digits = max(0, 1 - _exponent(spread))
-        if digits > 12 or abs(self.value) >= 1e15:
-            return f"{self.value:z.{12 if digits > 12 else 6}g} ± {spread:.2g}"
-        return f"{self.value:z.{digits}f} ± {spread:.{digits}f}"
-
-
-def _exponent(value: float) -> int:
-    return int(f"{value:e}".split("e")[1])
+        if negligible(spread, self.value):
+            return number_text(self.value, 6 if spread <= EXACT * abs(self.value) else 9)
+        return measured_text(self.value, spread)

@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
-import inspect
-import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import numpy as np
 
-from taciturn._arrays import instance, number
+from taciturn._arrays import number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
-from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
+from taciturn.design.catalogue import TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName, Policy
 from taciturn.model.table import Columns, Tabular, columns_of
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort, difference
+from taciturn.study.alike import check_comparable
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
@@ -79,6 +78,12 @@ class Contestant(Displayed):
         one, two = self.tuned.parameter, None if self.tuned.beyond is None else self.tuned.beyond.parameter
         values = [one.beside(two), *(() if two is None else (two.beside(one),))]
         return f"{self.tuned.parameter.name} = {' and '.join(values)}"
+
+    @property
+    def rates(self) -> tuple[Estimate, ...]:
+        """Rate at which the cost was computed before its correction, or the rates of two policies that alternate."""
+        both = (self.tuned, self.tuned.beyond)
+        return tuple(one.evaluation.rates[self.link] for one in both if one is not None)
 
     @property
     def reached(self) -> bool:
@@ -157,6 +162,7 @@ class Comparison(Tabular):
                         "share": one.share,
                         "share_standard_error": one.share_error,
                     },
+                    "rates": [rate.document("value", "standard_error") for rate in one.rates],
                     "cost": one.cost.document(),
                     "above_best": one.above.document("value", "standard_error"),
                     "cost_bound": one.cost_bound,
@@ -233,7 +239,7 @@ def compare(
     """
     check_effort(seed, standard_error, None)
     rate = number("rate", rate, 0.0)
-    _check(problems, link)
+    check_comparable(problems, link)
     bar = in_notebook(progress)
     found: list[Contestant] = []
     for index, (name, choices) in enumerate(_measuring_alike(problems).items()):
@@ -269,25 +275,6 @@ def _all_time(found: Sequence[Contestant]) -> float | None:
     return min((cost for cost in costs if cost is not None), default=None)
 
 
-def _check(problems: Mapping[str, Problem], link: LinkName | None) -> None:
-    """Reject problems that cannot be compared."""
-    instance("problems", problems, Mapping)
-    for name, problem in problems.items():
-        expect_problem(f"problems[{name!r}]", problem)
-    if len(problems) < 2:
-        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
-    for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
-        for what in ("plant", "actual", "cost", "network", "reference"):
-            if not _same(getattr(first, what), getattr(second, what)):
-                where = "[plant.actual]" if what == "actual" else f"[{what}]"
-                raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
-        if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
-            raise ProblemError(
-                f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "
-                "in more than the tuned parameter"
-            )
-
-
 def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]]:
     """Return the variants of each problem; periodic control gets a variant that measures as often as the others."""
     given = [problem.parameters.get("period") for problem in problems.values()]
@@ -299,27 +286,6 @@ def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]
         if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
             found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))
     return found
-
-
-def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
-    """Return the parameters that are not tuned, with their defaults if they are not given."""
-    defaults = {
-        key: parameter.default
-        for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
-        if parameter.default is not parameter.empty
-    }
-    tuned = {tuning.name for tuning in TRADEOFF_PARAMETERS[problem.kind] if link is None or tuning.link in (None, link)}
-    return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
-
-
-def _same(one: object, other: object) -> bool:
-    """Return whether two values are equal; they may be data classes with arrays."""
-    if is_dataclass(one) and type(one) is type(other):
-        return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
-    if isinstance(one, dict) and isinstance(other, dict):
-        known, found = cast("dict[str, object]", one), cast("dict[str, object]", other)
-        return known.keys() == found.keys() and all(_same(value, found[key]) for key, value in known.items())
-    return bool(np.array_equal(cast("Any", one), cast("Any", other)))
 
 
 def _wanted(problem: Problem) -> float | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
-from taciturn._text import Lines, magnitude, pairs_text, per_unit, percent, table_text
+from taciturn._text import LARGE, Lines, magnitude, negligible, number_text, pairs_text, per_unit, percent, table_text
 from taciturn.model.estimate import Estimate
 
 if TYPE_CHECKING:
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MOST_DECIMALS = 2  # largest number of decimals of a percentage in a table
 ZERO = 1e-11  # relative difference of two costs that is a rounding error
+THERE = "the bound at this rate"
 DIRECTION = {"guarantee": 1, "guarantee, this rate": 1, "no schedule below": -1}
 """Direction in which a bound is rounded, so that it still holds."""
 
@@ -146,8 +147,9 @@ def _verdict(found: Evaluation) -> list[str]:
     if not found.trusted:
         return ["none: the standard error of the cost cannot be trusted"]
     above, error = found.cost.value / base - 1, found.cost.standard_error / base
+    error = 0.0 if negligible(found.cost.standard_error, found.cost.value) else error
     least = None if lower is None else lower.cost / base - 1
-    decimals = max(_decimals(above, 2), -magnitude(100 * above))
+    decimals = max(MOST_DECIMALS, -magnitude(100 * above))
     if least is not None:
         decimals = max(decimals, _decimals(above - least, 1))  # enough to distinguish the two
     side = "above" if above >= 0 else "below"
@@ -158,8 +160,8 @@ def _verdict(found: Evaluation) -> list[str]:
         text = f"sends {_shares(found.rates, found.base_rate)}, {text}"
     bound = found.cost_bound if found.cost_bound_at_rate is None else found.cost_bound_at_rate
     if bound is not None:
-        by = "the guarantee" if found.cost_bound_at_rate is None else "the bound at this rate"
-        text += f", at most {percent(bound / base - 1, _decimals(bound / base - 1, 3), up=1)} by {by}"
+        by, moved = ("the guarantee", 0.0) if found.cost_bound_at_rate is None else (THERE, found.bound_error)
+        text += f", at most {percent_above(_moved(bound, moved), base, 1, signed=False)} by {by}"
     if least is None:
         return [text]
     if least <= ZERO:
@@ -244,7 +246,7 @@ def _moved(cost: float, error: float) -> Estimate:
 def rounded(value: float, digits: int, up: int) -> str:
     """Return a bound as text, rounded up (1) or down (−1), so that it still holds."""
     nearest = outward(value, digits, up)
-    return f"{nearest:,.0f}" if 1e4 <= abs(nearest) < 1e12 else f"{nearest:.{digits}g}"
+    return f"{nearest:.0f}" if 1e4 <= abs(nearest) < LARGE else number_text(nearest, digits)
 
 
 def bound_text(bound: Estimate, up: int) -> str:
@@ -267,15 +269,18 @@ def _queries(schedule: Schedule) -> str:
     return once if schedule.start == 0 else f"{once} from step {schedule.start} on: {listed}"
 
 
-def percent_above(cost: Estimate, base: float, up: int = 0) -> str:
-    """Return the excess of a cost over the cost of sending every sample, in percent, with its significant digits.
+def percent_above(cost: Estimate, base: float, up: int = 0, *, signed: bool = True) -> str:
+    """Return the excess of a cost over the cost of sending every sample, in percent, with at most two decimals.
+
+    The last digit is that of the first digit of the standard error.
 
     Args:
         cost: the cost, or a bound on it.
         base: the cost of sending every sample.
         up: direction of rounding: 1 for an upper bound, -1 for a lower bound, and 0 for a cost.
+        signed: whether a positive number has a sign.
     """
     error, decimals = 100 * cost.standard_error / base, MOST_DECIMALS
     if error > 0:
-        decimals = min(decimals, max(0, 1 - magnitude(error)))
-    return percent(cost.value / base - 1, decimals, up=up, signed=True)
+        decimals = min(decimals, max(0, -magnitude(error)))
+    return percent(cost.value / base - 1, decimals, up=up, signed=signed)

@@ -151,6 +151,8 @@ def comparison_text(found: Comparison) -> str:
             ]
         )
     lines = [("rate", f"{found.rate:.6g} sends per {found.rate_unit}")]
+    measured = [f"{' and '.join(map(str, one.rates))} ({one.name})" for one in found.ranking]
+    lines.append(("rates", f"{', '.join(measured)}; each cost is corrected for the difference"))
     if found.cost_all_time is not None:
         lines.append(("every sample", f"{found.cost_all_time:.6g}"))
     parts = [table_text(header, rows, 2), pairs_text(lines)]

@@ -1,0 +1,57 @@
+"""Check that problems can be compared: the same plant, cost and network, and different policies."""
+
+from __future__ import annotations
+
+import inspect
+import itertools
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+
+from taciturn._arrays import instance
+from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
+from taciturn.errors import ProblemError
+from taciturn.model.policy import LinkName
+from taciturn.problem import Problem, expect_problem
+
+
+def check_comparable(problems: Mapping[str, Problem], link: LinkName | None) -> None:
+    """Reject problems that cannot be compared."""
+    instance("problems", problems, Mapping)
+    for name, problem in problems.items():
+        expect_problem(f"problems[{name!r}]", problem)
+    if len(problems) < 2:
+        raise ProblemError(f"the number of policies is {len(problems)}; expected at least two policies to compare")
+    for (one, first), (other, second) in itertools.combinations(problems.items(), 2):
+        for what in ("plant", "actual", "cost", "network", "reference"):
+            if not _same(getattr(first, what), getattr(second, what)):
+                where = "[plant.actual]" if what == "actual" else f"[{what}]"
+                raise ProblemError(f"{one} and {other} differ in {where}; expected the same {where} in all problems")
+        if first.kind == second.kind and _same(_fixed(first, link), _fixed(second, link)):
+            raise ProblemError(
+                f"{one} and {other} are the same policy, {first.kind}, at the same rate; expected policies that differ "
+                "in more than the tuned parameter"
+            )
+
+
+def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
+    """Return the parameters that are not tuned, with their defaults if they are not given."""
+    defaults = {
+        key: parameter.default
+        for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
+        if parameter.default is not parameter.empty
+    }
+    tuned = {tuning.name for tuning in TRADEOFF_PARAMETERS[problem.kind] if link is None or tuning.link in (None, link)}
+    return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
+
+
+def _same(one: object, other: object) -> bool:
+    """Return whether two values are equal; they may be data classes with arrays."""
+    if is_dataclass(one) and type(one) is type(other):
+        return all(_same(getattr(one, part.name), getattr(other, part.name)) for part in fields(one))
+    if isinstance(one, dict) and isinstance(other, dict):
+        known, found = cast("dict[str, object]", one), cast("dict[str, object]", other)
+        return known.keys() == found.keys() and all(_same(value, found[key]) for key, value in known.items())
+    return bool(np.array_equal(cast("Any", one), cast("Any", other)))
