@@ -45,7 +45,6 @@ FRAMED = re.compile("|".join(PATTERNS))
 EXCEPT = {  # (files, the pattern's suggestion): why
     ("src/taciturn/twin/*", "finite-horizon run"): "a robot has a mission",
     ("src/taciturn/export/*.py", "step, or sampling instant"): "C source with a variable of this name",
-    ("src/taciturn/study/devices.py", "step, or sampling instant"): "C source with a variable of this name",
     ("src/taciturn/export/*.py", "periodic (time-triggered) control"): "C source with a member of this name",
     ("src/taciturn/runtime/*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",
     ("src/taciturn/study/world*.py", "periodic (time-triggered) control"): "clocks of machines, which drift and jump",

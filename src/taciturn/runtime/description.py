@@ -53,7 +53,7 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
         })  # fmt: skip
     return {
         "description": DESCRIBED, "policy": policy.kind, "fingerprint": f"{fingerprint(policy, network):016x}",
-        "seconds_per_step": policy.tick, "lossless": network.protocol == "ideal",
+        "seconds_per_step": policy.model.dt or policy.tick, "lossless": network.protocol == "ideal",
         "wire": {
             "version": VERSION, "byte_order": "big-endian", "header": header, "kinds": list(KINDS),
             "links": list(LINKS), "encodings": list(CODES), "crc_bytes": CRC_SIZE, "tag_bytes": TAG_SIZE,

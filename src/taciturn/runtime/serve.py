@@ -115,6 +115,7 @@ class NodeServer:
         kept = None if keep is None else keep.read()
         if kept is not None:
             self._take_up(kept)
+        self._unused = [self._unusable(node) for node in nodes]
 
     def run(self, ticks: int | None, stopped: Callable[[], bool]) -> dict[str, Any]:
         """Execute steps until ``ticks`` steps are done or the server is stopped, and return the report."""
@@ -343,12 +344,19 @@ class NodeServer:
         """Print why a node has received nothing usable."""
         if self._say is None:
             return
-        unused = {name: node.counters[name] for name in UNUSABLE} | dict(self.refused)
-        found = ", ".join(f"{number} {name}" for name, number in unused.items() if number) or "no datagram at all"
+        unused = self._unusable(node)
+        news = unused - self._unused[node.loop]
+        self._unused[node.loop] = unused
+        found = ", ".join(f"{number} {name}" for name, number in news.items()) or "none"
         self._say(
-            f"the {node.role} has received no usable packet for {node.watchdog} steps and is degraded (not used so "
-            f"far: {found}); expected a packet or a mark in that time: is the sender running, and is the link intact?"
+            f"the {node.role} has received no usable packet for {node.watchdog} steps and is degraded (packets "
+            f"discarded since the start or the last such message: {found}); expected a packet or a mark in that time: "
+            "is the sender running, and is the link intact?"
         )
+
+    def _unusable(self, node: Node) -> Counter[str]:
+        """Return the numbers of packets that a node did not use."""
+        return Counter({name: node.counters[name] for name in UNUSABLE}) + self.refused
 
     def _until(self) -> float:
         """Return the time until which to wait for datagrams."""
