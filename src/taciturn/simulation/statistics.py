@@ -175,5 +175,5 @@ def _in_range(find: Callable[[], Estimate], values: Array) -> Estimate:
         if np.isfinite([found.value, found.standard_error]).all():
             return found
     raise ProblemError(
-        f"record contains {np.abs(values).max():.3g}, whose square is out of range; expected smaller numbers"
+        f"record contains {np.abs(values).max():.3g}; expected numbers with finite squares: use larger units"
     )
