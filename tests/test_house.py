@@ -35,7 +35,7 @@ MEETINGS = {
     ("_cvxpy", "errors"), ("_cvxpy", "_arrays"), ("_grid", "errors"), ("_dask", "errors"),
     ("_control", "errors"), ("_control", "_arrays"), ("_table", "errors"), ("_table", "_arrays"),
     ("_mujoco", "errors"), ("_mujoco", "_arrays"), ("_cv2", "errors"), ("_cv2", "_arrays"),
-    ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_progress", "_arrays"),
+    ("_matlab", "errors"), ("_files", "_ending"), ("_matlab", "_files"), ("_matlab", "_text"), ("_progress", "_arrays"),
     ("_progress", "_text"),
     ("study", "problem"), ("simulation", "analyse"), ("cli", ""), ("cli", "twin"),
     ("renewal", "program"),

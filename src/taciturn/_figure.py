@@ -11,7 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
-from taciturn._text import folded
+from taciturn._text import ending_text, folded
 from taciturn.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -222,8 +222,7 @@ def check_format(path: str | Path, formats: Sequence[str] = FORMATS, what: str =
     """
     path = Path(path)
     if path.suffix.lower() not in formats:
-        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
-        raise ProblemError(f"the {what} {str(path)!r} {ending}; expected one of {', '.join(formats)}")
+        raise ProblemError(f"the {what} {str(path)!r} {ending_text(path)}; expected one of {', '.join(formats)}")
     if path.is_dir():
         raise ProblemError(f"the {what} {str(path)!r} is a folder; expected the name of a file")
     if not path.parent.is_dir():

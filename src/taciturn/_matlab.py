@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._files import check_regular
+from taciturn._text import ending_text
 from taciturn.errors import ProblemError
 
 ENDINGS = (".mat", ".npz")
@@ -76,8 +77,8 @@ def read_variables(path: Path) -> dict[str, Variable]:
         ProblemError: the file has another ending, or cannot be read.
     """
     if path.suffix.lower() not in ENDINGS:
-        ending = f"ends in {path.suffix!r}" if path.suffix else "has no ending"
-        raise ProblemError(f"{str(path)!r} {ending}; expected a matrix file that ends in {' or '.join(ENDINGS)}")
+        expected = f"expected a matrix file that ends in {' or '.join(ENDINGS)}"
+        raise ProblemError(f"{str(path)!r} {ending_text(path)}; {expected}")
     try:
         check_regular(path)  # the same error for a missing file in both formats
         return _numpy(path) if path.suffix.lower() == ".npz" else _matlab(path)

@@ -7,6 +7,7 @@ import re
 import textwrap
 from collections.abc import Sequence
 from decimal import ROUND_CEILING, ROUND_FLOOR, ROUND_HALF_EVEN, Decimal
+from pathlib import Path
 
 WIDTH = 80
 NAME = 14  # least width of the names
@@ -123,6 +124,11 @@ def negligible(error: float, value: float) -> bool:
 def magnitude(value: float) -> int:
     """Return the power of ten of the first digit of a number; 0 for 0."""
     return math.floor(math.log10(abs(value))) if value else 0
+
+
+def ending_text(path: Path) -> str:
+    """Return what an error message says about the ending of the name of a file."""
+    return f"ends in {path.suffix!r}" if path.suffix else "has no ending"
 
 
 def per_unit(unit: str) -> str:

@@ -1,11 +1,12 @@
 """The command line: each command reads a problem file, calls a function of the package, and prints its result.
 
 A command has three parts. It checks its options before a long computation starts. It calls the function that Python
-users call, such as ``taciturn.evaluate``, so both get the same numbers. It prints ``str`` of the
-result, in 80 columns, or with ``--json`` as one document that contains version, seed, method and the problem's digest.
+users call, such as ``taciturn.evaluate``, so both get the same numbers. It prints ``str`` of the result, in 80 columns,
+or with ``--json`` one document that contains version, seed, method and the problem's digest.
 
 ``frame`` contains the application, the options that several commands share, and ``main``. ``main`` turns each error of
 the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
+``usage`` does so with the errors of the parser, and names the option that the user typed.
 ``answers`` contains the commands for one problem, ``studies`` those for several, ``network`` (with ``links``) those
 that run nodes, ``devices`` the export, ``twin`` the robots, and ``new`` (with ``questions``) the dialogue.
 

@@ -306,14 +306,16 @@ def follow_every_query(plant: Plant, initial: Array, horizon: int | None) -> tup
     predictor, covariance, repetition = Predictor(plant), [initial], Repetition()
     for _ in range((horizon or LONGEST) - 1):
         covariance.append(predictor.follow(covariance[-1], True))
-        period = None if horizon is None else repetition.period(len(covariance), covariance[-1])
-        if horizon is not None and period is not None:
-            cycle = covariance[-period:]
-            covariance += [cycle[k % period] for k in range(horizon - len(covariance))]
+        if horizon is None:
+            cycle = _cycle(predictor, covariance)
+            if cycle is not None:
+                return frozen(np.array(covariance[: cycle[1]])), cycle[0]
+            continue
+        period = repetition.period(len(covariance), covariance[-1])
+        if period is not None:
+            repeated = covariance[-period:]
+            covariance += [repeated[k % period] for k in range(horizon - len(covariance))]
             break
-        cycle = None if horizon is not None else _cycle(predictor, covariance)
-        if cycle is not None:
-            return frozen(np.array(covariance[: cycle[1]])), cycle[0]
     if horizon is None:
         raise UnstableError(
             f"the error covariance has not converged within {LONGEST} steps; "

@@ -66,6 +66,10 @@ HEADER = (
 )
 HEADER_FORMAT = "!" + "".join(entry.code for entry in HEADER)
 HEADER_SIZE = struct.calcsize(HEADER_FORMAT)
+OFFSETS = {
+    entry.name: struct.calcsize("!" + "".join(before.code for before in HEADER[:i])) for i, entry in enumerate(HEADER)
+}
+"""Position of each field of the header in a datagram."""
 _SEEN = ("sequence", "kind", "loop", "tick")  # fields that a link reads when it inspects packets
 _PLACE = struct.Struct(
     "!" + "".join(e.code if e.name in _SEEN else f"{struct.calcsize('!' + e.code)}x" for e in HEADER)

@@ -13,7 +13,7 @@ from taciturn.model.network import Network
 from taciturn.model.packets import fingerprint, packet_shapes
 from taciturn.model.places import place_of, roles
 from taciturn.model.policy import NodeName, Policy, Send
-from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, LINKS, PERSON, TAG_SIZE, VERSION
+from taciturn.model.wire import AUTHENTICATED, CODES, CRC_SIZE, HEADER, KINDS, LINKS, OFFSETS, PERSON, TAG_SIZE, VERSION
 from taciturn.program.draws import seed_generators
 from taciturn.program.ir import Program, needed
 from taciturn.program.layout import lay_out
@@ -36,12 +36,10 @@ def describe_wire(policy: Policy, network: Network, seed: int = 0) -> dict[str, 
     Raises:
         ProblemError: the nodes of the policy cannot be separated.
     """
-    offset = 0
     header: list[dict[str, object]] = []
     for entry in HEADER:
         size = struct.calcsize("!" + entry.code)
-        header.append({"name": entry.name, "offset": offset, "bytes": size, "meaning": entry.meaning})
-        offset += size
+        header.append({"name": entry.name, "offset": OFFSETS[entry.name], "bytes": size, "meaning": entry.meaning})
     payloads = {step.link: step.payload for step in policy.steps if isinstance(step, Send)}
     packets: list[dict[str, object]] = []
     for (kind, link), (encoding, entries) in packet_shapes(policy, network).items():

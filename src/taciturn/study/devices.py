@@ -25,7 +25,7 @@ from taciturn.model.network import Network
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
 from taciturn.model.policy import NodeName, Policy
-from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LINKS, TAG_SIZE
+from taciturn.model.wire import CRC_SIZE, HEADER_SIZE, LINKS, OFFSETS, TAG_SIZE
 from taciturn.program.ops import Precision
 from taciturn.runtime.inbox import Inbox
 from taciturn.runtime.keys import Keys
@@ -44,7 +44,6 @@ COUNTERS = (
     *REFUSALS, "unproven", "proofs", "unsent", "missed", "repeated",
 )  # fmt: skip
 DROPPED = ("misdirected", "duplicate", "replayed", "ahead", "unproven", "proofs", *REFUSALS)
-LINK_AT = 6  # position of the link in a datagram
 ON_NODES = LINKS[:2]  # links between nodes
 ACCESS = """
 #include "device.h"
@@ -352,7 +351,7 @@ class DeviceServer(NodeServer):
 
 def _is_physical(datagram: bytes) -> bool:
     """Return whether a datagram is exchanged with the plant."""
-    return datagram[LINK_AT] == LINKS.index(PLANT)
+    return datagram[OFFSETS["link"]] == LINKS.index(PLANT)
 
 
 @lru_cache(maxsize=8)

@@ -10,7 +10,7 @@ from taciturn.loop import Loop
 from taciturn.model.network import Network
 from taciturn.model.places import links_to, peer_of, receiver_of, role_at, roles, sender_of
 from taciturn.model.policy import LinkName, NodeName, Policy, Send
-from taciturn.model.wire import LINKS, PROOFS
+from taciturn.model.wire import LINKS, OFFSETS, PROOFS
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording, draw_attacks
 from taciturn.runtime.clock import AGREED, JUMPED
 from taciturn.runtime.faults import Crash, Fault, Flights, Jump, LinkFault, Path, Pause, Replay, Skew, draw_faults
@@ -22,7 +22,7 @@ from taciturn.runtime.serve import WAIT, NodeServer
 from taciturn.runtime.udp import Address
 from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 from taciturn.runtime.world import PlantServer
-from taciturn.study.devices import LINK_AT, DeviceNode, DeviceServer
+from taciturn.study.devices import DeviceNode, DeviceServer
 from taciturn.study.invariants import BrokenError, Copy, Life, Monitor, differing
 from taciturn.study.keyring import KeyRing
 
@@ -78,7 +78,7 @@ class _CachedWire(Wire):
         self._decoded: dict[tuple[bytes, tuple[bytes, ...]], Packet | str] = {}
 
     def decode(self, datagram: bytes) -> Packet | str:
-        link = datagram[LINK_AT]
+        link = datagram[OFFSETS["link"]]
         known = datagram, self.keys.of(LINKS[link]) if self.keys is not None and link < len(LINKS) else ()
         found = self._decoded.get(known)
         if found is None:
