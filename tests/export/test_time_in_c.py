@@ -81,6 +81,24 @@ def test_a_program_reads_that_the_watchdog_has_expired(safe: tuple[float, ...] |
         assert node.silent == (tick in (3, 4, 5, 6, 10, 11))
 
 
+def test_steps_for_which_a_node_did_not_run_are_no_silence_once_a_packet_has_come() -> None:
+    """A node that starts from its saved state executes the missed steps after the packet: missed, but not silent."""
+    found = case("ideal", "actuator", 0)
+    wire, node = Wire(found.policy, found.network), Device(found.library, None, 9, LOOP)
+    node.watch(3, (0.5,))
+    host = Node(found.policy, "actuator", network=found.network, loop=LOOP, watchdog=3, safe=[0.5])
+    for tick, last in ((0, 0), (4, 6), (10, 10)):
+        packet = Packet("data", "actuator", tick, tick, (2.0,), 1, LOOP)
+        if tick < 10:
+            host.sort_in(packet)
+            assert node.receive(wire.encode(packet))
+        for step in range(tick, last + 1):
+            assert node.step(step)
+            assert node.input == host.step(step).input
+            assert node.silent == host.silent == (step == 10)
+    assert dict(host.reasons) == {"lost": 1, "missed": 2, "silent": 1}
+
+
 def test_a_watchdog_expires_while_no_step_begins() -> None:
     """The program says so, since nobody counts steps; a refused packet changes nothing, and a mark ends it."""
     loop = LOOPS["ideal"]()

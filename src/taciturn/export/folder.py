@@ -359,7 +359,8 @@ the input of the plant. Call `begin` once, and `step` in each step.
   leave enough time between them for packets to arrive. A node that starts while the loop runs waits for a packet, and
   starts with step `tac_heard(node) - 1`.
 * The **epoch** must increase with each start of a node whose memory is lost. Use for example a wall clock in seconds,
-  or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them.
+  or a counter in non-volatile memory. Receivers treat packets with an old epoch as replays and ignore them. With keys
+  on all links, the epoch must only differ from those of earlier starts, so it may be random.
 * `NODE_start` returns NULL if the constant data of the node are damaged or belong to another version of the core.
 * `tac_step` returns whether the node executed the step. It returns false if the step is not later than the last one, if
   the measurement is not finite, or if more missed steps are left than one call executes (`tac_behind`, `TAC_CATCH_UP`).

@@ -97,7 +97,7 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         {name: i for i, name in enumerate(names)},
         {name: i for i, name in enumerate(program.parts[0].outputs)},
     )
-    first, horizon = outputs.get("input 0"), policy.cost.horizon if policy.cost is not None else None
+    first = outputs.get("input 0")
     return Layout(
         inputs=tuple(names),
         wiring=tuple(tuple(places[name] for name in part.inputs) for part in program.parts),
@@ -110,8 +110,14 @@ def lay_out(policy: Policy, program: NodeProgram) -> Layout:
         ),
         applied=None if first is None else slice(first, first + policy.model.inputs),
         options={name.removeprefix("option "): i for name, i in outputs.items() if name.startswith("option ")},
-        remembers=ceil(FORGOTTEN * policy.settling) or horizon or NEVER,
+        remembers=steps_of_a_fault(policy),
     )
+
+
+def steps_of_a_fault(policy: Policy) -> int:
+    """Return the number of steps after which the effect of a fault, which the theory excludes, is negligible."""
+    horizon = None if policy.cost is None else policy.cost.horizon
+    return ceil(FORGOTTEN * policy.settling) or horizon or NEVER
 
 
 def _is_acknowledged(policy: Policy, link: str) -> bool:

@@ -120,7 +120,8 @@ class Delay(LinkFault):
     def effect(self) -> str:
         """Return the verb of the sentence."""
         verb = "arrives" if self.share >= 1 else "arrive"
-        return f"{verb} {self.least:g} to {self.most:g} steps late"
+        late = f"{self.least:g} to {self.most:g}" if self.most > self.least else f"{self.most:g}"
+        return f"{verb} {late} steps late"
 
 
 @dataclass(frozen=True, repr=False)

@@ -140,6 +140,8 @@ class RenewedKeys(Keys, ABC):
             Keys(links).check("process", (link for link, keys in self._links.items() if keys))
         except ProblemError as error:
             return f"{error}; the former keys remain in use"
+        if dict(links) == self._links:
+            return None
         self._links = dict(links)
         return f"the keys of {self} have changed; the new keys are in use"
 

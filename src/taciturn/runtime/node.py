@@ -195,8 +195,9 @@ class Node:
         """
         y = self._measured(measurement)
         for packet in packets:
-            if self.sort_in(packet) in USABLE:
-                self._heard_at = max(tick, self.tick)
+            self.sort_in(packet)
+        if self._heard_at > self.tick:  # packets that arrived after the last step count from this step on
+            self._heard_at = max(self._heard_at, tick)
         if tick <= self.tick:
             self.counters["repeated"] += 1
             return Stepped((), self._output())

@@ -182,7 +182,8 @@ def log_line(
     line["memory"] = node.memory
     if given is not None:
         line["u"] = list(given)
-    return line | {"degraded": int(node.degraded), "silent": int(node.silent), "waiting": node.waiting}
+    line |= {"degraded": int(node.degraded), "reasons": dict(node.reasons)}
+    return line | {"silent": int(node.silent), "waiting": node.waiting}
 
 
 def name_of_part(log: Path) -> Path:

@@ -18,6 +18,7 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 from taciturn.problem import Problem, expect_problem
+from taciturn.program.layout import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.units import cost_unit, time_unit
 
@@ -112,7 +113,17 @@ class Description(Displayed):
             for link in self.diagram.links:
                 told = ", acknowledged" if link.acknowledged else ""
                 lines.append((f"link, {link.name}", f"{link.packet}: {link.condition}{told}"))
+        lines += self._fault_lines()
         return [*lines, *(("note", note) for note in self.notes)]
+
+    def _fault_lines(self) -> Lines:
+        """Return how long a fault has an effect, if it is not until the end of a run."""
+        policy = self.policy
+        if not isinstance(policy, Policy) or policy.settling == 0:
+            return []
+        steps, per = steps_of_a_fault(policy), policy.model.dt
+        lasting = f"{steps} steps" if per is None else f"{steps} steps ({per * steps:.3g} s)"
+        return [("after a fault", f"a node is degraded for {lasting}, seven time constants")]
 
     @property
     def _decisions(self) -> Mapping[str, Trigger]:

@@ -169,6 +169,9 @@ bool tac_step(tac_node *node, uint64_t tick, const tac_real *measurement, const 
     node->counters.repeated++;
     return false;
   }
+  if (node->heard > tac_count_ticks(node)) { /* packets that arrived after the last step count from this step on */
+    node->heard = tick + 1U;
+  }
   if (!make_up(node, tick)) {
     return false;
   }
