@@ -24,7 +24,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from taciturn.study.worlds import WorldRun
+from taciturn.study.testbed.worlds import WorldRun
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from runtime.defects import DEFECTS

@@ -37,16 +37,16 @@ if TYPE_CHECKING:
     from taciturn.simulation.average import difference as difference
     from taciturn.simulation.trajectory import simulate as simulate
     from taciturn.study.certify import certify as certify
-    from taciturn.study.channel import share_channel as share_channel
+    from taciturn.study.channel.share import share_channel as share_channel
     from taciturn.study.compare import compare as compare
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.export import export_c as export_c
     from taciturn.study.export import export_fmu as export_fmu
-    from taciturn.study.network import run_network as run_network
     from taciturn.study.reproduce import reproduce as reproduce
-    from taciturn.study.sweep import sweep as sweep
+    from taciturn.study.sweeping.sweep import sweep as sweep
+    from taciturn.study.testbed.network import run_network as run_network
     from taciturn.study.tradeoff import tradeoff as tradeoff
-    from taciturn.study.tune import tune as tune
+    from taciturn.study.tuning.tune import tune as tune
 
 # Module of each public name; it is imported at the first access, so that `taciturn --help` starts quickly.
 _HOME = {
@@ -81,13 +81,13 @@ _HOME = {
     "load": "problem",
     "plant_from": "model.plant",
     "reproduce": "study.reproduce",
-    "run_network": "study.network",
-    "share_channel": "study.channel",
+    "run_network": "study.testbed.network",
+    "share_channel": "study.channel.share",
     "simulate": "simulation.trajectory",
-    "sweep": "study.sweep",
+    "sweep": "study.sweeping.sweep",
     "to_control": "runtime.control",
     "tradeoff": "study.tradeoff",
-    "tune": "study.tune",
+    "tune": "study.tuning.tune",
 }
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above
 

@@ -137,7 +137,7 @@ def test_a_world_is_replayed_from_its_seed(run: Run, monkeypatch: pytest.MonkeyP
     assert document["broken"] is None
     assert 0 <= document["recovery"] <= document["promised"]
     assert f"{document['recovery']} steps after the last fault" in re.sub(r"\s+", " ", text)
-    monkeypatch.setattr("taciturn.study.world.World.run", lambda world, copies: "step 7: a packet is missing")
+    monkeypatch.setattr("taciturn.study.testbed.world.World.run", lambda world, copies: "step 7: a packet is missing")
     answer = run("network", "remote-scalar", "--world", "2")
     assert answer.code == 2
     assert "world 2 breaks an invariant at step 7: a packet is missing" in answer.err

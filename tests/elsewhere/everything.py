@@ -22,7 +22,7 @@ from taciturn.runtime.plant import SimulatedPlant
 from taciturn.runtime.serve import NodeServer
 from taciturn.runtime.udp import Endpoint
 from taciturn.runtime.world import PlantServer
-from taciturn.study.workers import processes
+from taciturn.study.sweeping.workers import processes
 
 TICKS = 100
 

@@ -22,7 +22,7 @@ from taciturn.model.policy import NodeName, Policy
 from taciturn.model.wire import KINDS, LINKS
 from taciturn.program.ops import Precision
 from taciturn.runtime.packet import REFUSALS, Packet
-from taciturn.study.devices import ACCESS, COUNTERS, Key, sizes_header
+from taciturn.study.testbed.devices import ACCESS, COUNTERS, Key, sizes_header
 
 CORE = Path(taciturn.__file__).parent / "export" / "core"
 HERE = Path(__file__).parent

@@ -29,7 +29,7 @@ from taciturn.program.ops import Precision
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.network import losses
+from taciturn.study.testbed.network import losses
 
 ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it

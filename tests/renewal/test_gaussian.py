@@ -14,7 +14,7 @@ from taciturn.lqg.riccati import regulate_continuous
 from taciturn.lqg.sampling import sample
 from taciturn.model.plant import Jumps
 from taciturn.renewal import gaussian
-from taciturn.renewal._check import INTERPOLATED, SOLVED
+from taciturn.renewal._trigger_check import INTERPOLATED, SOLVED
 from taciturn.renewal.chain import Chain, Intervals, JumpNoise, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 

@@ -14,7 +14,8 @@ import taciturn
 from taciturn.analyse.renewal import chain_of
 from taciturn.errors import ProblemError
 from taciturn.model.plant import Jumps
-from taciturn.renewal import _randomisation, paths
+from taciturn.renewal import _replication as _randomisation
+from taciturn.renewal import paths
 from taciturn.renewal.chain import Chain, JumpNoise, NoQuadratureError
 from taciturn.renewal.gaussian import solve_gaussian
 from taciturn.renewal.paths import expect_quicker, solve_paths

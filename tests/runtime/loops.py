@@ -18,7 +18,7 @@ from taciturn.program.machine import Kernel
 from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet
 from taciturn.runtime.plant import SimulatedPlant
-from taciturn.study.network import losses
+from taciturn.study.testbed.network import losses
 
 Records = Mapping[str, np.ndarray]
 

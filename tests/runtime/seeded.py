@@ -10,8 +10,8 @@ from runtime.defects import Defect
 
 import taciturn
 from taciturn.model.places import roles
-from taciturn.study.devices import DeviceCode, DeviceNode, compile_devices
-from taciturn.study.worlds import WorldRun, prepare, run_world
+from taciturn.study.testbed.devices import DeviceCode, DeviceNode, compile_devices
+from taciturn.study.testbed.worlds import WorldRun, prepare, run_world
 
 BUILT_IN = ("remote-scalar", "double-integrator", "lossy-double-integrator", "two-mass")
 

@@ -24,7 +24,7 @@ from taciturn.model.policy import Send
 from taciturn.runtime.namespaces import KernelLoss, Namespaces, predict_drops
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.study.network import NetworkRun, kernel_losses, run_network
+from taciturn.study.testbed.network import NetworkRun, kernel_losses, run_network
 
 POLICY = taciturn.load("lossy-double-integrator").design()
 NAMES = Path("/var/run/netns")

@@ -20,7 +20,7 @@ import taciturn
 from taciturn.errors import ProblemError
 from taciturn.runtime.processes import Process, Processes
 from taciturn.runtime.relay import Fate
-from taciturn.study.network import NetworkRun, losses, run_network
+from taciturn.study.testbed.network import NetworkRun, losses, run_network
 
 Report = Mapping[str, Any]
 TICKS = 300

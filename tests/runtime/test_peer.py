@@ -23,7 +23,7 @@ import taciturn
 from taciturn.model.places import links_to, place_of, role_at, roles
 from taciturn.runtime.description import describe_wire
 from taciturn.runtime.udp import free_addresses
-from taciturn.study.network import losses
+from taciturn.study.testbed.network import losses
 
 PEER = Path(__file__).parent / "peer.mjs"
 SEED, PATIENCE = 3, 120.0  # seconds until a process that hangs is an error

@@ -15,8 +15,8 @@ from runtime.seeded import of_seed, problem
 
 from taciturn.runtime.attacks import Forgery, KeyChange, Recording
 from taciturn.runtime.faults import Crash, Fault, Jump, Loss, Pause, Replay
-from taciturn.study.devices import compile_devices
-from taciturn.study.worlds import prepare, run_world
+from taciturn.study.testbed.devices import compile_devices
+from taciturn.study.testbed.worlds import prepare, run_world
 
 CUT = ("controller", "actuator")
 

@@ -18,12 +18,12 @@ from taciturn.model.network import Network
 from taciturn.model.trigger import Form
 from taciturn.renewal.chain import Chain
 from taciturn.renewal.gaussian import solve_gaussian
-from taciturn.simulation.access import MostUrgent, RandomAccess, RoundRobin, TimeDivision
-from taciturn.simulation.channel import ERROR, Group, SharedChannel, contend, measure_freely
-from taciturn.study.channel import share_channel
-from taciturn.study.kinds import gather
-from taciturn.study.prices import Curves
-from taciturn.study.schedulers import SCHEDULERS
+from taciturn.study.channel.access import MostUrgent, RandomAccess, RoundRobin, TimeDivision
+from taciturn.study.channel.loop_classes import gather
+from taciturn.study.channel.prices import Curves
+from taciturn.study.channel.schedulers import SCHEDULERS
+from taciturn.study.channel.share import share_channel
+from taciturn.study.channel.simulated import ERROR, Group, SharedChannel, contend, measure_freely
 
 UNIT = np.eye(1)
 WALK = Problem(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), Network(), "all-time", {})

@@ -19,7 +19,7 @@ import taciturn
 from taciturn._display import LONGEST, Displayed
 from taciturn.model.table import Tabular
 from taciturn.study.reproduction import Reproduction, Row, Table
-from taciturn.study.sweep_table import SweepTable
+from taciturn.study.sweeping.table import SweepTable
 
 
 @cache

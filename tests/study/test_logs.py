@@ -16,9 +16,9 @@ import pytest
 
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.service import logged, name_of_part
-from taciturn.study import logs, network
-from taciturn.study.logs import Logs
-from taciturn.study.network import run_network
+from taciturn.study.testbed import logs, network
+from taciturn.study.testbed.logs import Logs
+from taciturn.study.testbed.network import run_network
 
 
 def line(tick: int) -> dict[str, Any]:

@@ -11,7 +11,7 @@ import pytest
 import taciturn
 from taciturn.runtime.relay import Fate
 from taciturn.study.describe import describe
-from taciturn.study.periods import tune_period
+from taciturn.study.tuning.periods import tune_period
 
 NAME: Any = "two-mass-lqg"
 

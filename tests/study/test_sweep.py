@@ -22,8 +22,8 @@ import taciturn
 from taciturn import Cost, Plant, Problem, ProblemError, load, sweep
 from taciturn._dask import dask_workers
 from taciturn.model.network import Network
-from taciturn.study.store import save_whole
-from taciturn.study.sweep_table import SweepTable
+from taciturn.study.sweeping.store import save_whole
+from taciturn.study.sweeping.table import SweepTable
 
 MASSES = load("two-mass-lqg")
 GRID: dict[str, list[object]] = {"theta": [0.1, 1.0, 3.0], "actuation": ["hold", "model"]}
@@ -116,7 +116,7 @@ from pathlib import Path
 from mpi4py.futures import MPIPoolExecutor
 
 import taciturn
-from taciturn.study.store import save_whole
+from taciturn.study.sweeping.store import save_whole
 
 if __name__ == "__main__":
     name, grid, effort, out = sys.argv[1:]

@@ -8,8 +8,8 @@ import pytest
 import taciturn
 from taciturn import Cost, Plant, close, design
 from taciturn.simulation.statistics import batch_means
-from taciturn.study.network import _unheard
-from taciturn.study.ticks import plant_cost, settled
+from taciturn.study.testbed.network import _unheard
+from taciturn.study.testbed.ticks import plant_cost, settled
 
 PROBLEM = taciturn.load("two-mass-lqg")
 LOOP = PROBLEM.close(PROBLEM.design())

@@ -13,9 +13,9 @@ import taciturn
 from taciturn import Cost, Network, Plant, Problem, ProblemError, tune
 from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.problem.parameters import check_parameters
-from taciturn.study import search
-from taciturn.study.budget import budget_of
-from taciturn.study.search import Goal, Search
+from taciturn.study.tuning import search
+from taciturn.study.tuning.budget import budget_of
+from taciturn.study.tuning.search import Goal, Search
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")

@@ -12,8 +12,8 @@ import pytest
 
 from taciturn import ProblemError, load, sweep
 from taciturn._dask import dask_workers
-from taciturn.study import cells
-from taciturn.study.workers import deserted
+from taciturn.study.sweeping import cells
+from taciturn.study.sweeping.workers import deserted
 
 
 def test_a_dask_client_is_no_executor_and_its_workers_may_go() -> None:

@@ -12,7 +12,7 @@ from twin.crews import crew
 
 from taciturn.model.network import Network
 from taciturn.problem import parse
-from taciturn.study.network import losses
+from taciturn.study.testbed.network import losses
 from taciturn.twin.live import watch_twin
 from taciturn.twin.mission import all_time
 from taciturn.twin.page import Page

@@ -13,7 +13,7 @@ from twin.crews import short_mission, stand_in
 from taciturn._arrays import Array
 from taciturn.problem import load
 from taciturn.runtime.namespaces import predict_drops
-from taciturn.study.network import kernel_losses, losses
+from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn.twin.faults import parse_fault
 from taciturn.twin.outcome import Trial
 from taciturn.twin.record import to_dataset, write_record

@@ -214,8 +214,8 @@ def tune(
 ) -> None:
     """Tune the parameter of a policy to meet a budget on its rate or its cost."""
     import taciturn
-    from taciturn.study.periods import TunedPeriod, tune_period
     from taciturn.study.record import origin
+    from taciturn.study.tuning.periods import TunedPeriod, tune_period
 
     allowed, spent = _budget("rate", rate), _budget("cost", cost)
     problem, on = load_changed(file, settings, no_functions), cast("Any", link)
@@ -257,7 +257,7 @@ def tune(
 
 def _budget(name: str, text: str | None) -> float | str | None:
     """Return the budget of --rate or --cost."""
-    from taciturn.study.budget import parse_budget
+    from taciturn.study.tuning.budget import parse_budget
 
     return None if text is None else parse_budget(name, text)
 

@@ -28,7 +28,7 @@ def read_fates(given: Sequence[str], policy: Policy, network: Network, seed: int
     """Return the impairments of each link: the losses of --loss, or else those of the problem's network."""
     from taciturn.errors import ProblemError
     from taciturn.model.policy import Send
-    from taciturn.study.network import losses
+    from taciturn.study.testbed.network import losses
 
     stated = losses(network, seed)
     fates: dict[LinkName, Fate] = {step.link: stated[step.link] for step in policy.steps if isinstance(step, Send)}

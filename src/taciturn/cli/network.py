@@ -89,8 +89,8 @@ def network(
     """Run the nodes of a problem as processes on this machine, connected over UDP."""
     import taciturn
     from taciturn.runtime.keys import read_keys
-    from taciturn.study.network import run_network
     from taciturn.study.record import origin
+    from taciturn.study.testbed.network import run_network
 
     check_counts({"--ticks": ticks})
     problem = load_changed(file, settings, no_functions)
@@ -261,7 +261,7 @@ def plant(
     from taciturn.runtime.service import logged, say, say_where
     from taciturn.runtime.udp import Endpoint, parse_address
     from taciturn.runtime.world import PlantServer
-    from taciturn.study.ticks import plant_cost
+    from taciturn.study.testbed.ticks import plant_cost
 
     check_counts({"--ticks": ticks, "--loops": loops})
     problem = load_changed(file, settings, no_functions)

@@ -69,7 +69,7 @@ def tradeoff(
     from taciturn._grid import parse_grid
     from taciturn.study.lower import choose_confidence
     from taciturn.study.record import origin
-    from taciturn.study.workers import processes
+    from taciturn.study.sweeping.workers import processes
 
     values = parse_grid(over)
     if plot is not None:
@@ -137,9 +137,9 @@ def sweep(
     from taciturn._dask import dask_workers
     from taciturn._grid import parse_grid
     from taciturn._table import check_table, save_table
-    from taciturn.study.store import save_whole
-    from taciturn.study.sweep_table import SweepTable
-    from taciturn.study.workers import processes
+    from taciturn.study.sweeping.store import save_whole
+    from taciturn.study.sweeping.table import SweepTable
+    from taciturn.study.sweeping.workers import processes
 
     if dask is not None and workers is not None:
         raise taciturn.ProblemError(
@@ -283,7 +283,7 @@ def channel(
     from taciturn._figure import check_format, save
     from taciturn.analyse.limits import USUAL
     from taciturn.study.record import origin
-    from taciturn.study.workers import processes
+    from taciturn.study.sweeping.workers import processes
 
     if plot is not None:
         check_format(plot)

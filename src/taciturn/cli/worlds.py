@@ -17,7 +17,7 @@ def run_world(problem: Problem, seed: int, others: Sequence[str], as_json: bool)
     """Run a world of faults and print it; with a broken invariant, raise an error after that."""
     from taciturn.errors import ProblemError
     from taciturn.study.record import origin
-    from taciturn.study.worlds import run_world_with_devices
+    from taciturn.study.testbed.worlds import run_world_with_devices
 
     if others:
         raise ProblemError(f"--world is given with {others[0]}, which it does not use; expected --world alone")

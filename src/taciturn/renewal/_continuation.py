@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from taciturn._arrays import Array
-from taciturn.renewal._nodes import Window
-from taciturn.renewal._system import Solved, gauss
-from taciturn.renewal._whiten import White
+from taciturn.renewal._quadrature_nodes import Window
+from taciturn.renewal._renewal_equations import Solved, gauss
+from taciturn.renewal._white_coordinates import White
 
 MOST_ENTRIES = 4_000_000  # entries of a table in memory
 BATCH = 256  # neighbouring points that are evaluated together

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import Array, frozen
-from taciturn.renewal._check import Grid, Matrix
+from taciturn.renewal._trigger_check import Grid, Matrix
 from taciturn.renewal.chain import Intervals
 
 NEGLIGIBLE = 1e-14  # survival probability that counts as 0

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from taciturn._arrays import Array
-from taciturn.renewal._nodes import legendre
+from taciturn.renewal._quadrature_nodes import legendre
 from taciturn.renewal.chain import NoQuadratureError
 
 BEYOND = 1e-10  # probability of the larger increments, which are neglected

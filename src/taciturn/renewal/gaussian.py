@@ -8,10 +8,9 @@ import numpy as np
 
 from taciturn._arrays import number
 from taciturn._progress import Progress, Stages
-from taciturn.renewal._check import STENCIL, Effort
 from taciturn.renewal._intervals import intervals
-from taciturn.renewal._nodes import Ellipsoid, TooManyNodes, Window, place
-from taciturn.renewal._system import (
+from taciturn.renewal._quadrature_nodes import Ellipsoid, TooManyNodes, Window, place
+from taciturn.renewal._renewal_equations import (
     BEYOND,
     COARSE,
     DENSE,
@@ -27,7 +26,8 @@ from taciturn.renewal._system import (
     solve,
     usual_accuracy,
 )
-from taciturn.renewal._whiten import spread, whiten
+from taciturn.renewal._trigger_check import STENCIL, Effort
+from taciturn.renewal._white_coordinates import spread, whiten
 from taciturn.renewal.chain import Chain, Renewal
 from taciturn.renewal.rates import least_interval
 

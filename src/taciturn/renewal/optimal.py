@@ -8,11 +8,10 @@ import numpy as np
 
 from taciturn._arrays import TINY, Array, ArrayLike, array, number, semidefinite, square
 from taciturn._progress import Progress, Stages
-from taciturn.renewal._check import Effort
 from taciturn.renewal._continuation import ContinuationRegion, holes, improve
 from taciturn.renewal._intervals import intervals
-from taciturn.renewal._nodes import Ellipsoid, Region, TooManyNodes, Window, place
-from taciturn.renewal._system import (
+from taciturn.renewal._quadrature_nodes import Ellipsoid, Region, TooManyNodes, Window, place
+from taciturn.renewal._renewal_equations import (
     COARSE,
     LOOSEST,
     MOST_NODES,
@@ -24,7 +23,8 @@ from taciturn.renewal._system import (
     solve,
     usual_accuracy,
 )
-from taciturn.renewal._whiten import AGES, White, spread, whiten
+from taciturn.renewal._trigger_check import Effort
+from taciturn.renewal._white_coordinates import AGES, White, spread, whiten
 from taciturn.renewal.chain import Chain, NoQuadratureError, Renewal
 
 ROUGHLY = 1e-4  # relative accuracy to which the policy is iterated on coarse nodes

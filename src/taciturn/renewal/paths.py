@@ -10,8 +10,8 @@ from taciturn._arrays import Array, count, frozen, number
 from taciturn._display import Displayed
 from taciturn._progress import OutOfTime, Progress, Stages
 from taciturn.model.estimate import Estimate
-from taciturn.renewal._randomisation import Course, Walk, follow
-from taciturn.renewal._whiten import reduced
+from taciturn.renewal._replication import Course, Walk, follow
+from taciturn.renewal._white_coordinates import reduced
 from taciturn.renewal.chain import Chain, Intervals
 from taciturn.renewal.rates import least_interval
 

@@ -11,7 +11,7 @@ from taciturn._arrays import Array, count, number
 from taciturn._display import Displayed
 from taciturn._modes import radius, root, summed
 from taciturn.renewal._chi_square import enclosed
-from taciturn.renewal._whiten import Data, reduced
+from taciturn.renewal._white_coordinates import Data, reduced
 from taciturn.renewal.chain import Chain
 
 MOST_CHECKS = 2048  # checks that are computed one by one

@@ -9,11 +9,11 @@ from taciturn._figure import Panel, Series, draw
 from taciturn._progress import Progress
 from taciturn.model.estimate import Estimate
 from taciturn.problem import Problem, load
-from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.clock import Clock
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.fair import clock_of, sampling_clock
 from taciturn.study.reproduction import Reproduction, Row, Table
+from taciturn.study.sweeping.cells import Cell, Effort, evaluate_cells
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -19,8 +19,8 @@ from taciturn.model.reference import Reference
 from taciturn.problem import load
 from taciturn.simulation.average import average
 from taciturn.simulation.trajectory import simulate
-from taciturn.study.cells import Cell, Effort, evaluate_cells
 from taciturn.study.reproduction import Reproduction, Row, Table
+from taciturn.study.sweeping.cells import Cell, Effort, evaluate_cells
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

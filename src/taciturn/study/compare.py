@@ -26,7 +26,7 @@ from taciturn.study.alike import check_comparable
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
-from taciturn.study.tune import Tuned, tune
+from taciturn.study.tuning.tune import Tuned, tune
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:

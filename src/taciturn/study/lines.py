@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from taciturn.model.schedule import Schedule
     from taciturn.study.clock import ClockMix
     from taciturn.study.evaluate import Evaluation
-    from taciturn.study.tuned import Tuned
+    from taciturn.study.tuning.tuned import Tuned
 
 MOST_DECIMALS = 2  # largest number of decimals of a percentage in a table
 ZERO = 1e-11  # relative difference of two costs that is a rounding error

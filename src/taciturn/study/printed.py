@@ -13,13 +13,13 @@ if TYPE_CHECKING:
 
     from taciturn.study.bench import Bench
     from taciturn.study.certify import Certificates
-    from taciturn.study.channel import Sharing
+    from taciturn.study.channel.share import Sharing
     from taciturn.study.compare import Comparison
-    from taciturn.study.network import NetworkRun
-    from taciturn.study.periods import TunedPeriod
     from taciturn.study.reproduction import Table
+    from taciturn.study.testbed.network import NetworkRun
+    from taciturn.study.testbed.worlds import WorldRun
     from taciturn.study.tradeoff import Tradeoff
-    from taciturn.study.worlds import WorldRun
+    from taciturn.study.tuning.periods import TunedPeriod
 
 RATES = ("rate_actuator", "rate_sensor")
 

@@ -10,7 +10,7 @@ import numpy as np
 from taciturn._arrays import Array
 from taciturn._text import percent
 from taciturn.model.estimate import Estimate
-from taciturn.study.ticks import measured
+from taciturn.study.testbed.ticks import measured
 from taciturn.twin.identification import Identification
 from taciturn.twin.mission import THESIS
 from taciturn.twin.outcome import Trial

@@ -15,7 +15,7 @@ from typing import Any
 from taciturn.model.network import Network
 from taciturn.model.policy import LinkName
 from taciturn.runtime.namespaces import predict_drops
-from taciturn.study.network import kernel_losses, losses
+from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn.twin.outcome import ESTIMATE, trigger_values
 from taciturn.twin.trial import Setup
 

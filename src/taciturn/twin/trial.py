@@ -22,8 +22,8 @@ from taciturn.runtime.namespaces import Namespaces
 from taciturn.runtime.packet import Wire
 from taciturn.runtime.processes import Processes
 from taciturn.runtime.udp import Endpoint, parse_address
-from taciturn.study.logs import logged_lines
-from taciturn.study.network import kernel_losses, losses
+from taciturn.study.testbed.logs import logged_lines
+from taciturn.study.testbed.network import kernel_losses, losses
 from taciturn.twin.body import Body
 from taciturn.twin.control import write_calibration
 from taciturn.twin.faults import CAMERA, Fault, window

@@ -15,7 +15,7 @@ from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import budget_text, tuned_text
 
 if TYPE_CHECKING:
-    from taciturn.study.search import Goal
+    from taciturn.study.tuning.search import Goal
 
 
 @dataclass(frozen=True, repr=False)

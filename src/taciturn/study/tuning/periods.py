@@ -13,7 +13,7 @@ from taciturn.model.policy import LinkName
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem, expect_problem
 from taciturn.study.printed import periods_text
-from taciturn.study.tune import Tuned, tune
+from taciturn.study.tuning.tune import Tuned, tune
 
 FASTER = 2.0  # from one period to the next
 ENOUGH = 0.01  # share of the excess over the cost of sending every sample: a smaller gain ends the search

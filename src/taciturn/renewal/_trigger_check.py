@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.renewal._nodes import Nodes, TooManyNodes
-from taciturn.renewal._whiten import White
+from taciturn.renewal._quadrature_nodes import Nodes, TooManyNodes
+from taciturn.renewal._white_coordinates import White
 
 if TYPE_CHECKING:
     import scipy.sparse

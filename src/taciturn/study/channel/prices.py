@@ -21,10 +21,10 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form, GaussianTerm
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.renewal.rare_sends import bound_rare_sends
-from taciturn.simulation.channel import ERROR, Group, measure_freely
 from taciturn.simulation.statistics import rate_of
-from taciturn.study.kinds import Kind
-from taciturn.study.workers import answer_all, idle
+from taciturn.study.channel.loop_classes import Kind
+from taciturn.study.channel.simulated import ERROR, Group, measure_freely
+from taciturn.study.sweeping.workers import answer_all, idle
 
 if TYPE_CHECKING:
     from taciturn.renewal.dual import Sampled

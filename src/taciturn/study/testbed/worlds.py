@@ -1,7 +1,7 @@
 """Worlds of faults: the nodes of a problem and its plant in one process, with faults that a seed chooses.
 
 The servers of the nodes and of the plant are those that run over UDP, in real time; their clocks and sockets are
-virtual. A world breaks if an invariant does not hold (``taciturn.study.invariants``).
+virtual. A world breaks if an invariant does not hold (``taciturn.study.testbed.invariants``).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.problem import Problem
 from taciturn.runtime.faults import Fault
-from taciturn.study.devices import NoCompilerError, compile_devices
-from taciturn.study.invariants import Copy, find_copies
 from taciturn.study.printed import world_text
-from taciturn.study.world import MakeNode, World
+from taciturn.study.testbed.devices import NoCompilerError, compile_devices
+from taciturn.study.testbed.invariants import Copy, find_copies
+from taciturn.study.testbed.world import MakeNode, World
 
 
 @dataclass(frozen=True, eq=False, repr=False)

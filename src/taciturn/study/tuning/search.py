@@ -18,7 +18,7 @@ from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem
 from taciturn.study.evaluate import Evaluation
-from taciturn.study.trials import look_at
+from taciturn.study.tuning.trials import look_at
 
 LEFT = 0.93  # share of the remaining progress that a trial leaves; the number of trials is not known in advance
 EFFORT = 2_000_000  # steps of a trial; all trials use the same draws

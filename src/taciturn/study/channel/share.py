@@ -20,13 +20,13 @@ from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.renewal.allocation import allocate
 from taciturn.simulation.statistics import mean
+from taciturn.study.channel.loop_classes import gather
+from taciturn.study.channel.prices import DualBound
+from taciturn.study.channel.schedulers import SCHEDULERS, SHORTEST, Game, measure
 from taciturn.study.evaluate import SURE
-from taciturn.study.kinds import gather
-from taciturn.study.prices import DualBound
 from taciturn.study.printed import sharing_text
-from taciturn.study.schedulers import SCHEDULERS, SHORTEST, Game, measure
+from taciturn.study.sweeping.workers import idle
 from taciturn.study.units import TimeUnit, time_unit
-from taciturn.study.workers import idle
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

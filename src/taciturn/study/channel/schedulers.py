@@ -17,12 +17,12 @@ from taciturn.errors import UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form
 from taciturn.renewal.allocation import Allocation, LoopClass, allocate
-from taciturn.simulation.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
-from taciturn.simulation.channel import ERROR, Group, SharedChannel, Stretch
 from taciturn.simulation.statistics import mean
-from taciturn.study.kinds import Kind
-from taciturn.study.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
-from taciturn.study.workers import idle
+from taciturn.study.channel.access import Access, MostUrgent, RandomAccess, RoundRobin, TimeDivision
+from taciturn.study.channel.loop_classes import Kind
+from taciturn.study.channel.prices import ALWAYS, CLOCK, Curves, DualBound, Settled
+from taciturn.study.channel.simulated import ERROR, Group, SharedChannel, Stretch
+from taciturn.study.sweeping.workers import idle
 
 PATHS = 16_384  # loops that are simulated side by side; if the channel has fewer, several channels are simulated
 CHANNELS = 32  # largest number of channels

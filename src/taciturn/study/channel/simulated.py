@@ -15,7 +15,7 @@ from taciturn.program.draws import NORMAL, seed_generators, with_draws
 from taciturn.program.engine import Resident, prepare
 from taciturn.program.ir import Builder, Program
 from taciturn.program.lower import TimeStep
-from taciturn.simulation.access import Access, Places
+from taciturn.study.channel.access import Access, Places
 
 ERROR = "error"  # signal in the forms of a rule
 KEPT, EXCESS, SENT, URGENCY, GRANTED = "kept", "excess", "sent", "urgency", "granted"

@@ -10,9 +10,9 @@ import numpy.typing as npt
 
 from taciturn._arrays import Array, symmetrised
 from taciturn._progress import OutOfTime, Stages
-from taciturn.renewal._check import INTERPOLATED, Effort, Grid, Matrix
-from taciturn.renewal._nodes import Nodes, Region, TooManyNodes, Window, place
-from taciturn.renewal._whiten import White
+from taciturn.renewal._quadrature_nodes import Nodes, Region, TooManyNodes, Window, place
+from taciturn.renewal._trigger_check import INTERPOLATED, Effort, Grid, Matrix
+from taciturn.renewal._white_coordinates import White
 from taciturn.renewal.chain import NoQuadratureError
 
 MOST_NODES = 40_000  # most nodes; their equations take seconds

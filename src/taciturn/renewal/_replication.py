@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from taciturn import _scipy
 from taciturn._arrays import Array
-from taciturn.renewal._whiten import Data
+from taciturn.renewal._white_coordinates import Data
 from taciturn.renewal.chain import NoQuadratureError
 
 IDLE = 1e-8  # relative: a noise direction with a smaller effect on e'Ψe is ignored in a check

@@ -35,9 +35,9 @@ from taciturn.runtime.world import PlantServer
 from taciturn.simulation.average import base_rate
 from taciturn.simulation.reliability import comes_never_to_rest
 from taciturn.simulation.statistics import BATCHES, batch_means
-from taciturn.study.logs import PART, Logs
 from taciturn.study.printed import network_text
-from taciturn.study.ticks import cost_of_ticks, measured, settled
+from taciturn.study.testbed.logs import PART, Logs
+from taciturn.study.testbed.ticks import cost_of_ticks, measured, settled
 from taciturn.study.units import TimeUnit, Unit, cost_unit, rate_unit
 
 if TYPE_CHECKING:

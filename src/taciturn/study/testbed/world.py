@@ -22,9 +22,9 @@ from taciturn.runtime.serve import WAIT, NodeServer
 from taciturn.runtime.udp import Address
 from taciturn.runtime.virtual import VirtualClock, VirtualNetwork, VirtualPort, VirtualProcess, VirtualTime
 from taciturn.runtime.world import PlantServer
-from taciturn.study.devices import DeviceNode, DeviceServer
-from taciturn.study.invariants import BrokenError, Copy, Life, Monitor, differing
-from taciturn.study.keyring import KeyRing
+from taciturn.study.testbed.devices import DeviceNode, DeviceServer
+from taciturn.study.testbed.invariants import BrokenError, Copy, Life, Monitor, differing
+from taciturn.study.testbed.keyring import KeyRing
 
 TICK = 0.1  # seconds per step
 LATENCY = 0.02  # steps that a datagram takes

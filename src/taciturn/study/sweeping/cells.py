@@ -20,11 +20,11 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
 from taciturn.study.evaluate import Evaluation, evaluate
-from taciturn.study.identity import Report, accepted, asked, refuse_other_versions
 from taciturn.study.lower import choose_confidence, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
-from taciturn.study.store import Store
-from taciturn.study.workers import deserted, workers_of
+from taciturn.study.sweeping.identity import Report, accepted, asked, refuse_other_versions
+from taciturn.study.sweeping.store import Store
+from taciturn.study.sweeping.workers import deserted, workers_of
 
 FORMAT = 2  # of a stored answer; files of another format are not used
 BLOCK = 1.0  # seconds that a task should take: a thousand times the overhead of a task

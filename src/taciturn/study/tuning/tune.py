@@ -11,12 +11,12 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
 from taciturn.simulation.average import check_effort
-from taciturn.study.budget import budget_of
 from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
-from taciturn.study.search import EXACT, Goal, Look, Search
-from taciturn.study.tuned import Parameter, Tuned
+from taciturn.study.tuning.budget import budget_of
+from taciturn.study.tuning.search import EXACT, Goal, Look, Search
+from taciturn.study.tuning.tuned import Parameter, Tuned
 
 
 def tune(

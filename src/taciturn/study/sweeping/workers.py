@@ -18,7 +18,7 @@ from taciturn._ending import at_once, deferred
 from taciturn._progress import Progress
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.program.machine import available_processors, one_thread
-from taciturn.study.identity import accepted, asked, refuse_other_versions
+from taciturn.study.sweeping.identity import accepted, asked, refuse_other_versions
 
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from numpy.polynomial.legendre import leggauss
 
 from taciturn._arrays import Array, frozen
-from taciturn.renewal._whiten import White
+from taciturn.renewal._white_coordinates import White
 
 STEEP = 4.0  # norm of a column of F from which on nodes are finer in proportion
 SPACING = 0.8  # noise standard deviations between equidistant nodes
