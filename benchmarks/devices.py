@@ -22,24 +22,23 @@ import numpy as np
 import taciturn
 from taciturn._arrays import Array
 from taciturn._files import write_whole
-from taciturn.export.cortex import (
+from taciturn.export.folder import CFolder, print_folder
+from taciturn.export.sizes import find_tool, measure_sizes
+from taciturn.export.vector import record_loop
+from taciturn.loop import Loop
+from taciturn.model.policy import Assign, Decide, Policy
+from taciturn.program.c import literal
+from taciturn.program.ops import Precision
+from taciturn_boards.cortex import (
     M3,
     M4F,
     Board,
     Main,
     compile_for,
     count_instructions,
-    find_tool,
-    measure_sizes,
     run_on,
     self_check,
 )
-from taciturn.export.folder import CFolder, print_folder
-from taciturn.export.vector import record_loop
-from taciturn.loop import Loop
-from taciturn.model.policy import Assign, Decide, Policy
-from taciturn.program.c import literal
-from taciturn.program.ops import Precision
 
 TICKS = 2000  # at most: a finite-horizon run has fewer
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
@@ -73,7 +72,7 @@ def device(policy: str, name: str) -> dict[str, Any]:
     board, precision = DEVICES[name]
     loop = loop_of(*POLICIES[policy], precision)
     folder = print_folder(loop, "device")
-    sizes = measure_sizes(board, folder)
+    sizes = measure_sizes(board.target, folder)
     vector = record_loop(loop, min(TICKS, loop.horizon or TICKS), seed=1)
     counts = count_instructions(board, folder, vector)
     return {

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from taciturn._files import write_whole
-from taciturn.twin.faults import parse_fault
-from taciturn.twin.prepared import Prepared, prepare
-from taciturn.twin.run import TwinRun, mean, run_twin
-from taciturn.twin.trial import Setup
+from taciturn_twins.faults import parse_fault
+from taciturn_twins.prepared import Prepared, prepare
+from taciturn_twins.run import TwinRun, mean, run_twin
+from taciturn_twins.trial import Setup
 
 PRICES = (0.0, 0.001, 0.002, 0.01)
 FAULTS = {

@@ -6,10 +6,10 @@ the link to the camera fails for two seconds. Requires the extra `twin` and a gr
 libgl1-mesa-dri.
 """
 
-from taciturn.twin.faults import parse_fault
-from taciturn.twin.prepared import prepare
-from taciturn.twin.run import run_twin
-from taciturn.twin.trial import Setup
+from taciturn_twins.faults import parse_fault
+from taciturn_twins.prepared import prepare
+from taciturn_twins.run import run_twin
+from taciturn_twins.trial import Setup
 
 rover = prepare("rover")
 B, error = rover.model.B[0, 0], rover.model.B_standard_error[0, 0]

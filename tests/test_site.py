@@ -14,7 +14,7 @@ from test_house import FLOORS
 
 import taciturn
 from taciturn._figure import Panel, Series, draw
-from taciturn.study.reproduce import CHAPTERS
+from taciturn_thesis.reproduce import CHAPTERS
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"

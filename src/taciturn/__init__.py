@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from taciturn._version import __version__
 
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from taciturn.study.evaluate import evaluate as evaluate
     from taciturn.study.export import export_c as export_c
     from taciturn.study.export import export_fmu as export_fmu
-    from taciturn.study.reproduce import reproduce as reproduce
     from taciturn.study.sweeping.sweep import sweep as sweep
     from taciturn.study.testbed.network import run_network as run_network
     from taciturn.study.tradeoff import tradeoff as tradeoff
@@ -80,7 +79,6 @@ _HOME = {
     "linearise": "model.dynamics",
     "load": "problem",
     "plant_from": "model.plant",
-    "reproduce": "study.reproduce",
     "run_network": "study.testbed.network",
     "share_channel": "study.channel.share",
     "simulate": "simulation.trajectory",
@@ -89,18 +87,22 @@ _HOME = {
     "tradeoff": "study.tradeoff",
     "tune": "study.tuning.tune",
 }
+_ADDED = "taciturn.functions"  # entry points of functions that other packages add, such as taciturn.reproduce
 __all__ = ["__version__", "design", *_HOME]  # pyright: ignore[reportUnsupportedDunderAll]  # the names above
 
 
-def __getattr__(name: str) -> object:
+def __getattr__(name: str) -> Any:
     if name == "design":  # the policies, by name: taciturn.design.lqg(…)
         return import_module("taciturn.design")
-    if name not in _HOME:
+    if name in _HOME:
+        value: Any = getattr(import_module(f"taciturn.{_HOME[name]}"), name)
+    elif not name.startswith("_") and name in (plugins := import_module("taciturn._plugins")).find_plugins(_ADDED):
+        value = plugins.load_plugin(_ADDED, name, f"taciturn.{name}")
+    else:
         raise AttributeError(f"module 'taciturn' has no attribute {name!r}")
-    value: object = getattr(import_module(f"taciturn.{_HOME[name]}"), name)
     globals()[name] = value
     return value
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted([*__all__, *import_module("taciturn._plugins").find_plugins(_ADDED)])

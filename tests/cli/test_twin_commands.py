@@ -10,7 +10,7 @@ import pytest
 from twin.crews import blind, short_mission, stand_in
 
 from taciturn.runtime.udp import Endpoint
-from taciturn.twin.control import write_calibration
+from taciturn_twins.control import write_calibration
 
 if TYPE_CHECKING:
     from conftest import Run
@@ -120,7 +120,7 @@ def test_a_twin_ends_with_one_document(run: Run, tmp_path: Path, monkeypatch: py
     """A short mission: rates of both links, costs, how well the camera sees, every datagram; and all is recorded."""
     if blind():
         pytest.skip(blind())
-    monkeypatch.setattr("taciturn.twin.run.prepare", lambda name, _: stand_in(name))
+    monkeypatch.setattr("taciturn_twins.run.prepare", lambda name, _: stand_in(name))
     targets = {name: tmp_path / f"run{end}" for name, end in (("record", ".nc"), ("video", ".webp"), ("plot", ".svg"))}
     options = [word for name, path in targets.items() for word in (f"--{name}", str(path))]
     answer = run("twin", "rover", short_mission("rover", 12, tmp_path), "--seed", "2", "--json", *options)

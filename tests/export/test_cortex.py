@@ -17,10 +17,8 @@ from runtime.loops import by_hand
 
 import taciturn
 from taciturn.errors import ProblemError
-from taciturn.export import cortex
-from taciturn.export.cortex import M3, M4F, Board, Counts, Main
+from taciturn.export import sizes
 from taciturn.export.folder import CFolder, print_folder
-from taciturn.export.processor import NodeOnBoard
 from taciturn.export.vector import record_loop
 from taciturn.loop import Loop
 from taciturn.model.places import roles
@@ -30,6 +28,9 @@ from taciturn.runtime.node import Node
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.plant import SimulatedPlant
 from taciturn.study.testbed.network import losses
+from taciturn_boards import cortex
+from taciturn_boards.cortex import M3, M4F, Board, Counts, Main
+from taciturn_boards.processor import NodeOnBoard
 
 ROOT = Path(__file__).parent.parent.parent
 POLICIES: dict[str, tuple[str, dict[str, object]]] = {  # problem, and what is changed in it
@@ -55,8 +56,8 @@ SECONDS = 300.0  # that such a run may take on a machine that does other things 
 def tools() -> None:
     """Skip, so that nobody overlooks it, where compiler or emulator are missing."""
     try:
-        for name in cortex.PACKAGES:
-            cortex.find_tool(name)
+        for name in sizes.PACKAGES:
+            sizes.find_tool(name)
     except ProblemError as error:
         pytest.skip(f"NOT SHOWN: nodes on a Cortex-M; {error}")
 
@@ -176,17 +177,17 @@ def test_a_generated_step_takes_no_more_than_a_tenth_more_than_one_by_hand(devic
 @pytest.mark.evidence
 def test_the_sizes_of_nodes_are_those_of_their_parts() -> None:
     """A hundred numbers are 800 bytes of constants; a controller has more code than an actuator, the core most."""
-    found = cortex.measure_sizes(M3, folder_of("chapter 2"))
+    found = sizes.measure_sizes(M3.target, folder_of("chapter 2"))
     assert set(found) == {"controller", "actuator", "core"}
     assert found["actuator"].code < found["controller"].code < found["core"].code
     header = '#include "device_actuator.h"\n'
     hundred = f"{header}static const tac_real hundred[100] = {{1}};\n"
     larger = changed(folder_of("chapter 2"), "actuator", header, hundred)
     larger = changed(larger, "actuator", "outputs[0] = v6;", "outputs[0] = v6 * *(const volatile tac_real *)hundred;")
-    size = cortex.measure_sizes(M3, larger)["actuator"]
+    size = sizes.measure_sizes(M3.target, larger)["actuator"]
     assert size.constants - found["actuator"].constants == 800
     assert size.memory == found["actuator"].memory > 400
-    smaller = cortex.measure_sizes(M3, folder_of("chapter 2"), "-Os")
+    smaller = sizes.measure_sizes(M3.target, folder_of("chapter 2"), "-Os")
     assert smaller["core"].code < found["core"].code
 
 
@@ -366,7 +367,7 @@ def test_missing_tools_are_named_with_their_packages(
     """Without compiler or emulator a sentence says which Debian packages bring them."""
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ProblemError, match="apt install gcc-arm-none-eabi libnewlib-arm-none-eabi"):
-        cortex.measure_sizes(M3, folder_of("chapter 2"))
+        sizes.measure_sizes(M3.target, folder_of("chapter 2"))
     for run in (cortex.run_on, NodeOnBoard):
         with pytest.raises(ProblemError, match="apt install qemu-system-arm"):
             run(M3, controller)

@@ -18,8 +18,8 @@ import pytest
 import taciturn
 from taciturn._display import LONGEST, Displayed
 from taciturn.model.table import Tabular
-from taciturn.study.reproduction import Reproduction, Row, Table
 from taciturn.study.sweeping.table import SweepTable
+from taciturn_thesis.reproduction import Reproduction, Row, Table
 
 
 @cache

@@ -12,12 +12,12 @@ from scipy.linalg import solve_discrete_are
 
 import taciturn
 from taciturn.simulation.course import course
-from taciturn.study import chapter2, chapter7
-from taciturn.study.chapter7 import two_circles
-from taciturn.study.reproduce import CHAPTERS, reproduce
+from taciturn_thesis import chapter2, chapter7
+from taciturn_thesis.chapter7 import two_circles
+from taciturn_thesis.reproduce import CHAPTERS, reproduce
 
 if TYPE_CHECKING:
-    from taciturn.study.reproduction import Reproduction, Row
+    from taciturn_thesis.reproduction import Reproduction, Row
 
 # chapter → for each row its setting, and what its columns must be: to half a unit of the last digit, or ± an error
 EXPECTED: dict[str, list[tuple[dict[str, object], dict[str, str]]]] = {

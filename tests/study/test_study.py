@@ -11,7 +11,7 @@ import taciturn
 from taciturn import Network, Plant
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.study.fair import clock_of
-from taciturn.study.reproduce import reproduce
+from taciturn_thesis.reproduce import reproduce
 
 
 def test_evaluate_takes_the_closed_form_where_there_is_one() -> None:

@@ -8,7 +8,7 @@ import pytest
 from twin.crews import blind
 from twin.feeds import ROVER
 
-from taciturn.twin.page import Page
+from taciturn_twins.page import Page
 
 LOOKING = ("test_vision", "test_calibration", "test_identification", "test_runs", "test_experiments")
 

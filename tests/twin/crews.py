@@ -13,13 +13,13 @@ import pytest
 from twin.looks import true_calibration
 
 from taciturn.errors import ProblemError
-from taciturn.twin.body import Body
-from taciturn.twin.camera import Camera
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.identification import Identification
-from taciturn.twin.mission import write_toml
-from taciturn.twin.prepared import Prepared, prepare
-from taciturn.twin.robot import Robot
+from taciturn_twins.body import Body
+from taciturn_twins.camera import Camera
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.identification import Identification
+from taciturn_twins.mission import write_toml
+from taciturn_twins.prepared import Prepared, prepare
+from taciturn_twins.robot import Robot
 
 
 @cache

@@ -8,7 +8,7 @@ from typing import Any
 
 from PIL import Image, ImageDraw
 
-from taciturn.twin.page import About
+from taciturn_twins.page import About
 
 LINKS = ("sensor", "actuator")
 PRICE = "price per packet, in units of the cost; a higher price means fewer packets"

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from taciturn import _cv2
-from taciturn.twin.body import Body
-from taciturn.twin.calibration import Calibration
-from taciturn.twin.camera import Camera
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.robot import Robot
-from taciturn.twin.vision import Eye
+from taciturn_twins import _cv2
+from taciturn_twins.body import Body
+from taciturn_twins.calibration import Calibration
+from taciturn_twins.camera import Camera
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.robot import Robot
+from taciturn_twins.vision import Eye
 
 
 def true_calibration(robot: Robot) -> Calibration:

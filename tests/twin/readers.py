@@ -6,7 +6,7 @@ import http.client
 import json
 from typing import Any
 
-from taciturn.twin.page import Page
+from taciturn_twins.page import Page
 
 JSON = {"Content-Type": "application/json"}
 

@@ -10,7 +10,7 @@ from twin.feeds import ROVER, picture, rows
 from twin.readers import JSON, Reader, ask, call
 
 from taciturn.errors import ProblemError
-from taciturn.twin.page import Page
+from taciturn_twins.page import Page
 
 ROWS = rows(ROVER, 1)
 

@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taciturn.errors import ProblemError
-from taciturn.study.chapter7 import two_circles
-from taciturn.twin.body import Body
-from taciturn.twin.catalogue import ROBOTS, reference
-from taciturn.twin.robot import Robot
+from taciturn_thesis.chapter7 import two_circles
+from taciturn_twins.body import Body
+from taciturn_twins.catalogue import ROBOTS, reference
+from taciturn_twins.robot import Robot
 
 ROVER, OMNI = ROBOTS["rover"], ROBOTS["omni"]
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)

@@ -12,10 +12,10 @@ from counts import few
 from twin.looks import errors, true_calibration
 
 from taciturn.errors import ProblemError
-from taciturn.twin.calibration import Calibration, calibrate
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.polygons import measure_outside, measure_polygon
-from taciturn.twin.robot import Cube, Robot, Tag
+from taciturn_twins.calibration import Calibration, calibrate
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.polygons import measure_outside, measure_polygon
+from taciturn_twins.robot import Cube, Robot, Tag
 
 both = pytest.mark.parametrize("robot", few(ROBOTS.values(), quick=1), ids=ROBOTS)
 
@@ -30,8 +30,8 @@ def calibrated(name: str) -> Calibration:
 @pytest.mark.parametrize("name", ROBOTS)
 def test_a_calibration_repeats_with_its_seed(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Bit for bit."""
-    monkeypatch.setattr("taciturn.twin.calibration.VIEWS", 5)
-    monkeypatch.setattr("taciturn.twin.calibration.AVERAGED", 2)
+    monkeypatch.setattr("taciturn_twins.calibration.VIEWS", 5)
+    monkeypatch.setattr("taciturn_twins.calibration.AVERAGED", 2)
     found, again = (calibrate(ROBOTS[name], 1).document() for _ in range(2))
     assert found == again
 
@@ -97,7 +97,7 @@ def test_a_landmark_that_is_not_there_is_missed(monkeypatch: pytest.MonkeyPatch)
     """A tag that nobody printed, a cube of a colour that nothing has; the lens is known."""
     omni, rover = ROBOTS["omni"], ROBOTS["rover"]
     monkeypatch.setattr(
-        "taciturn.twin.calibration._calibrate_lens", lambda robot, _: (robot.lens.K, np.array(robot.lens.distortion))
+        "taciturn_twins.calibration._calibrate_lens", lambda robot, _: (robot.lens.K, np.array(robot.lens.distortion))
     )
     tags = tuple(one for one in omni.landmarks if isinstance(one, Tag))
     with pytest.raises(ProblemError, match=r"the tags \[40\] are not seen"):

@@ -10,9 +10,9 @@ import pytest
 import taciturn
 from taciturn.runtime.packet import Packet, Wire
 from taciturn.runtime.udp import LARGEST_OF_ALL, Endpoint
-from taciturn.twin.faults import Fault, parse_fault
-from taciturn.twin.serve import CameraServer
-from taciturn.twin.wire import UNSEEN, CameraWire, PictureWire, QuestionWire
+from taciturn_twins.faults import Fault, parse_fault
+from taciturn_twins.serve import CameraServer
+from taciturn_twins.wire import UNSEEN, CameraWire, PictureWire, QuestionWire
 
 POLICY = taciturn.load("rover").design()
 LIGHT, TICK = 3, 0.3

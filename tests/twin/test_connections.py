@@ -12,9 +12,9 @@ import pytest
 from twin.feeds import ROVER, rows
 from twin.readers import Reader, call
 
-from taciturn.twin import connections, server
-from taciturn.twin.connections import PER_ADDRESS, STRANGERS, Connections, Timed
-from taciturn.twin.page import Page
+from taciturn_twins import connections, server
+from taciturn_twins.connections import PER_ADDRESS, STRANGERS, Connections, Timed
+from taciturn_twins.page import Page
 
 SAID = b"GET / HTTP/1.1\r\nHost: "
 

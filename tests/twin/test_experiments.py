@@ -11,12 +11,12 @@ import pytest
 from twin import browser
 from twin.crews import crew
 
-from taciturn.twin.faults import parse_fault
-from taciturn.twin.live import watch_twin
-from taciturn.twin.page import Page
-from taciturn.twin.report import vision
-from taciturn.twin.run import TwinRun, mean, run_twin
-from taciturn.twin.trial import Setup
+from taciturn_twins.faults import parse_fault
+from taciturn_twins.live import watch_twin
+from taciturn_twins.page import Page
+from taciturn_twins.report import vision
+from taciturn_twins.run import TwinRun, mean, run_twin
+from taciturn_twins.trial import Setup
 
 pytestmark = pytest.mark.evidence
 PRICES = (0.0, 0.001, 0.002, 0.01)

@@ -9,12 +9,12 @@ import pytest
 from twin.looks import true_calibration
 
 from taciturn.errors import ProblemError
-from taciturn.twin import identification
-from taciturn.twin.body import Body
-from taciturn.twin.calibration import Calibration, calibrate
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.identification import identify
-from taciturn.twin.robot import Robot
+from taciturn_twins import identification
+from taciturn_twins.body import Body
+from taciturn_twins.calibration import Calibration, calibrate
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.identification import identify
+from taciturn_twins.robot import Robot
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 

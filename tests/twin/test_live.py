@@ -13,11 +13,11 @@ from twin.crews import crew
 from taciturn.model.network import Network
 from taciturn.problem import parse
 from taciturn.study.testbed.network import losses
-from taciturn.twin.live import watch_twin
-from taciturn.twin.mission import all_time
-from taciturn.twin.page import Page
-from taciturn.twin.steps import Steps
-from taciturn.twin.trial import Setup, run_trial
+from taciturn_twins.live import watch_twin
+from taciturn_twins.mission import all_time
+from taciturn_twins.page import Page
+from taciturn_twins.steps import Steps
+from taciturn_twins.trial import Setup, run_trial
 
 STEPS = 12
 

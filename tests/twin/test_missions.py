@@ -12,10 +12,10 @@ from twin.crews import model
 import taciturn
 from taciturn.errors import ProblemError
 from taciturn.problem import parse
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.faults import parse_fault, window
-from taciturn.twin.mission import all_time, check_mission, tables_of, write_toml
-from taciturn.twin.robot import Robot
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.faults import parse_fault, window
+from taciturn_twins.mission import all_time, check_mission, tables_of, write_toml
+from taciturn_twins.robot import Robot
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 

@@ -19,8 +19,8 @@ from twin.feeds import OMNI, ROVER, every_sample, picture, rows
 from twin.readers import JSON, Reader, ask, call
 
 from taciturn.errors import ProblemError
-from taciturn.twin import connections, feed, server
-from taciturn.twin.page import Page
+from taciturn_twins import connections, feed, server
+from taciturn_twins.page import Page
 
 ROOT = Path(__file__).parents[2]
 ROWS = rows(ROVER, 30)
@@ -215,12 +215,12 @@ def test_what_is_vendored_is_what_the_list_says() -> None:
     """Every file by its digest, with version and licence."""
     text = (ROOT / "THIRD_PARTY.md").read_text(encoding="utf-8")
     listed = dict(re.findall(r"`((?:src|docs)/[^`]+)` \| `(\w{64})`", text))
-    places = "src/taciturn/twin/web/uPlot*", "src/taciturn/export/fmi/*", "docs/_static/fonts/*"
+    places = "src/taciturn_twins/web/uPlot*", "src/taciturn/export/fmi/*", "docs/_static/fonts/*"
     vendored = [path for place in places for path in ROOT.glob(place)]
     assert set(listed) == {str(path.relative_to(ROOT)) for path in vendored}
     for name, digest in listed.items():
         assert hashlib.sha256((ROOT / name).read_bytes()).hexdigest() == digest, name
-    version = re.search(r"\(v([\d.]+)\)", (ROOT / "src/taciturn/twin/web/uPlot.iife.min.js").read_text("utf-8")[:300])
+    version = re.search(r"\(v([\d.]+)\)", (ROOT / "src/taciturn_twins/web/uPlot.iife.min.js").read_text("utf-8")[:300])
     assert version is not None
     assert f"uPlot {version[1]}" in text
 

@@ -14,8 +14,8 @@ from counts import few
 from twin.browser import await_ticks, await_true, browse, missing
 from twin.feeds import OMNI, PRICE, ROVER, every_sample, picture, rows
 
-from taciturn.twin import server
-from taciturn.twin.page import Page
+from taciturn_twins import server
+from taciturn_twins.page import Page
 
 WIDE, PHONE = {"width": 1280, "height": 800}, {"width": 360, "height": 740}
 ROWS = rows(ROVER, 40)

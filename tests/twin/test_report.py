@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.identification import Identification
-from taciturn.twin.report import model_lines
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.identification import Identification
+from taciturn_twins.report import model_lines
 
 
 def test_an_identified_rate_has_the_digits_of_its_standard_error() -> None:

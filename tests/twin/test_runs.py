@@ -14,11 +14,11 @@ from taciturn._arrays import Array
 from taciturn.problem import load
 from taciturn.runtime.namespaces import predict_drops
 from taciturn.study.testbed.network import kernel_losses, losses
-from taciturn.twin.faults import parse_fault
-from taciturn.twin.outcome import Trial
-from taciturn.twin.record import to_dataset, write_record
-from taciturn.twin.run import TwinRun, run_twin
-from taciturn.twin.trial import Setup
+from taciturn_twins.faults import parse_fault
+from taciturn_twins.outcome import Trial
+from taciturn_twins.record import to_dataset, write_record
+from taciturn_twins.run import TwinRun, run_twin
+from taciturn_twins.trial import Setup
 
 TICKS = {"rover": 20, "omni": 15}
 

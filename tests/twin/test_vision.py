@@ -13,14 +13,14 @@ import pytest
 from counts import few
 from twin.looks import camera_of, errors, true_calibration
 
-from taciturn import _cv2, _mujoco
 from taciturn.errors import ProblemError
-from taciturn.twin.body import Body
-from taciturn.twin.calibration import Calibration
-from taciturn.twin.camera import LARGEST, Camera
-from taciturn.twin.catalogue import ROBOTS
-from taciturn.twin.robot import HEIGHT, WIDTH, Robot
-from taciturn.twin.vision import Eye
+from taciturn_twins import _cv2, _mujoco
+from taciturn_twins.body import Body
+from taciturn_twins.calibration import Calibration
+from taciturn_twins.camera import LARGEST, Camera
+from taciturn_twins.catalogue import ROBOTS
+from taciturn_twins.robot import HEIGHT, WIDTH, Robot
+from taciturn_twins.vision import Eye
 
 both = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 ROVER, OMNI = ROBOTS["rover"], ROBOTS["omni"]
@@ -180,8 +180,8 @@ def test_without_graphics_the_message_says_what_to_install(broken: dict[str, str
     """Where EGL finds no driver, or another platform is asked for that there is not; never a traceback of OpenGL."""
     text = (
         "from taciturn.errors import ProblemError\n"
-        "from taciturn.twin.camera import Camera\n"
-        "from taciturn.twin.catalogue import ROBOTS\n"
+        "from taciturn_twins.camera import Camera\n"
+        "from taciturn_twins.catalogue import ROBOTS\n"
         "try:\n    Camera(ROBOTS['rover'])\n"
         "except ProblemError as error:\n    print(error)\n"
     )

@@ -8,7 +8,8 @@ or with ``--json`` one document that contains version, seed, method and the prob
 the library into one sentence on standard error and exit code 2, so commands raise errors and do not handle them.
 ``usage`` does so with the errors of the parser, and names the option that the user typed.
 ``answers`` contains the commands for one problem, ``studies`` those for several, ``network`` (with ``links``) those
-that run nodes, ``devices`` the export, ``twin`` the robots, and ``new`` (with ``questions``) the dialogue.
+that run nodes, ``devices`` the export, and ``new`` (with ``questions``) the dialogue. Other packages add commands by
+entry points of the group ``taciturn.commands``.
 
 Commands import large modules only when they run, and ``words`` completes words without them, so that ``--help`` and the
 shell's completion are fast.
@@ -17,7 +18,9 @@ shell's completion are fast.
 from taciturn._ending import ends_on_signals
 
 with ends_on_signals():  # these imports take most of the time of a short command
-    from taciturn.cli import answers, devices, network, new, studies, twin
-    from taciturn.cli.frame import app, main
+    from taciturn.cli import answers, devices, network, new, studies
+    from taciturn.cli.frame import add_commands, app, main
 
-__all__ = ["answers", "app", "devices", "main", "network", "new", "studies", "twin"]
+    add_commands()
+
+__all__ = ["answers", "app", "devices", "main", "network", "new", "studies"]

@@ -24,7 +24,7 @@ from taciturn.cli.frame import (
 )
 
 if TYPE_CHECKING:
-    from taciturn.export.cortex import Sizes
+    from taciturn.export.sizes import Sizes
 
 INDENT = " " * 15  # of the values behind the names
 
@@ -57,8 +57,8 @@ def export(
     """Export a policy as C99 for devices, or as an FMU for other simulators, with bit-identical decisions."""
     import taciturn
     from taciturn.errors import ProblemError
-    from taciturn.export.cortex import measure_somewhere
     from taciturn.export.folder import CFolder
+    from taciturn.export.sizes import measure_somewhere
     from taciturn.study.record import origin
 
     if c == "":

@@ -26,15 +26,14 @@ if TYPE_CHECKING:
     from taciturn._progress import Progress
     from taciturn.problem import Problem
 
-GROUPS = {
-    "Design and inspect": ("new", "show", "tune"),
-    "Measure and prove": ("evaluate", "simulate", "certify", "bench"),
-    "Compare": ("tradeoff", "compare", "sweep", "channel"),
-    "Run": ("network", "node", "plant", "relay", "twin", "camera"),
-    "Export": ("export",),
-    "Reproduce the thesis": ("reproduce",),
+GROUPS: dict[str, list[str]] = {
+    "Design and inspect": ["new", "show", "tune"],
+    "Measure and prove": ["evaluate", "simulate", "certify", "bench"],
+    "Compare": ["tradeoff", "compare", "sweep", "channel"],
+    "Run": ["network", "node", "plant", "relay"],
+    "Export": ["export"],
 }
-"""The commands by purpose, as --help lists them."""
+"""The commands by purpose, as --help lists them; another package appends its commands."""
 HELP = """Event-triggered control for linear systems, with guarantees on performance and on the transmission rate.
 
 \b
@@ -146,6 +145,18 @@ def _root(
         typer.echo(__version__)
     elif context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+def add_commands() -> None:
+    """Import the modules with the commands of other packages; print a message about one that fails."""
+    from taciturn._plugins import find_plugins, load_plugin
+    from taciturn.errors import ProblemError
+
+    for name in find_plugins("taciturn.commands"):
+        try:
+            load_plugin("taciturn.commands", name, "the command line")
+        except ProblemError as error:
+            print(_message(str(error)), file=sys.stderr)
 
 
 def main() -> None:

@@ -56,6 +56,7 @@ Log = Annotated[
     typer.Option(metavar="OUT", help="Log a JSON line per step to a file, - (standard output), or udp://HOST:PORT."),
 ]
 Loops = Annotated[int, typer.Option(help="Number of identical loops that this process runs.")]
+WIRES = "taciturn.wires"  # entry points of encoders and decoders
 WATCHED = 100  # steps without a usable packet after which a node in real time is degraded by default
 BEATS = 3  # marks that a silent sender sends within this limit
 
@@ -332,6 +333,7 @@ def _wire(
     watch: Path | None,
 ) -> Generator[Wire]:
     """Yield the wire format of a node; if the sensor is a camera, the format includes requests and pictures."""
+    from taciturn._plugins import load_plugin
     from taciturn.errors import ProblemError
     from taciturn.runtime.packet import Wire
 
@@ -343,13 +345,9 @@ def _wire(
             "--seen or --watch is given without --eye; expected --eye with the calibration file of a camera"
         )
     if questions:
-        from taciturn.twin.wire import QuestionWire
-
-        yield QuestionWire(policy, network, key)
+        yield load_plugin(WIRES, "questions", "--questions")(policy, network, key)
     elif eye is not None:
-        from taciturn.twin.control import picture_wire, read_eye
-
-        with picture_wire(policy, network, key, read_eye(eye), seen=seen, watch=watch) as wire:
+        with load_plugin(WIRES, "pictures", "--eye")(policy, network, key, eye, seen=seen, watch=watch) as wire:
             yield wire
     else:
         yield Wire(policy, network, key)

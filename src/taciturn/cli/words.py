@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-PROBLEMS = Path(__file__).parent.parent / "problems"
+from taciturn._plugins import problem_folders
+
 KINDS = (
     "all-time", "periodic", "lqg", "remote-lqg", "lossy-lqg", "integral", "consistent", "excess", "optimal",
     "near-optimal", "absolute", "relative", "mixed", "dynamic", "send-on-delta", "variance", "rollout",
@@ -21,7 +22,7 @@ def complete_file(incomplete: str) -> list[str]:
         files = sorted(f"{folder}{path.name}" for path in Path(folder or ".").glob("*.toml"))
     except OSError:
         files = []
-    names = [*files, *sorted(path.stem for path in PROBLEMS.glob("*.toml"))]
+    names = [*files, *sorted(path.stem for folder in problem_folders() for path in folder.glob("*.toml"))]
     return [name for name in names if name.startswith(incomplete)]
 
 

@@ -10,5 +10,5 @@ Read the modules in this order:
 1. ``node`` prints the data and the program of one site as C. ``folder`` adds the core, a self-check and a README.
 2. ``vector`` records a run of a loop, with which exported nodes are compared.
 3. ``description`` and ``fmu`` write the XML files and the archive of a unit, for FMI 2.0 and 3.0.
-4. ``processor`` and ``cortex`` run a node on an emulated Cortex-M, and measure its size and instructions.
+4. ``sizes`` measures the size of nodes, compiled for a Cortex-M or for this machine.
 """

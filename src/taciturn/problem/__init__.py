@@ -30,6 +30,7 @@ from pydantic import ValidationError
 from taciturn._arrays import Array, instance, quoted
 from taciturn._display import Displayed
 from taciturn._files import read_text
+from taciturn._plugins import problem_folders
 from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -54,8 +55,6 @@ from taciturn.problem.tables import (
     suggest,
 )
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-
-BUILT_IN = Path(__file__).parent.parent / "problems"
 
 # attributes that a problem reads from each table of its file; attributes of unchanged tables are not read again
 PARTS = {"plant": ("plant", "actual"), "cost": ("cost",), "network": ("network",), "reference": ("reference",)}
@@ -238,7 +237,7 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
     """
     instance("path", path, str, Path)
     file = Path(path)
-    built_in = dict(sorted((found.stem, found) for found in BUILT_IN.glob("*.toml")))
+    built_in = dict(sorted((found.stem, found) for folder in problem_folders() for found in folder.glob("*.toml")))
     try:
         if not file.is_file():
             file = built_in.get(str(path), file)

@@ -16,7 +16,6 @@ Read the modules in this order:
    the test that the initial transient has decayed. ``average``: the public functions.
 2. ``statistics``: means, batch means and renewal cycles with standard errors.
 3. ``reliability``: detection of averages that do not exist, or whose standard error cannot be trusted.
-4. ``trajectory`` and ``course``: one path, and the mean cost at each step.
-5. ``bank`` and ``channel`` with ``access``: many loops side by side, or on one channel.
-6. ``events``: policies without a sampling period. ``nonfinite``: detection of non-finite values of a plant's function.
+4. ``trajectory``: one path. ``course``: the mean cost at each step. ``bank``: many loops side by side.
+5. ``events``: policies without a sampling period. ``nonfinite``: detection of non-finite values of a plant's function.
 """

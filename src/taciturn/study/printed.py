@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from taciturn.study.certify import Certificates
     from taciturn.study.channel.share import Sharing
     from taciturn.study.compare import Comparison
-    from taciturn.study.reproduction import Table
     from taciturn.study.testbed.network import NetworkRun
     from taciturn.study.testbed.worlds import WorldRun
     from taciturn.study.tradeoff import Tradeoff
@@ -231,31 +230,6 @@ def certificates_text(found: Certificates) -> str:
 
 def _shown(value: float | None) -> str:
     return "none" if value is None else f"{value:.6g}"
-
-
-def published_text(found: Table) -> str:
-    """Return a table of published numbers next to computed numbers."""
-    notes = [wrapped_text(note, "  ") for note in found.notes]
-    return "\n".join([found.name, table_text(*_columns(found), len(found.rows[0].setting)), *notes])
-
-
-def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
-    """Return header and rows, with each printed number next to the computed one."""
-    columns = list(table.rows[0].computed)
-    printed = [name for name in columns if any(name in row.printed for row in table.rows)]
-    header = list(table.rows[0].setting)
-    for name in columns:
-        heading = table.headings.get(name, name)
-        header += [f"{heading}, printed", "computed"] if name in printed else [heading]
-    rows: list[list[str]] = []
-    for row in table.rows:
-        cells = [str(value) for value in row.setting.values()]
-        for name in columns:
-            if name in printed:
-                cells.append(f"{row.printed[name]:g}" if name in row.printed else "")
-            cells.append(str(row.computed[name]) if name in row.computed else "")
-        rows.append(cells)
-    return header, rows
 
 
 def bench_text(found: Bench) -> str:

@@ -1,0 +1,128 @@
+"""Simulation of many loops in parallel, for example for a network or for many values of a parameter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from taciturn._arrays import Array, count, instance, quoted
+from taciturn._display import Displayed
+from taciturn.errors import ProblemError, UnstableError
+from taciturn.loop import COST, SENT, Loop
+from taciturn.program.engine import Stepper, prepare
+from taciturn.program.ir import Program
+from taciturn.simulation.nonfinite import find_loss
+from taciturn.simulation.parts import sends
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tally(Displayed):
+    """Simulated cost and sends of each loop in a bank of loops.
+
+    Args:
+        cost: mean stage cost of each loop per unit of time, as for an average cost, (loops,).
+        sends: mean sends per step of each loop, by link, (loops,); 0 if a loop does not have the link.
+    """
+
+    cost: Array
+    sends: Mapping[str, Array]
+
+
+class Bank:
+    """A bank of loops that are simulated in parallel, one path each; loops of equal structure share machine code.
+
+    Loop i has the draws of path i of the seed. A bank may contain a loop several times, to average over paths.
+
+    Args:
+        loops: closed loops with any policies.
+        seed: seed of the random draws.
+
+    Raises:
+        ProblemError: there are no loops, or the cost of a loop has a horizon or a discount.
+
+    Example:
+        >>> from taciturn import Cost, Plant, close, design
+        >>> from taciturn.simulation.bank import Bank
+        >>> plant, cost = Plant([[1.2]], [[1.0]], [[0.01]]), Cost([[1.0]], [[1.0]])
+        >>> bank = Bank([close(plant, design.lqg(plant, cost, theta=theta)) for theta in (0.1, 0.2, 0.4)])
+        >>> bank.structures, bank.run(1).cost.shape
+        (1, (3,))
+    """
+
+    def __init__(self, loops: Iterable[Loop], seed: int = 0) -> None:
+        """Group the loops by structure, and compile each structure once."""
+        try:
+            self.loops = tuple(loops)
+        except TypeError:
+            raise ProblemError(f"loops is {quoted(loops)}; expected a sequence of closed loops") from None
+        seed = count("seed", seed, 0)
+        if not self.loops:
+            raise ProblemError("loops is empty; expected at least one closed loop")
+        for loop in self.loops:
+            instance("loops", loop, Loop)
+            if loop.horizon is not None:
+                cost = loop.problem.cost
+                mission = f"discount {cost.discount:g}" if cost.discount < 1 else f"horizon {cost.horizon}"
+                raise ProblemError(f"a loop of {loop.policy.kind} has a cost with {mission}; expected an average cost")
+        loops = self.loops
+        self._ticks = np.array([loop.problem.tick for loop in loops])
+        self._noise = np.array([loop.problem.noise_cost for loop in loops]) / self._ticks
+        self._links = list(dict.fromkeys(link for loop in loops for link in loop.policy.scheduled))
+        groups: dict[object, list[tuple[int, Program]]] = {}
+        for index, loop in enumerate(loops):
+            program = _lean(loop)
+            groups.setdefault(program.structure, []).append((index, program))
+        self._steppers: list[tuple[npt.NDArray[np.int64], Stepper]] = []
+        self._states: list[Array] = []
+        for members in groups.values():
+            indices = np.array([index for index, _ in members])
+            starts = [self.loops[index].start(program, 1, seed, first=index) for index, program in members]
+            self._steppers.append((indices, Stepper([program for _, program in members])))
+            self._states.append(np.concatenate(starts, axis=1))
+
+    @property
+    def structures(self) -> int:
+        """Number of different programs that are compiled for the loops of this bank."""
+        return len(self._steppers)
+
+    def run(self, ticks: int = 1, threads: int | None = None) -> Tally:
+        """Continue the simulation of all loops for a number of steps.
+
+        Args:
+            ticks: number of steps, at least 1.
+            threads: number of threads; default: all processors; the result does not depend on it.
+
+        Returns:
+            Cost and sends of each loop in these steps.
+
+        Raises:
+            UnstableError: a loop diverges, or the function of a nonlinear plant gives a non-finite number.
+        """
+        ticks, many = count("ticks", ticks), len(self.loops)
+        threads = None if threads is None else count("threads", threads)
+        cost, sent = self._noise.copy(), {link: np.zeros(many) for link in self._links}
+        for k, (indices, stepper) in enumerate(self._steppers):
+            before = self._states[k]
+            self._states[k], sums = stepper.run(before, ticks, threads)
+            for name, total in sums.items():
+                if not np.isfinite(total).all():
+                    place = int(np.flatnonzero(~np.isfinite(total))[0])
+                    lost = int(indices[place])
+                    program = _lean(self.loops[lost])
+                    find_loss(self.loops[lost], program, prepare(program), before[:, [place]], ticks)
+                    raise UnstableError(
+                        f"loop {lost} of the bank ({self.loops[lost].policy.kind}) diverges; expected stable loops"
+                    )
+                if name == COST:
+                    cost[indices] += total / ticks / self._ticks[indices]
+                else:
+                    sent[name.removeprefix(f"{SENT} ")][indices] = total / ticks
+        return Tally(cost, sent)
+
+
+def _lean(loop: Loop) -> Program:
+    """Return the program of a loop that computes only cost and sends."""
+    return loop.program().keep({COST, *sends(loop)})

@@ -1,0 +1,80 @@
+"""Tables and figures of the thesis, with printed and computed numbers side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
+
+from taciturn.errors import ProblemError
+from taciturn.extend import Progress, find_plugins, in_notebook, load_plugin
+from taciturn.problem.tables import suggest
+from taciturn_thesis.chapter2 import chapter2
+from taciturn_thesis.chapter3 import chapter3
+from taciturn_thesis.chapter4 import chapter4
+from taciturn_thesis.chapter5 import chapter5
+from taciturn_thesis.chapter6 import chapter6
+from taciturn_thesis.chapter7 import chapter7
+from taciturn_thesis.reproduction import Reproduction
+
+EXPERIMENTS = "taciturn_thesis.experiments"  # group of entry points: functions from seed and progress
+Chapter: TypeAlias = Callable[[int, Progress], Reproduction]
+CHAPTERS: Mapping[str, Chapter] = {
+    "chapter2": chapter2,
+    "chapter3": chapter3,
+    "chapter4": chapter4,
+    "chapter5": chapter5,
+    "chapter6": chapter6,
+    "chapter7": chapter7,
+}
+
+
+def reproduce(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
+    """Compute the tables and figures of a chapter of the thesis.
+
+    Args:
+        name: name of the chapter, such as ``"chapter2"``.
+        seed: seed of the random draws.
+        progress: callback that receives the fraction done.
+
+    Returns:
+        The tables, with printed and computed numbers side by side, and the pictures.
+
+    Raises:
+        ProblemError: there is no such chapter.
+
+    Source: khashooei2017
+    """
+    if name not in CHAPTERS:
+        raise no_chapter(name, list(CHAPTERS))
+    return CHAPTERS[name](seed, in_notebook(progress) or (lambda fraction: None))
+
+
+def experiments() -> list[str]:
+    """Return the chapters whose experiments an installed package repeats with digital twins."""
+    return list(find_plugins(EXPERIMENTS))
+
+
+def repeat_experiment(name: str, *, seed: int = 0, progress: Progress | None = None) -> Reproduction:
+    """Repeat the experiment of a chapter with a digital twin.
+
+    Args:
+        name: name of the chapter, such as ``"chapter6"``.
+        seed: seed of all random draws.
+        progress: callback that receives the fraction done.
+
+    Raises:
+        ProblemError: no package has an experiment of this chapter, or an optional package or a driver is missing.
+
+    Source: khashooei2017
+    """
+    if name not in experiments():
+        raise no_chapter(name, experiments())
+    experiment: Chapter = load_plugin(EXPERIMENTS, name, "--twin")
+    return experiment(seed, in_notebook(progress) or (lambda fraction: None))
+
+
+def no_chapter(name: str, known: Sequence[str]) -> ProblemError:
+    """Return the error for an unknown chapter name."""
+    return ProblemError(
+        f"{name!r} is not a reproducible chapter; expected one of {', '.join(known)}, or all{suggest(name, known)}"
+    )

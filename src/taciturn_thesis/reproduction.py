@@ -1,0 +1,142 @@
+"""Reproduction of a chapter of the thesis: tables of printed and computed numbers, and figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from taciturn.extend import Displayed, table_text, wrapped_text
+from taciturn.model.estimate import Estimate
+from taciturn.model.table import Columns, Tabular, columns_of
+from taciturn.problem import Problem
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, repr=False)
+class Row(Displayed):
+    """One line of a table: its setting, the numbers printed in the thesis, and the computed numbers.
+
+    Args:
+        setting: names and values that identify the line.
+        printed: numbers of the thesis, by column; the thesis does not print missing columns.
+        computed: computed numbers, by column.
+    """
+
+    setting: Mapping[str, Any]
+    printed: Mapping[str, float]
+    computed: Mapping[str, Estimate]
+
+
+@dataclass(frozen=True, repr=False)
+class Table(Tabular):
+    """A table or figure of the thesis.
+
+    Args:
+        name: name in the thesis.
+        rows: lines of the table, or points of a figure.
+        notes: explanations of the differences.
+        headings: headings of columns that are shown under another name.
+    """
+
+    heading: ClassVar[tuple[str, ...]] = ("name", "notes")
+
+    name: str
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+    headings: Mapping[str, str] = field(default_factory=dict[str, str])
+
+    def __str__(self) -> str:
+        """Return the table as text, with each published number next to the computed one."""
+        return _published_text(self)
+
+    def columns(self) -> Columns:
+        """Return one row per setting, with each printed number next to the computed one."""
+        return columns_of(
+            [
+                {
+                    **row.setting,
+                    **{
+                        name: value
+                        for key, computed in row.computed.items()
+                        for name, value in ((f"{key}, printed", row.printed.get(key)), (key, computed))
+                        if value is not None
+                    },
+                }
+                for row in self.rows
+            ]
+        )
+
+
+@dataclass(frozen=True, repr=False)
+class Reproduction(Displayed):
+    """Tables and pictures of a chapter.
+
+    Args:
+        name: name of the chapter.
+        tables: tables of the chapter.
+        pictures: figures of the chapter, by the name under which they are saved; figures over the same axis share a
+            picture.
+        problems: problems that the chapter solves, each with the parameters of the tables.
+    """
+
+    name: str
+    tables: tuple[Table, ...]
+    pictures: Mapping[str, Figure]
+    problems: Mapping[str, Problem]
+
+    def __str__(self) -> str:
+        """Return the text that ``taciturn reproduce`` prints."""
+        return "\n\n".join(map(str, self.tables))
+
+    def html(self) -> str:
+        """Return the tables as HTML."""
+        return "".join(table.html() for table in self.tables)
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of one reproduction."""
+        return {
+            "name": self.name,
+            "tables": [
+                {
+                    "name": table.name,
+                    "rows": [
+                        {
+                            "setting": dict(row.setting),
+                            "printed": dict(row.printed),
+                            "computed": {key: found.document() for key, found in row.computed.items()},
+                        }
+                        for row in table.rows
+                    ],
+                    "notes": list(table.notes),
+                }
+                for table in self.tables
+            ],
+        }
+
+
+def _published_text(found: Table) -> str:
+    """Return a table of published numbers next to computed numbers."""
+    notes = [wrapped_text(note, "  ") for note in found.notes]
+    return "\n".join([found.name, table_text(*_columns(found), len(found.rows[0].setting)), *notes])
+
+
+def _columns(table: Table) -> tuple[list[str], list[list[str]]]:
+    """Return header and rows, with each printed number next to the computed one."""
+    columns = list(table.rows[0].computed)
+    printed = [name for name in columns if any(name in row.printed for row in table.rows)]
+    header = list(table.rows[0].setting)
+    for name in columns:
+        heading = table.headings.get(name, name)
+        header += [f"{heading}, printed", "computed"] if name in printed else [heading]
+    rows: list[list[str]] = []
+    for row in table.rows:
+        cells = [str(value) for value in row.setting.values()]
+        for name in columns:
+            if name in printed:
+                cells.append(f"{row.printed[name]:g}" if name in row.printed else "")
+            cells.append(str(row.computed[name]) if name in row.computed else "")
+        rows.append(cells)
+    return header, rows

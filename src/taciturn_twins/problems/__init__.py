@@ -1,0 +1,1 @@
+"""Built-in problems of the robots."""

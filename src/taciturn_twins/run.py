@@ -1,0 +1,175 @@
+"""Runs of a robot's twin under a policy, compared with a policy that sends every sample."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from taciturn.errors import ProblemError
+from taciturn.extend import Array, Displayed, Progress, Size
+from taciturn.model.estimate import Estimate
+from taciturn.model.policy import Policy
+from taciturn.problem import load, parse
+from taciturn.study.record import origin
+from taciturn_twins.catalogue import find_robot
+from taciturn_twins.figures import figure_of
+from taciturn_twins.mission import MISSIONS, all_time, check_mission, check_parameters
+from taciturn_twins.outcome import Trial
+from taciturn_twins.prepared import Prepared, prepare
+from taciturn_twins.robot import Robot
+from taciturn_twins.trial import Setup, run_trial
+
+if TYPE_CHECKING:
+    import xarray
+    from matplotlib.figure import Figure
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class TwinRun(Displayed):
+    """The results of a robot's twin under a policy, and optionally under a policy that sends every sample.
+
+    Args:
+        prepared: the robot, its camera and its model.
+        policy: the policy.
+        trial: runs of the policy.
+        always: runs of the policy that sends every sample, with the same seeds, or None. ``run_twin`` runs them without
+            faults, the live page with the same faults and pushes.
+        setup: configuration of the runs.
+        seconds: duration in real time, including calibration and identification.
+    """
+
+    prepared: Prepared
+    policy: Policy
+    trial: Trial
+    always: Trial | None
+    setup: Setup
+    seconds: float
+
+    @property
+    def cost(self) -> Estimate:
+        """Mean total cost of a mission."""
+        return mean(self.trial.totals)
+
+    @property
+    def rates(self) -> Mapping[str, Estimate]:
+        """Mean fraction of steps with a request to the camera and with a packet to the robot, by link."""
+        return {link: mean(sent.mean(axis=1)) for link, sent in self.trial.sent.items()}
+
+    @property
+    def cost_bound(self) -> float | None:
+        """Guaranteed cost for the identified model, or None with faults, which the theory excludes."""
+        return None if self.setup.faults or self.policy.guarantee is None else self.policy.guarantee.cost
+
+    def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
+        """Return a figure of the first run of each policy."""
+        trials = {"event-triggered": self.trial} | ({} if self.always is None else {"every sample": self.always})
+        return figure_of(self.prepared.robot, trials, ax=ax, figsize=figsize)
+
+    def to_dataset(self) -> xarray.Dataset:
+        """Return all results as a labelled data set; see ``taciturn_twins.record.to_dataset``."""
+        from taciturn_twins.record import to_dataset
+
+        return to_dataset(self)
+
+    def origin(self) -> dict[str, Any]:
+        """Return the data needed to reproduce the results: version, seed, method, and the digest of the problem."""
+        return origin(self.trial.problem, self.setup.seed, "simulation")
+
+    def summary(self) -> Mapping[str, object]:
+        """Return the robot, the policy, the cost and the rates."""
+        return {
+            "robot": self.prepared.robot.name,
+            "policy": self.policy.short(),
+            "cost": self.cost,
+            "guarantee": self.cost_bound,
+            **{f"rate, {link}": rate for link, rate in self.rates.items()},
+            "runs": len(self.trial.totals),
+            "seed": self.setup.seed,
+            "notes": self.trial.notes,
+        }
+
+    def document(self) -> dict[str, Any]:
+        """Return the JSON document of ``taciturn twin --json``."""
+        from taciturn_twins.report import document_of
+
+        return document_of(self)
+
+
+def run_twin(
+    robot: str | Prepared,
+    setup: Setup | None = None,
+    *,
+    file: str | None = None,
+    functions: bool = True,
+    parameters: Mapping[str, float] | None = None,
+    compare: bool = True,
+    progress: Progress | None = None,
+) -> TwinRun:
+    """Run a robot's twin as processes on this machine: world, camera, control unit, actuator, and links.
+
+    Args:
+        robot: ``"rover"``, ``"omni"``, or a prepared robot.
+        setup: configuration of the run; default: one mission in virtual time.
+        file: problem file with the policy; default: the policy of the thesis, for the identified model.
+        functions: whether the file may name functions, which are executed.
+        parameters: policy parameters that replace those of the thesis.
+        compare: whether to run the policy that sends every sample too, without faults.
+        progress: function called with the completed fraction.
+
+    Returns:
+        The runs and their costs.
+
+    Raises:
+        ProblemError: an argument is not valid for the robot, an optional package, a driver or a permission is missing,
+            or a process has ended.
+    """
+    began, setup = time.monotonic(), setup or Setup()
+    if file is not None and parameters:
+        raise ProblemError(
+            f"{', '.join(parameters)} is given with {file}, which sets the parameters of the policy; expected only "
+            "one of the two"
+        )
+    chosen = find_robot(robot) if isinstance(robot, str) else robot.robot
+    given = None if file is None else load(file, functions=functions)
+    policy = None if given is None else check_mission(chosen, given, str(file))
+    check_run(chosen, setup, parameters or {}, None if given is None else given.cost.horizon)
+    found = prepare(robot, setup.seed) if isinstance(robot, str) else robot
+    problem = given or parse(found.tables(parameters or {}), "the mission")
+    policy = policy or check_mission(chosen, problem, "the mission")
+    share = 0.5 if compare else 1.0
+    trial = run_trial(found, setup, problem, scaled(progress, 0.0, share))
+    always = None
+    if compare:
+        always = run_trial(found, replace(setup, faults=()), all_time(problem), scaled(progress, share, 1.0))
+    return TwinRun(found, policy, trial, always, setup, time.monotonic() - began)
+
+
+def check_run(robot: Robot, setup: Setup, parameters: Mapping[str, float], ticks: int | None = None) -> None:
+    """Reject a setup that a robot cannot run, before the robot is prepared.
+
+    Args:
+        robot: the robot.
+        setup: the setup.
+        parameters: policy parameters.
+        ticks: steps of the mission; default: those of the thesis.
+
+    Raises:
+        ProblemError: a parameter or wheel model is unknown, or a fault is not possible in this run.
+    """
+    check_parameters(robot, parameters)
+    setup.check(robot, ticks or MISSIONS[robot.name].ticks)
+
+
+def mean(values: Array) -> Estimate:
+    """Return the mean of independent runs, with its standard error if there are two or more."""
+    error = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return Estimate(float(values.mean()), error, "simulation" if len(values) > 1 else "exact")
+
+
+def scaled(progress: Progress | None, low: float, high: float) -> Progress | None:
+    """Return the progress callback for the part of a computation between two completed fractions."""
+    return None if progress is None else lambda fraction: progress(low + (high - low) * fraction)
