@@ -110,7 +110,7 @@ def faults(path: Path) -> Iterator[str]:
 def texts() -> list[Path]:
     """What is read."""
     written = [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/**/*.ipynb")]
-    sources = [*ROOT.glob("examples/*.py"), *ROOT.glob("src/taciturn/**/*.py")]
+    sources = [*ROOT.glob("examples/*.py"), *ROOT.glob("src/**/*.py")]
     return sorted(path for path in [*written, *sources] if path.name not in NOT_OURS)
 
 

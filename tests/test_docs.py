@@ -38,7 +38,7 @@ LONG = {  # examples that take more than three seconds in reduced counts, and pa
 }
 MODULES = sorted(
     ".".join(path.relative_to(ROOT / "src").with_suffix("").parts)
-    for path in (ROOT / "src" / "taciturn").rglob("*.py")
+    for path in (ROOT / "src").rglob("*.py")
     if ">>>" in path.read_text(encoding="utf-8")
 )
 
