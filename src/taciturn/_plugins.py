@@ -10,8 +10,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,16 +55,17 @@ def load_plugin(group: str, name: str, purpose: str) -> Any:
         ) from error
 
 
-def problem_folders() -> list[Path]:
-    """Return the folders of built-in problems: that of this package, and those of other packages."""
-    folders = [Path(__file__).parent / "problems"]
+def problem_folders() -> Iterator[Path]:
+    """Yield the folders of built-in problems: that of this package, and then those of other packages."""
+    yield Path(__file__).parent / "problems"
+    from importlib.util import find_spec
+
     for point in find_plugins("taciturn.problems").values():
         try:
             spec = find_spec(point.value)
         except ImportError:  # a package that is not there any more has no problems
             continue
-        folders += [] if spec is None else map(Path, spec.submodule_search_locations or ())
-    return folders
+        yield from map(Path, [] if spec is None else spec.submodule_search_locations or [])
 
 
 def _package(point: EntryPoint) -> str:

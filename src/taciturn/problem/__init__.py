@@ -25,12 +25,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any, cast
 
-from pydantic import ValidationError
-
 from taciturn._arrays import Array, instance, quoted
 from taciturn._display import Displayed
 from taciturn._files import read_text
 from taciturn._plugins import problem_folders
+from taciturn._pydantic import ValidationError, validate
 from taciturn.design.catalogue import CATALOGUE, AnyPolicy
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop, close
@@ -237,15 +236,16 @@ def load(path: str | Path, *, functions: bool = True) -> Problem:
     """
     instance("path", path, str, Path)
     file = Path(path)
-    built_in = dict(sorted((found.stem, found) for folder in problem_folders() for found in folder.glob("*.toml")))
     try:
         if not file.is_file():
-            file = built_in.get(str(path), file)
+            names = (folder / f"{path}.toml" for folder in problem_folders())
+            file = next((found for found in names if found.name == f"{path}.toml" and found.is_file()), file)
         tables = tomllib.loads(read_text(file, LARGEST))
     except FileNotFoundError:
+        built_in = sorted(found.stem for folder in problem_folders() for found in folder.glob("*.toml"))
         raise ProblemError(
             f"there is no file {str(path)!r}; expected a problem file, or one of the built-in problems "
-            f"{', '.join(built_in)}{suggest(str(path), list(built_in))}"
+            f"{', '.join(built_in)}{suggest(str(path), built_in)}"
         ) from None
     except UnicodeDecodeError as error:
         raise ProblemError(f"{str(path)!r} is not UTF-8 text ({error.reason}); expected a TOML file") from None
@@ -272,17 +272,17 @@ def parse(tables: Mapping[str, Any], name: str, known: Mapping[str, Dynamics] | 
         ProblemError: if a key is unknown or missing, or the data are inconsistent.
     """
     try:
-        file = File.model_validate(tables)
+        file: File = validate(File, tables)
     except ValidationError as error:
         raise ProblemError(f"{name}: {first_mistake(error, File)}") from None
     kind, parameters = read_policy(file.policy, name)
     try:
         if file.reference is not None:
             _expect(kind, "reference", "[reference]", "no reference: remove it")
-        cost = Cost(**{key: value for key, value in file.cost.model_dump().items() if value is not None})
+        cost = Cost(**{key: value for key, value in vars(file.cost).items() if value is not None})
         plant = _plant(file.plant, known or {})
         actual = None if file.plant.actual is None else _actual(file.plant.actual, file.plant.dt, plant, known or {})
-        reference = None if file.reference is None else Reference(**file.reference.model_dump())
+        reference = None if file.reference is None else Reference(**vars(file.reference))
         network = _network(file.network, kind)
         return Problem(plant, cost, network, kind, parameters, actual, reference, _copied(tables), name)
     except TaciturnError as error:
@@ -302,7 +302,7 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
         ProblemError: if the kind does not use the given network or reference.
     """
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
-    unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
+    unusual = [key for key in NetworkTable.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
         _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
     if reference is not None:
@@ -368,7 +368,7 @@ def _jumps(table: JumpsTable) -> Jumps:
 def _network(table: NetworkTable | None, kind: str) -> Network:
     if table is None:
         return Network()
-    lost = [key for key in table.model_fields_set if key.endswith(("_loss", "_burst")) and getattr(table, key)]
+    lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
         _expect(kind, "network", f"network.{lost[0]}", IDEAL)
     return Network(
@@ -386,7 +386,7 @@ def _network(table: NetworkTable | None, kind: str) -> Network:
 
 def _burst(link: str, table: BurstTable | None) -> Burst | None:
     try:
-        return None if table is None else Burst(**table.model_dump())
+        return None if table is None else Burst(**vars(table))
     except ProblemError as error:
         raise ProblemError(f"network.{link}_burst: {error}") from None
 

@@ -8,9 +8,9 @@ from functools import cache
 from typing import Any, cast, get_type_hints
 
 import numpy as np
-from pydantic import TypeAdapter, ValidationError
 
 from taciturn._arrays import Array, ArrayLike, quoted
+from taciturn._pydantic import ValidationError, validate
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
 from taciturn.problem.tables import Rows, ours, suggest
@@ -71,18 +71,18 @@ def check_parameter(kind: str, key: str, value: object) -> Any:
     if isinstance(value, np.ndarray):
         return cast("Array", value)
     try:
-        return _accepted(kind)[key][0].validate_python(value, strict=True)
+        return validate(_accepted(kind)[key][0], value)
     except ValidationError as error:
         raise ProblemError(f"policy.{key} is {quoted(value)}; {ours(error.errors()[0]['msg'])}") from None
 
 
 @cache
-def _accepted(kind: str) -> dict[str, tuple[TypeAdapter[Any], bool]]:
-    """Return the validator of each parameter of a policy kind, and whether the parameter is required."""
+def _accepted(kind: str) -> dict[str, tuple[Any, bool]]:
+    """Return the type of each parameter of a policy kind, and whether the parameter is required."""
     design = CATALOGUE[kind]
     hints = get_type_hints(design)
     return {
-        key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
+        key: (Rows if hints[key] == ArrayLike | None else hints[key], value.default is value.empty)
         for key, value in inspect.signature(design).parameters.items()
         if value.kind is value.KEYWORD_ONLY
         and key not in ("network", "reference")  # matrices are written as lists of rows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from statistics import NormalDist
 
 from taciturn._progress import Progress
 from taciturn._text import magnitude
@@ -53,6 +52,8 @@ def bounded(loop: Loop, rate: Estimate, confidence: float, seed: int, progress: 
     """
     if rate.value == 0:
         raise ProblemError("nothing is sent")
+    from statistics import NormalDist  # which most evaluations do not need
+
     lower = bound_below(loop, min(rate.value, 1.0), confidence, seed, progress)
     margin = NormalDist().inv_cdf(confidence) * rate.standard_error + rate.error
     return replace(lower, cost=max(lower.at_rate(rate.value + max(margin, 0.0)), loop.policy.cost_all_time))
