@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-NEVER = {"pydantic", "scipy", "numpy.ma", "matplotlib", "xarray", "h5py", "pandas", "cvxpy", "rich", "multiprocessing"}
+NEVER = {"scipy", "numpy.ma", "matplotlib", "xarray", "h5py", "pandas", "cvxpy", "rich", "multiprocessing"}
 COMMANDS = {
-    "--help": NEVER | {"numpy", "pydantic_core", "llvmlite"},
+    "--help": NEVER | {"numpy", "pydantic", "llvmlite"},
     "evaluate two-mass-lqg --steps 20000": NEVER,  # its Riccati equations need no scipy
 }
 SAYS = {
