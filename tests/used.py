@@ -268,7 +268,7 @@ def of_network(problem: Problem, name: str) -> tuple[Use, Use]:
 def uses_of(kind: str) -> Mapping[str, tuple[Use, ...]]:
     """Return what becomes of each property with a kind; of the network in a problem, and where a loop is closed."""
     problem = KINDS[kind]
-    module = import_module("taciturn.design.integral")
+    module = import_module("taciturn.design.kinds.integral")
     slope = patch.object(module, "_largest_slope", lambda *_: np.inf)  # these two checks take long, and decide no law
     alpha = patch.object(module._Search, "given", lambda _, alpha: Estimate(alpha, 0.0, "exact"))
     with slope, alpha:

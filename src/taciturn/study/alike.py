@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -11,7 +10,6 @@ from typing import Any, cast
 import numpy as np
 
 from taciturn._arrays import instance
-from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError
 from taciturn.model.policy import LinkName
 from taciturn.problem import Problem, expect_problem
@@ -40,10 +38,10 @@ def _fixed(problem: Problem, link: LinkName | None) -> dict[str, object]:
     """Return the parameters that are not tuned, with their defaults if they are not given."""
     defaults = {
         key: parameter.default
-        for key, parameter in inspect.signature(CATALOGUE[problem.kind]).parameters.items()
+        for key, parameter in problem.record.arguments.items()
         if parameter.default is not parameter.empty
     }
-    tuned = {tuning.name for tuning in TRADEOFF_PARAMETERS[problem.kind] if link is None or tuning.link in (None, link)}
+    tuned = {tuning.name for tuning in problem.record.tuning if link is None or tuning.link in (None, link)}
     return {key: value for key, value in (defaults | dict(problem.parameters)).items() if key not in tuned}
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn._figure import Panel, Series, draw
 from taciturn._progress import Progress
-from taciturn.design.integral import integral
+from taciturn.design.kinds.integral import integral
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate

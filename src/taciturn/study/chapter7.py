@@ -9,7 +9,7 @@ import numpy as np
 
 from taciturn._figure import Panel, Series, Style, draw
 from taciturn._progress import Progress
-from taciturn.design.lossy_lqg import lossy_lqg
+from taciturn.design.kinds.lossy_lqg import lossy_lqg
 from taciturn.loop import Loop, close
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate

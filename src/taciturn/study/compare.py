@@ -13,7 +13,6 @@ from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
 from taciturn._text import per_unit
-from taciturn.design.catalogue import TRADEOFF_PARAMETERS
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -281,7 +280,7 @@ def _measuring_alike(problems: Mapping[str, Problem]) -> dict[str, list[Problem]
     periods = [period for period in given if isinstance(period, int | float)]
     found = {name: [problem] for name, problem in problems.items()}
     for name, problem in problems.items():
-        plant, tunings = problem.plant, [tuning for tuning in TRADEOFF_PARAMETERS[problem.kind] if tuning.cycles]
+        plant, tunings = problem.plant, [tuning for tuning in problem.record.tuning if tuning.cycles]
         seen_in_part = isinstance(plant, ContinuousPlant) and not plant.full_state
         if tunings and seen_in_part and periods and tunings[0].name not in problem.parameters:
             found[name].append(problem.changed({"period": min(periods), tunings[0].name: 1}))

@@ -11,7 +11,7 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
 from taciturn._text import Lines, per_unit
-from taciturn.design.catalogue import AnyPolicy
+from taciturn.design.kind import AnyPolicy
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import cost_rows, cost_text, matrix_lines, network_text, plant_rows, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant

@@ -10,7 +10,7 @@ from math import gcd, lcm
 from taciturn._arrays import Array, count, instance
 from taciturn._display import Displayed
 from taciturn.analyse.limits import resets
-from taciturn.design.near_optimal import modelled
+from taciturn.design.modelled import modelled
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.loop import close
 from taciturn.model.network import Network

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from taciturn._progress import Progress, in_notebook
-from taciturn.design.catalogue import TRADEOFF_PARAMETERS, TradeoffParameter
+from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
@@ -122,7 +122,7 @@ def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
     continuous, given = isinstance(problem.plant, ContinuousPlant), problem.parameters
     tunings = [
         tuning
-        for tuning in TRADEOFF_PARAMETERS[problem.kind]
+        for tuning in problem.record.tuning
         if tuning.continuous in (None, continuous)
         and (tuning.link is None or (tuning.name in given and link in (None, tuning.link)))
     ]
