@@ -188,7 +188,7 @@ def test_every_kind_can_be_asked_for(ask: Ask, kind: str) -> None:
         ((*WALK, "1", "1", "1", "udp"), "the network is udp, but the policy for this network, lossy-lqg, requires"),
         ((*STEP, "udp", "1.5"), "actuator_loss is 1.5; expected 0 ≤ actuator_loss ≤ 1"),
         ((*STEP, "", "9"), "the goal is 9; expected a number from 1 to 6, or a policy kind"),
-        ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of all-time, periodic, lqg"),
+        ((*STEP, "", "lgq"), "the kind is 'lgq'; expected one of absolute, all-time"),
         ((*STEP, "", "1", "much"), "policy.theta is 'much'; expected a number"),
         ((*STEP, "", "1", "-1"), "new.toml: policy.theta is -1; expected 0 ≤ theta"),
         ((*STEP, "", "periodic", "1.5"), "policy.every is 1.5; expected a whole number"),

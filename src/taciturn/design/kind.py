@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_type_hints
 
 from taciturn._display import Displayed
 from taciturn.errors import ProblemError
@@ -127,6 +127,20 @@ class Kind(Displayed):
         return {
             name: one for name, one in given if one.kind is one.KEYWORD_ONLY and name not in ("network", "reference")
         }
+
+    @property
+    def identity(self) -> str:
+        """The place of the design function, which distinguishes kinds of the same name."""
+        return f"{self.design.__module__}:{self.design.__qualname__}"
+
+    @cached_property
+    def hints(self) -> Mapping[str, Any]:
+        """The types of the arguments of the design function by name."""
+        return get_type_hints(self.design)
+
+    def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
+        """Return the policy for a plant, a cost and further arguments of the design function."""
+        return self.design(plant, cost, **given)
 
     @property
     def uses_network(self) -> bool:

@@ -155,7 +155,7 @@ class Problem(Displayed):
         kind = self.record
         parameters = check_parameters(kind, self.parameters)
         used = _used(kind, self.network, self.reference)
-        policy = kind.design(self.plant, self.cost, **used, **parameters)
+        policy = kind.make(self.plant, self.cost, {**used, **parameters})
         if isinstance(policy, Policy):
             check_network(policy, self.network)
         else:
@@ -214,12 +214,6 @@ class Problem(Displayed):
         kind, parameters = read_policy(tables["policy"], CHANGED, self.own)  # plant, cost and network are unchanged
         source = None if self.source is None else tables
         return replace(self, kind=kind, parameters=parameters, source=source, name=CHANGED)
-
-
-def expect_problem(name: str, value: object) -> None:
-    """Raise a ``ProblemError`` if a value is not a Problem."""
-    if not isinstance(value, Problem):
-        raise ProblemError(f"{name} is {quoted(value)}; expected a Problem: taciturn.load reads one from a file")
 
 
 def load(path: str | Path, *, functions: bool = True) -> Problem:

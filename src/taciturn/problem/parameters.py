@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import cache
-from typing import Any, cast, get_type_hints
+from typing import Any, cast
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -90,8 +90,11 @@ def check_parameter(kind: Kind, key: str, value: object) -> Any:
 @cache
 def _accepted(kind: Kind) -> dict[str, tuple[TypeAdapter[Any], bool]]:
     """Return the validator of each parameter of a policy kind, and whether the parameter is required."""
-    hints = get_type_hints(kind.design)
     return {
-        key: (TypeAdapter[Any](Rows if hints[key] == ArrayLike | None else hints[key]), value.default is value.empty)
+        key: (_validator(kind.hints.get(key, Any)), value.default is value.empty)
         for key, value in kind.parameters.items()  # matrices are written as lists of rows
     }
+
+
+def _validator(hint: Any) -> TypeAdapter[Any]:
+    return TypeAdapter[Any](Rows if hint == ArrayLike | None else hint)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from taciturn._modes import radius
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.design.kind import Kind, Setting
@@ -86,5 +88,5 @@ def _digit(value: float) -> float:
 def example_of(kind: Kind) -> Problem:
     """Return the example of a policy kind: a built-in problem with this kind and the parameters of the example."""
     problem = load(kind.built_in)
-    removed: dict[str, object] = dict.fromkeys(problem.parameters)
+    removed: dict[str, Any] = dict.fromkeys(problem.parameters)
     return problem.changed({**removed, "kind": kind.name, **kind.example})

@@ -109,6 +109,11 @@ def run_cells(
         ProblemError: the executor fails, a worker runs another version or other code of this package, or the store
             cannot be written to.
     """
+    if store is not None and problem.own is not None:
+        raise ProblemError(
+            f"a store is given, but {problem.kind} is not in the catalogue, so stored results could be those of other "
+            "code; expected no store, or a kind that a package registers"
+        )
     done = 0
 
     def advance(within: float = 0.0) -> None:

@@ -20,8 +20,9 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName, Policy
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
+from taciturn.problem.bare import Studied
 from taciturn.simulation.average import check_effort, difference
-from taciturn.study.alike import check_comparable
+from taciturn.study.alike import comparable
 from taciturn.study.evaluate import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
@@ -195,7 +196,7 @@ class Comparison(Tabular):
 
 
 def compare(
-    problems: Mapping[str, Problem],
+    problems: Mapping[str, Studied],
     rate: float,
     *,
     link: LinkName | None = None,
@@ -238,7 +239,7 @@ def compare(
     """
     check_effort(seed, standard_error, None)
     rate = number("rate", rate, 0.0)
-    check_comparable(problems, link)
+    problems = comparable(problems, link)
     bar = in_notebook(progress)
     found: list[Contestant] = []
     for index, (name, choices) in enumerate(_measuring_alike(problems).items()):

@@ -9,7 +9,8 @@ from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import LinkName
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.budget import budget_of
 from taciturn.study.clock import Cycle, Either, Ticked
@@ -20,7 +21,7 @@ from taciturn.study.tuned import Parameter, Tuned
 
 
 def tune(
-    problem: Problem,
+    problem: Studied,
     *,
     rate: float | str | None = None,
     cost: float | str | None = None,
@@ -62,7 +63,7 @@ def tune(
         >>> round(found.parameter.value, 1), round(found.evaluation.rates["actuator"].value, 2)
         (1.1, 0.3)
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, None)
     if (rate is None) == (cost is None):
         got = "both rate and cost are given" if rate is not None else "neither rate nor cost is given"
