@@ -133,6 +133,11 @@ class Kind(Displayed):
         """The place of the design function, which distinguishes kinds of the same name."""
         return f"{self.design.__module__}:{self.design.__qualname__}"
 
+    @property
+    def remedy(self) -> str:
+        """What can be tuned instead, if the kind has no tuning parameter."""
+        return "another policy kind, such as lqg"
+
     @cached_property
     def hints(self) -> Mapping[str, Any]:
         """The types of the arguments of the design function by name."""

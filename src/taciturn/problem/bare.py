@@ -106,6 +106,11 @@ class BareKind(Kind):
         assert self.base is not None
         return f"{self.name} {fingerprint(self.base, self.base.network):016x}"
 
+    @property
+    def remedy(self) -> str:
+        """What can be tuned instead of one policy."""
+        return "a function that returns the policy for a parameter"
+
     @cached_property
     def hints(self) -> Mapping[str, Any]:
         """No types: the function checks its arguments."""

@@ -111,8 +111,8 @@ def run_cells(
     """
     if store is not None and problem.own is not None:
         raise ProblemError(
-            f"a store is given, but {problem.kind} is not in the catalogue, so stored results could be those of other "
-            "code; expected no store, or a kind that a package registers"
+            "a store is given, but the policy comes from Python code, which a stored result does not identify; expected "
+            "no store, or a Problem with a policy kind"
         )
     done = 0
 

@@ -135,7 +135,5 @@ def _tuning(problem: Problem, link: LinkName | None) -> TradeoffParameter:
             f"{problem.kind} decides on two links; expected link to be one of {[k.link for k in tunings]}"
         )
     if not tunings:
-        raise ProblemError(
-            f"{problem.kind} has no parameter that changes this rate; expected another policy kind, such as lqg"
-        )
+        raise ProblemError(f"{problem.kind} has no parameter that changes this rate; expected {problem.record.remedy}")
     return tunings[0]
