@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn import Cost, Plant, Policy, Trigger
-from taciturn._arrays import number
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.riccati import regulate
 from taciturn.model.policy import ONE, Assign, Decide, Form, Received, Send
@@ -28,7 +27,6 @@ def decaying(plant: Plant, cost: Cost, *, delta: float, rho: float = 0.9) -> Pol
 
     Source: astrom2002
     """
-    delta, rho = number("delta", delta, 0.0), number("rho", rho, 0.0)
     found, unit = regulate(plant.A, plant.B, cost.Q, cost.R, cost.N), np.eye(plant.inputs)
     steps = (
         Assign("controller", "command", {"y": found.L}),

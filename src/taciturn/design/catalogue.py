@@ -1,7 +1,7 @@
 """Catalogue of all policy kinds: those of the folder ``kinds``, and those that installed packages register.
 
 A package registers a kind by an entry point of the group ``taciturn.kinds``: its name is the name of the kind, and its
-value is the place of the ``Kind``, ``module:KIND``. A kind is imported when it is asked for.
+value is the place of the ``Kind``, ``module:KIND``. A kind is imported at its first use.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class Kind(Displayed):
 
     @property
     def remedy(self) -> str:
-        """What can be tuned instead, if the kind has no tuning parameter."""
+        """The remedy in the message that the kind has no tuning parameter."""
         return "another policy kind, such as lqg"
 
     @cached_property

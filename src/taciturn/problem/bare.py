@@ -1,4 +1,4 @@
-"""What studies accept in place of a problem: a policy, or a function that returns the policy for its parameters.
+"""Problems of a policy without a problem file, and of a function that returns the policy for its parameters.
 
 A policy is studied on the plant, the cost and the network that it was designed for. Its policy kind is a record that
 returns the given policy; the parameters of the kind are those of the function.
@@ -108,7 +108,7 @@ class BareKind(Kind):
 
     @property
     def remedy(self) -> str:
-        """What can be tuned instead of one policy."""
+        """The remedy in the message that there is no tuning parameter."""
         return "a function that returns the policy for a parameter"
 
     @cached_property

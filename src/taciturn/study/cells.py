@@ -111,8 +111,8 @@ def run_cells(
     """
     if store is not None and problem.own is not None:
         raise ProblemError(
-            "a store is given, but the policy comes from Python code, which a stored result does not identify; expected "
-            "no store, or a Problem with a policy kind"
+            "a store is given, but the policy comes from Python code, which a stored result does not identify; "
+            "expected no store, or a Problem with a policy kind"
         )
     done = 0
 

@@ -96,7 +96,7 @@ def tune_period(
     Source: khashooei2017
 
     Example:
-        >>> from taciturn import ContinuousPlant, Cost, Network
+        >>> from taciturn import ContinuousPlant, Cost, Network, Problem
         >>> walk, cost = ContinuousPlant([[0.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
         >>> problem = Problem(walk, cost, Network(), "consistent", {"period": 0.5})
         >>> found = tune_period(problem, rate=1.0, least=0.1)
