@@ -161,7 +161,8 @@ def test_only_its_own_file_names_a_kind() -> None:
     about |= {("study/lines.py", "consistent"), ("study/printed.py", "consistent"), ("study/channel.py", "consistent")}
     about |= {("study/compare.py", "all-time"), ("program/elementary.py", "absolute"), ("_cvxpy.py", "optimal")}
     about |= {("loop.py", "excess"), ("simulation/channel.py", "excess"), ("design/certainty.py", "excess")}
-    about |= {("design/kinds/optimal.py", "near-optimal")}
+    about |= {("design/kinds/optimal.py", "near-optimal"), ("model/schedule.py", "variance")}
+    about |= {("renewal/events.py", "integral")}
     kinds, found = own_kinds(), set[tuple[str, str]]()
     for path in SOURCE.rglob("*.py"):
         place = path.relative_to(SOURCE).as_posix()
