@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taciturn.design.integral import integral
+from taciturn.design.kinds.integral import integral
 from taciturn.extend import Panel, Progress, Series, draw
 from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost

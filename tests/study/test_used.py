@@ -151,7 +151,7 @@ def test_a_function_of_the_design_alone_is_refused() -> None:
 
 def test_a_kind_that_is_unknown_is_refused_when_the_problem_is_made() -> None:
     """And not when it is designed."""
-    with pytest.raises(ProblemError, match=r"policy.kind is 'decay'; expected one of all-time, periodic, lqg"):
+    with pytest.raises(ProblemError, match=r"policy.kind is 'decay'; expected one of absolute, all-time"):
         Problem(FULL, COST, Network(), "decay")
 
 

@@ -11,13 +11,14 @@ import numpy as np
 from taciturn._display import Displayed
 from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
 from taciturn._text import Lines, per_unit
-from taciturn.design.catalogue import AnyPolicy
+from taciturn.design.kind import AnyPolicy
 from taciturn.model.diagram import Diagram
 from taciturn.model.display import cost_rows, cost_text, matrix_lines, network_text, plant_rows, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.layout import steps_of_a_fault
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.study.units import cost_unit, time_unit
@@ -159,7 +160,7 @@ class Description(Displayed):
         return lines
 
 
-def describe(problem: Problem) -> Description:
+def describe(problem: Studied) -> Description:
     """Design a problem's policy and describe it, without a simulation.
 
     Args:
@@ -177,7 +178,7 @@ def describe(problem: Problem) -> Description:
         >>> describe(load("two-mass")).gains["L"].shape
         (1, 4)
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     policy = problem.designed()
     if isinstance(policy, EventPolicy):
         return Description(problem, policy, None, ())

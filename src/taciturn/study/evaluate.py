@@ -17,7 +17,8 @@ from taciturn.model.policy import Policy
 from taciturn.model.schedule import Schedule
 from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.model.theory import Linearisation
-from taciturn.problem import Problem, expect_problem
+from taciturn.problem import Problem
+from taciturn.problem.bare import Studied, as_problem
 from taciturn.program.ops import Precision
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
 from taciturn.simulation.average import base_rate, check_effort
@@ -183,7 +184,7 @@ class Evaluation(Tabular):
 
 
 def evaluate(
-    problem: Problem,
+    problem: Studied,
     *,
     seed: int = 0,
     standard_error: float | None = None,
@@ -234,7 +235,7 @@ def evaluate(
         >>> evaluate(load("two-mass"), steps=100_000).policy
         'excess'
     """
-    expect_problem("problem", problem)
+    problem = as_problem("problem", problem)
     check_effort(seed, standard_error, steps)
     if method not in METHODS:
         raise ProblemError(f"method is {method!r}; expected {', '.join(map(repr, METHODS[:-1]))} or {METHODS[-1]!r}")

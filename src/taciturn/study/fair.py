@@ -7,9 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from taciturn._arrays import Array
-from taciturn.design.catalogue import AnyPolicy
 from taciturn.design.certainty import Actuation, CertaintyEquivalentDesign, design_certainty
-from taciturn.design.periodic import all_time, periodic, predicted_cost
+from taciturn.design.clocked import predicted_cost
+from taciturn.design.kind import AnyPolicy
+from taciturn.design.kinds.all_time import all_time
+from taciturn.design.kinds.periodic import periodic
 from taciturn.errors import TaciturnError
 from taciturn.lqg._cache import kept
 from taciturn.lqg.discrete import discretise

@@ -51,7 +51,8 @@ def digest(text: str) -> str:
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
     stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
-    return digest(encode([stated, problem.kind, problem.parameters]))
+    own = [] if problem.own is None else [problem.own.identity]
+    return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
 def origin(

@@ -109,6 +109,11 @@ def run_cells(
         ProblemError: the executor fails, a worker runs another version or other code of this package, or the store
             cannot be written to.
     """
+    if store is not None and problem.own is not None:
+        raise ProblemError(
+            "a store is given, but the policy comes from Python code, which a stored result does not identify; "
+            "expected no store, or a Problem with a policy kind"
+        )
     done = 0
 
     def advance(within: float = 0.0) -> None:

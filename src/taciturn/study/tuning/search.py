@@ -12,7 +12,7 @@ from taciturn import _scipy
 from taciturn._display import Displayed
 from taciturn._progress import Progress, Stages
 from taciturn._text import per_unit
-from taciturn.design.catalogue import TradeoffParameter
+from taciturn.design.kind import TradeoffParameter
 from taciturn.errors import ProblemError, TaciturnError, UnstableError
 from taciturn.model.estimate import Estimate
 from taciturn.model.policy import LinkName

@@ -7,6 +7,7 @@ import numpy as np
 from taciturn._arrays import Array, number
 from taciturn.design.certainty import CLOCK, count_ticks, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import Predictor, schedule_by_variance
@@ -88,3 +89,16 @@ def _measured(plant: Plant, schedule: Schedule, corrections: Array) -> FilterSte
         {"prior": plant.mean},
         None,
     )
+
+
+KIND = Kind(
+    name="variance",
+    design=variance,
+    goal="a schedule of measurements that is known in advance",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"threshold": 0.05},
+    nodes="S, C+A",
+    proved="cost and rate, exactly",
+    data="the step counter `clock` of the schedule; queries and filter gains are read by `clock`",
+    order="decide by the step counter, send y, filter on `Received`, input",
+)

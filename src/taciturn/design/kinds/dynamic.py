@@ -8,6 +8,7 @@ from taciturn._arrays import block_diagonal, number
 from taciturn.design.bounds import LARGEST, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -94,3 +95,16 @@ def dynamic(
         slower=max(1.0, 1 / (1 - rho) / certainty.settling),
         notes=notes,
     )
+
+
+KIND = Kind(
+    name="dynamic",
+    design=dynamic,
+    goal="a relative threshold on a filtered error, which sends less often",
+    tuning=(TradeoffParameter("sigma"),),
+    example={"sigma": 0.03, "rho": 0.8, "gain": 2.0},
+    proved="the bound of `relative`",
+    data="`Evaluate` memory `credit`⁺ = ρ·credit + σ²x̂'x̂ − e'e, which the trigger adds (`plus`)",
+    order="operations of `lqg`; the memory is updated after the decision, by its outcome",
+    usual={"sigma": 0.1, "rho": 0.5, "gain": 2.0},
+)

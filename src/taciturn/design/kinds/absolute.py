@@ -9,6 +9,7 @@ import numpy as np
 from taciturn._arrays import ArrayLike, choice, number, semidefinite
 from taciturn.design.bounds import LARGEST, bound_by_silence, largest_ratio
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -84,3 +85,15 @@ def absolute(
         reset=certainty.reset(actuation),
         notes=("no bound is known: the weight is zero for some errors that have a cost",) if mu is None else (),
     )
+
+
+KIND = Kind(
+    name="absolute",
+    design=absolute,
+    goal="an absolute threshold on the error of the input or of the state",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"threshold": 1.0},
+    proved=r"$J\le J_{all}+\mu Y^2(1-\text{rate})$",
+    data="trigger over e, or over `deviation`",
+    order="operations of `lqg`",
+)

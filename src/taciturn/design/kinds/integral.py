@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
 from taciturn import _scipy
 from taciturn._arrays import number
 from taciturn.design.certainty import SEND
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prediction import ERROR, predicted_steps, refuse_what_is_not_predicted
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -349,3 +350,30 @@ class _Search:
     def after(self, alpha: float, cycles: int) -> CycleEstimate:
         """Return estimates of mean interval and cost from simulated intervals with the given α."""
         return estimate_cycles(self.process, replace(self.trigger, c=alpha * self.slope), cycles=cycles)
+
+
+KIND = Kind(
+    name="integral",
+    design=integral,
+    goal="a cost that never exceeds that of periodic control, for rare disturbances (Poisson jumps)",
+    tuning=(TradeoffParameter("slope"),),
+    example={"slope": 5.0, "h_max": 2.0, "alpha": 0.5, "period": 0.05},
+    built_in="double-integrator",
+    nodes="S, C+A",
+    plants=("continuous", "jumps"),
+    proved=r"$V\le V_p(r)$ at its mean interval",
+    refused=(
+        "a slope for which f < g does not hold; α > L(α); a period in which the noise alone costs more than "
+        "the allowed cost"
+    ),
+    data=(
+        "the data of `consistent`, and an `Evaluate` memory `margin` of the cost beyond the allowed cost; "
+        "the location `since` counts the checks since the last send (h_min, ε, h_max). Without a period an "
+        "`EventPolicy`: process and trigger of `renewal/`"
+    ),
+    order=(
+        "operations of `consistent`, then the margin on the decision. Without a period the trigger is "
+        "monitored continuously between jumps, and `close` refuses a loop of nodes"
+    ),
+    check=partial(refuse_what_is_not_predicted, "integral"),
+)

@@ -16,6 +16,7 @@ from taciturn.design.certainty import (
     control_steps,
     design_certainty,
 )
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -142,3 +143,15 @@ def _renewed(certainty: CertaintyEquivalentDesign, W: Array) -> ClosedForm | Non
         if not np.isfinite(Sigma @ Sigma).all():
             return None
     return None
+
+
+KIND = Kind(
+    name="stochastic",
+    design=stochastic,
+    goal="exact cost and rate without simulation, by a random threshold",
+    tuning=(TradeoffParameter("scale", falls=False),),
+    example={"actuation": "model"},
+    proved=r"$J\le J_{all}+2\mu/(e\,s)$; with a model exact cost and rate",
+    data="`Draw` ξ, which the trigger adds (`plus`)",
+    order="draw, then operations of `lqg`",
+)

@@ -21,6 +21,7 @@ from taciturn.design.certainty import (
     steps_at_the_actuator,
 )
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import Prices, by_clock, price_control
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -243,3 +244,28 @@ def _estimate(plant: Plant, watch: _Watch) -> FilterSteps:
         {"prior": plant.mean},
         innovations,
     )
+
+
+KIND = Kind(
+    name="remote-lqg",
+    design=remote_lqg,
+    goal="a sensor that is queried by a schedule, and inputs that are sent when needed",
+    tuning=(TradeoffParameter("theta", "actuator"), TradeoffParameter("zeta", "sensor")),
+    example={"theta": 0.2, "zeta": 1.5},
+    built_in="remote-scalar",
+    nodes="S, C, A (or C with S or A); the sensor link has a delay of one step",
+    costs=("average", "horizon", "discount"),
+    proved=r"$J\le(1+\theta)(J_{all}+\zeta)$; the queries are a schedule",
+    refused="a sensor that is never queried with an unstable plant; a schedule that does not repeat",
+    data=(
+        "the step counter `clock` runs through the schedule and returns to the step from which the schedule "
+        "repeats; queries, filter gains and tr(QΣ) are read by `clock`, and for a finite horizon also L and H"
+    ),
+    order=(
+        "estimate := prior, command, candidate, error, decide, send, hold, decide the query by the step "
+        "counter, send y, innovation on `Received`, predict"
+    ),
+    usual={"theta": 0.1},
+    asked=("theta", "zeta"),
+    offered=5,
+)

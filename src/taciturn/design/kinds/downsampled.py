@@ -7,6 +7,7 @@ import numpy as np
 from taciturn._arrays import count, number
 from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
@@ -79,3 +80,18 @@ def downsampled(
         reset=certainty.reset(actuation),
         slower=slow,
     )
+
+
+KIND = Kind(
+    name="downsampled",
+    design=downsampled,
+    goal="a next check whose time is known at the previous one",
+    tuning=(TradeoffParameter("threshold"),),
+    example={"fast": 1, "slow": 3, "threshold": 1.0},
+    data=(
+        "the location `wait` counts down to the next check and is moved by the decision; the weight of the "
+        "trigger is read by `wait`"
+    ),
+    order="operations of `lqg`",
+    usual={"fast": 1, "slow": 2},
+)

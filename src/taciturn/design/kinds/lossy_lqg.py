@@ -8,6 +8,7 @@ from taciturn._arrays import instance, number
 from taciturn._modes import lost_modes, radius
 from taciturn.design.certainty import CLOCK, SEND, count_ticks
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.prices import by_clock
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
@@ -226,3 +227,27 @@ def _steps(
         order = (*watch, Assign("controller", ESTIMATE, {"seen": n}), *act)
     known = Acknowledged("actuator") if acknowledged else SEND
     return (*order, Assign("controller", "prior", (silent, sent), known))
+
+
+KIND = Kind(
+    name="lossy-lqg",
+    design=lossy_lqg,
+    goal="a link that drops packets, with a price per packet",
+    tuning=(TradeoffParameter("price"),),
+    example={"price": 0.1},
+    built_in="lossy-double-integrator",
+    nodes="S, C, A; the sensor sends at every step",
+    plants=("discrete",),
+    costs=("average", "horizon"),
+    proved=r"$J\le J_{all}+\lambda(1-\text{rate})$; critical losses",
+    refused="`cost.N`; an average cost with losses at or above the critical loss probabilities",
+    data="the step counter `clock` of a finite horizon; gains, Γ and the reference are read by `clock`",
+    order=(
+        "send y, set the estimate on `Received`, command, decide, send, zero input (or the feedforward) "
+        "unless `Received`, predict with the mean loss on the decision, or with the `Acknowledged` input "
+        "under tcp. With a delay: estimate := prior first, and S sends after A"
+    ),
+    offered=7,
+    requires="a discrete-time model, a measurement of the full state, and N = 0",
+    check=refuse_what_is_not_covered,
+)

@@ -8,6 +8,7 @@ from taciturn._arrays import count, number, symmetrised
 from taciturn.design.bounds import LARGEST, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import step_back
@@ -100,3 +101,16 @@ def self_triggered(
         ),
         slower=max_interval,
     )
+
+
+KIND = Kind(
+    name="self-triggered",
+    design=self_triggered,
+    goal="a next send whose time is known at the previous one",
+    tuning=(TradeoffParameter("beta", least=1.0),),
+    example={"beta": 1.1, "max_interval": 10},
+    proved=r"$J\le\beta J_{all}$",
+    data="a decision and a gain per sleeping time; `Evaluate` memories `sleep` and `left`",
+    order="filter, evaluate every sleeping time, send when no step is left, count",
+    usual={"beta": 1.2, "max_interval": 5},
+)

@@ -8,6 +8,7 @@ from taciturn._arrays import number
 from taciturn.design.bounds import LARGEST
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
+from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.lqg.discrete import discretise
 from taciturn.lqg.kalman import Filter, steady_filter
 from taciturn.model.cost import Cost
@@ -73,3 +74,16 @@ def _heard(plant: Plant, steady: Filter, delta: float) -> FilterSteps:
         {"prior": plant.mean},
         None,
     )
+
+
+KIND = Kind(
+    name="send-on-delta",
+    design=send_on_delta,
+    goal="a simple sensor that sends when an output has changed by Δ",
+    tuning=(TradeoffParameter("delta"),),
+    example={"delta": 0.2},
+    nodes="S, C+A",
+    data="memories `last` at S and `heard` at C; one label per output",
+    order="compare y with the last sent value, decide, send y, filter, input",
+    offered=6,
+)
