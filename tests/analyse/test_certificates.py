@@ -126,10 +126,10 @@ def test_of_a_linear_loop_the_certificates_are_exact(seed: int) -> None:
     gain = find_gain(found)
     assert peak(found) * (1 - 1e-9) <= gain.value <= peak(found) * (1 + 1e-3)
     assert (decay.residual, decay.limit, gain.residual) == (0.0, 0.0, 0.0)
-    assert policy.closed_form is not None
+    assert policy.theory.closed_form is not None
     bound = bound_cost(found).value
-    assert bound == pytest.approx(policy.closed_form.cost, rel=1e-4)
-    assert bound >= policy.closed_form.cost * (1 - 1e-9)
+    assert bound == pytest.approx(policy.theory.closed_form.cost, rel=1e-4)
+    assert bound >= policy.theory.closed_form.cost * (1 - 1e-9)
 
 
 @pytest.mark.evidence

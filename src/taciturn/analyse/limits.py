@@ -152,7 +152,7 @@ def resets(loop: Loop) -> Reset:
             f"{loop.violated_assumptions[0]}; expected the plant, network and cost of the design, which a lower bound "
             "requires"
         )
-    if loop.policy.reset is None or loop.horizon is not None:
+    if loop.policy.theory.reset is None or loop.horizon is not None:
         raise ProblemError(
             "a lower bound requires that a send resets the error that determines the cost, but a send of "
             f"{loop.policy.kind} does not reset it; expected a policy with actuation = 'model', or the policy "
@@ -162,7 +162,7 @@ def resets(loop: Loop) -> Reset:
         raise ProblemError(
             "the noise consists of jumps; expected Gaussian noise for optimal schedules and lower bounds"
         )
-    return loop.policy.reset
+    return loop.policy.theory.reset
 
 
 def _price_of(F: Array, reset: Reset, rate: float, told: Stages) -> float:

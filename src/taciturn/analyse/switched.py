@@ -160,7 +160,7 @@ def switched_innovations(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    innovations, problem = loop.policy.innovations, loop.problem
+    innovations, problem = loop.policy.theory.innovations, loop.problem
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
@@ -214,7 +214,7 @@ class Reading:
         """Find the memories and their sizes."""
         policy = loop.policy
         self.policy = policy
-        innovation = policy.innovations.signal if policy.innovations is not None and not more else None
+        innovation = policy.theory.innovations.signal if policy.theory.innovations is not None and not more else None
         self.steps = [s for s in policy.steps if not (isinstance(s, Assign) and s.signal == innovation)]
         assigned = {"y", *more, *(() if innovation is None else (innovation,))}
         sizes = dict(more)

@@ -17,7 +17,8 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
-from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
+from taciturn.model.policy import Evaluate, Location, Policy
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
@@ -223,18 +224,18 @@ def _looking(
             Evaluate("sensor", MARGIN, (ahead, afresh), SEND),
         ),
         model=problem.plant,
-        cost_all_time=base,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=cost,
+            cost_all_time=base,
+            settling=1 / (1 - problem.slowest(closed)),
+            guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
+            identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=(location,),
         initial={"prediction": plant.mean, "forecast": plant.mean, MARGIN: more[:1]},
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=cost,
         prediction=prediction,
-        guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
-        identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
         notes=tuple(notes),
     )
 

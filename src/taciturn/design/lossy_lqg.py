@@ -24,19 +24,9 @@ from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import (
-    ONE,
-    Acknowledged,
-    Assign,
-    Decide,
-    Guarantee,
-    Identity,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
+from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.reference import Reference, Tracking
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 REFERENCE, FEEDFORWARD, DEVIATION = "reference", "feedforward", "deviation"
@@ -129,20 +119,22 @@ def lossy_lqg(
         kind="lossy-lqg",
         steps=_steps(plant, network, by_clock(gains.L), trigger, reference),
         model=plant,
-        cost_all_time=cost_all_time,
+        theory=Theory(
+            cost=cost,
+            cost_all_time=cost_all_time,
+            settling=float(settling),
+            guarantee=Guarantee(
+                cost_all_time + price * ticks,
+                f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
+                "khashooei2017",
+                cost_all_time,
+                price * ticks,
+            ),
+            identity=Identity(cost_all_time, (silent, Form()), SEND),
+        ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
         network=given,
-        settling=float(settling),
-        cost=cost,
-        guarantee=Guarantee(
-            cost_all_time + price * ticks,
-            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
-            "khashooei2017",
-            cost_all_time,
-            price * ticks,
-        ),
-        identity=Identity(cost_all_time, (silent, Form()), SEND),
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )

@@ -13,7 +13,8 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import step_back
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Policy, Step
+from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 SLEEP, LEFT = "sleep", "left"

@@ -20,7 +20,8 @@ from taciturn.errors import ProblemError, UnstableError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import ClosedForm, Draw, Guarantee, Policy
+from taciturn.model.policy import Draw, Policy
+from taciturn.model.theory import ClosedForm, Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 DRAWN = "luck"
@@ -67,7 +68,7 @@ def stochastic(
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[3.0]]), Cost([[1.0]], [[1.0]])
         >>> policy = stochastic(plant, cost, actuation="model")
-        >>> round(policy.closed_form.rates["actuator"], 6)
+        >>> round(policy.theory.closed_form.rates["actuator"], 6)
         0.520178
     """
     scale = number("scale", scale, 0.0, LARGEST)

@@ -189,7 +189,7 @@ def _per_unit(loop: Loop, found: Averages) -> Averages:
 
 def least_work(loop: Loop) -> float:
     """Return the least number of operations that ``average`` needs until a loop is in stationary operation."""
-    least = max(BURN_IN, int(SETTLE * loop.policy.settling))
+    least = max(BURN_IN, int(SETTLE * loop.policy.theory.settling))
     return TO_START + PER_STEP * LEAN * WINDOWS * least * PATHS
 
 

@@ -119,7 +119,7 @@ class Description(Displayed):
     def _fault_lines(self) -> Lines:
         """Return how long a fault has an effect, if it is not until the end of a run."""
         policy = self.policy
-        if not isinstance(policy, Policy) or policy.settling == 0:
+        if not isinstance(policy, Policy) or policy.theory.settling == 0:
             return []
         steps, per = steps_of_a_fault(policy), policy.model.dt
         lasting = f"{steps} steps" if per is None else f"{steps} steps ({per * steps:.3g} s)"

@@ -372,7 +372,7 @@ def _linearisation(policy: Policy) -> Linearisation:
 
 def _predicts(policy: Policy) -> bool:
     """Return whether both nodes predict in continuous time and events decide when the prediction is corrected."""
-    return policy.prediction is not None and policy.closed_form is None
+    return policy.prediction is not None and policy.theory.closed_form is None
 
 
 def _consistency(cost: Estimate, clock: ClockMix | None, proved: bool) -> Consistency:

@@ -141,7 +141,7 @@ def _cost_of(problem: Problem, design: Callable[[], Policy]) -> float | None:
         nominal = problem.close(policy).nominal
     except TaciturnError:  # such as sampling that loses a mode
         return None
-    return policy.closed_form.cost if nominal and policy.closed_form is not None else None
+    return policy.theory.closed_form.cost if nominal and policy.theory.closed_form is not None else None
 
 
 def _spaced(problem: Problem, seconds: float, tick: float, actuation: Actuation) -> float | None:
