@@ -59,7 +59,7 @@ DEVICES: dict[str, tuple[Board, Precision]] = {
 }
 CONTESTS = {**DEVICES, "M3 float32": (M3, "float32")}
 BY_HAND = Path(__file__).parent / "two_mass_by_hand.c"
-UNFUSED = '#pragma GCC optimize("fp-contract=off")'  # of taciturn.h
+UNFUSED = '#pragma GCC optimize("fp-contract=off")'  # of taciturn_packet.h
 
 
 def loop_of(file: str, changes: dict[str, object], precision: Precision) -> Loop:
@@ -131,9 +131,9 @@ def contest(name: str, fused: bool = False) -> dict[str, Any]:
 
 def let_fuse(folder: CFolder) -> CFolder:
     """Return sources whose products and sums the compiler may fuse, against the design's bits."""
-    header = folder.files["taciturn.h"]
+    header = folder.files["taciturn_packet.h"]
     assert UNFUSED in header
-    return replace(folder, files={**folder.files, "taciturn.h": header.replace(UNFUSED, "")})
+    return replace(folder, files={**folder.files, "taciturn_packet.h": header.replace(UNFUSED, "")})
 
 
 def tools() -> dict[str, str]:
