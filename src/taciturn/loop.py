@@ -31,7 +31,7 @@ from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
 COST, EXCESS, SENT = "cost", "excess", "sent"
-DRAWN = "drawn"  # normal draws from which an innovation is computed
+INNOVATION_DRAWS = "drawn"  # normal draws from which an innovation is computed
 WEIGHT = "weight"  # weight of a step in a discounted sum
 LEAST = {"float32": 1e-30, "float64": 1e-120}  # least cost of a step, and inverse of the largest: no square overflows
 NEGLIGIBLE = 1e-12  # weight of a step after which a discounted sum ends
@@ -158,11 +158,11 @@ class Loop(Displayed):
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
-        tick = self._tick({DRAWN: spread.shape[1]})
-        tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
+        tick = self._tick({INNOVATION_DRAWS: spread.shape[1]})
+        tick.signals[INNOVATION_DRAWS] = _normals(tick, spread.shape[1], 0)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
-                tick.signals[step.signal] = tick.combine({DRAWN: spread}, len(spread))
+                tick.signals[step.signal] = tick.combine({INNOVATION_DRAWS: spread}, len(spread))
             else:
                 tick.take(_driven(step, innovations.signal, spread), draw_losses(tick, self.policy, self.network))
         tick.signals["applied"] = tick.signals["input"]
@@ -376,7 +376,7 @@ def _driven(step: Step, innovation: str, spread: Array) -> Step:
         return step
 
     def driven(name: str, matrix: Matrix) -> tuple[str, Matrix]:
-        return (DRAWN, _times(matrix, spread)) if name == innovation else (name, matrix)
+        return (INNOVATION_DRAWS, _times(matrix, spread)) if name == innovation else (name, matrix)
 
     return replace(step, branches=tuple(dict(driven(*term) for term in terms.items()) for terms in step.branches))
 

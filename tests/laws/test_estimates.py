@@ -145,7 +145,7 @@ def test_a_burn_in_that_is_too_short_is_prolonged() -> None:
     policy = design.periodic(slow, cost, every=1)
     loop = close(slow, policy, cost=cost)
     found = average(loop, plain_average(loop), seed=3, steps=20_000_000)
-    assert found.burn_in > module.BURN_IN
+    assert found.burn_in > module.SHORTEST_BURN_IN
     assert policy.theory.closed_form is not None
     assert abs(found.cost.value - policy.theory.closed_form.cost) <= 4 * found.cost.standard_error
 

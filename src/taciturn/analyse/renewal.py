@@ -124,10 +124,10 @@ class ConditionalSampling:
 
     def __init__(self, loop: Loop, seed: int, progress: Progress | None = None) -> None:
         """Set up the chain without a simulation."""
-        from taciturn.renewal.paths import least_work
+        from taciturn.renewal.paths import fewest_operations
 
         self.chain, self.seed, self.progress = chain_of(loop), seed, progress
-        self.least = least_work(self.chain)
+        self.least = fewest_operations(self.chain)
 
     @cached_property
     def pilot(self) -> PathAnswer:

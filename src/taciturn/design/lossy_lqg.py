@@ -29,7 +29,7 @@ from taciturn.model.reference import Reference, Tracking
 from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
-REFERENCE, FEEDFORWARD, DEVIATION = "reference", "feedforward", "deviation"
+REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
 def lossy_lqg(
@@ -113,7 +113,7 @@ def lossy_lqg(
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
     refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
-    silent = Form((ESTIMATE if reference is None else DEVIATION,), by_clock(gains.Gamma))
+    silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     return Policy(
         kind="lossy-lqg",
@@ -181,7 +181,7 @@ def _steps(
 ) -> tuple[Step, ...]:
     n, m = np.eye(plant.states), np.eye(plant.inputs)
     acknowledged = network.protocol == "tcp"
-    subject = ESTIMATE if reference is None else DEVIATION
+    subject = ESTIMATE if reference is None else OFF_REFERENCE
     deviate: tuple[Step, ...] = ()
     supply: tuple[Step, ...] = (Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),)
     silent, sent = {ESTIMATE: plant.A}, {ESTIMATE: plant.A, "command": (1 - network.loss("actuator")) * plant.B}
@@ -192,7 +192,7 @@ def _steps(
         deviate = (
             Assign("controller", REFERENCE, {ONE: Scheduled(CLOCK, states)}),
             Assign("controller", "push", {ONE: Scheduled(CLOCK, plant.B @ inputs)}),
-            Assign("controller", DEVIATION, {ESTIMATE: n, REFERENCE: -n}),
+            Assign("controller", OFF_REFERENCE, {ESTIMATE: n, REFERENCE: -n}),
         )
         supply = (
             Assign("actuator", FEEDFORWARD, {ONE: Scheduled(CLOCK, inputs)}),

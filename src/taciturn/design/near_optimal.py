@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty
 from taciturn.design.prediction import predict_continuously, predicted_policy
 from taciturn.errors import ProblemError
@@ -48,7 +48,7 @@ def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, pe
         >>> policy.decisions["send"].labels
         ('silent', 'send')
     """
-    price = number("price", price, 0.0, LARGEST)
+    price = number("price", price, 0.0, LARGEST_PARAMETER)
     return modelled("near-optimal", plant, cost, period, lambda problem, reset: _silence(problem, reset, price))
 
 

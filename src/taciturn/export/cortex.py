@@ -15,9 +15,9 @@ from taciturn._files import write_whole
 from taciturn.errors import ProblemError
 from taciturn.export.folder import CORE_SOURCES, FLAGS, CFolder
 from taciturn.export.node import CNode
-from taciturn.export.vector import Vector
+from taciturn.export.vector import RecordedRun
 
-Level = Literal["-O2", "-Os"]
+Optimisation = Literal["-O2", "-Os"]
 PACKAGES = {  # Debian packages
     "arm-none-eabi-gcc": "gcc-arm-none-eabi libnewlib-arm-none-eabi",
     "arm-none-eabi-size": "binutils-arm-none-eabi",
@@ -32,7 +32,7 @@ PATIENCE = 60.0  # time limit of a run in seconds
 LONGEST = 500  # characters of a tool's output that an error message quotes
 
 
-class Board(NamedTuple):
+class EmulatedBoard(NamedTuple):
     """A board that QEMU emulates.
 
     Args:
@@ -53,11 +53,11 @@ class Board(NamedTuple):
         return f"{self.prefix}gcc" if self.prefix else "cc"
 
 
-M3 = Board("Cortex-M3", "mps2-an385", ("-mcpu=cortex-m3", "-mthumb"))
-M4F = Board(
+M3 = EmulatedBoard("Cortex-M3", "mps2-an385", ("-mcpu=cortex-m3", "-mthumb"))
+M4F = EmulatedBoard(
     "Cortex-M4F", "mps2-an386", ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16")
 )  # its floating-point unit supports single precision only
-HOST = Board(platform.machine(), "", (), "")  # this machine, without an emulator
+HOST = EmulatedBoard(platform.machine(), "", (), "")  # this machine, without an emulator
 
 
 class Main(NamedTuple):
@@ -95,7 +95,7 @@ def in_the_loop(node: CNode) -> Main:
     return Main(sources, tuple(f"-D{name}={value}" for name, value in names.items()))
 
 
-def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Level = "-O2") -> Path:
+def compile_for(board: EmulatedBoard, folder: CFolder, main: Main, into: Path, level: Optimisation = "-O2") -> Path:
     """Compile exported nodes for a board; warnings are errors.
 
     Args:
@@ -119,7 +119,12 @@ def compile_for(board: Board, folder: CFolder, main: Main, into: Path, level: Le
 
 
 def _compile(
-    board: Board, folder: CFolder, sources: Sequence[str], into: Path, level: Level, main: Main | None = None
+    board: EmulatedBoard,
+    folder: CFolder,
+    sources: Sequence[str],
+    into: Path,
+    level: Optimisation,
+    main: Main | None = None,
 ) -> list[str]:
     """Write all sources, compile the given ones and those of ``main``, and return the names of the objects."""
     main = main or Main(())
@@ -149,7 +154,7 @@ class Sizes(NamedTuple):
     memory: int
 
 
-def measure_sizes(board: Board, folder: CFolder, level: Level = "-O2") -> dict[str, Sizes]:
+def measure_sizes(board: EmulatedBoard, folder: CFolder, level: Optimisation = "-O2") -> dict[str, Sizes]:
     """Return the size of each node and of their common ``"core"``, without libraries (such as software arithmetic).
 
     Args:
@@ -188,7 +193,7 @@ def measure_somewhere(folder: CFolder) -> tuple[str, dict[str, Sizes]] | None:
     return None if board is None else (board.processor, measure_sizes(board, folder, "-Os"))
 
 
-def _sections(board: Board, into: Path, stems: Sequence[str]) -> Sizes:
+def _sections(board: EmulatedBoard, into: Path, stems: Sequence[str]) -> Sizes:
     sizes = [0, 0, 0]
     for line in _call(f"{board.prefix}size", ["-A", *(f"{stem}.o" for stem in stems)], into).splitlines():
         for kind, begins in enumerate(((".text",), (".rodata",), (".data", ".bss"))):
@@ -198,9 +203,14 @@ def _sections(board: Board, into: Path, stems: Sequence[str]) -> Sizes:
 
 
 def run_on(
-    board: Board, program: Path, vector: Vector | None = None, *, single: bool = False, counting: bool = False,
+    board: EmulatedBoard,
+    program: Path,
+    vector: RecordedRun | None = None,
+    *,
+    single: bool = False,
+    counting: bool = False,
     patience: float = PATIENCE,
-) -> str:  # fmt: skip
+) -> str:
     """Run a program on a board, and return its output.
 
     Args:
@@ -225,7 +235,11 @@ def run_on(
 
 
 def check_on(
-    board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
+    board: EmulatedBoard,
+    folder: CFolder,
+    vector: RecordedRun | None = None,
+    level: Optimisation = "-O2",
+    patience: float = PATIENCE,
 ) -> str:
     """Run the self-check on a board, and return the line that it prints if it passes.
 
@@ -244,7 +258,7 @@ def check_on(
         return run_on(board, program, vector, single=folder.single, patience=patience).strip()
 
 
-def emulate(board: Board, program: Path, options: Sequence[str]) -> list[str]:
+def emulate(board: EmulatedBoard, program: Path, options: Sequence[str]) -> list[str]:
     """Return the command that runs a program on a board.
 
     Raises:
@@ -283,7 +297,11 @@ class Counts(NamedTuple):
 
 
 def count_instructions(
-    board: Board, folder: CFolder, vector: Vector | None = None, level: Level = "-O2", patience: float = PATIENCE
+    board: EmulatedBoard,
+    folder: CFolder,
+    vector: RecordedRun | None = None,
+    level: Optimisation = "-O2",
+    patience: float = PATIENCE,
 ) -> dict[str, Counts]:
     """Run the self-check, and return the numbers of instructions of each node's steps.
 

@@ -14,7 +14,7 @@ from taciturn.model.trigger import Matrix, Scheduled
 
 BLUR = 1e-6  # relative difference below which poles are considered equal
 WIDEST = 12  # largest number of columns of a matrix that is printed in full
-Rows = dict[str, str | Array | None]
+NamedRows = dict[str, str | Array | None]
 
 
 def plant_size(plant: Plant | ContinuousPlant, prediction: Prediction | None = None) -> str:
@@ -29,7 +29,7 @@ def plant_size(plant: Plant | ContinuousPlant, prediction: Prediction | None = N
     return ", ".join(f"{count} {name}{'s' * (count != 1)}" for count, name in sizes)
 
 
-def plant_rows(plant: Plant | ContinuousPlant) -> Rows:
+def plant_rows(plant: Plant | ContinuousPlant) -> NamedRows:
     """Return the size, time base, poles, measurement, noise and matrices of a plant by name."""
     if isinstance(plant, ContinuousPlant):
         time, jumps = "continuous in time", plant.jumps
@@ -76,7 +76,7 @@ def cost_text(cost: Cost) -> str:
     return f"{kind} of x'Qx + u'Ru{cross}"
 
 
-def cost_rows(cost: Cost) -> Rows:
+def cost_rows(cost: Cost) -> NamedRows:
     """Return the type and the weights of a cost by name."""
     N = cost.N if cost.N.any() else None
     return {"kind": cost_text(cost), "Q": cost.Q, "R": cost.R, "N": N, "terminal": cost.terminal}

@@ -16,6 +16,7 @@ from taciturn._display import Displayed
 from taciturn._figure import Size
 from taciturn.errors import ProblemError
 from taciturn.model.cost import Cost
+from taciturn.model.diagram import Diagram, draw_diagram
 from taciturn.model.location import Location as Location
 from taciturn.model.location import joint_cycle
 from taciturn.model.network import Network
@@ -37,6 +38,7 @@ from taciturn.model.steps import (
     Send,
     Step,
     assigned,
+    site_of,
 )
 from taciturn.model.steps import Acknowledged as Acknowledged
 from taciturn.model.steps import Received as Received
@@ -46,8 +48,6 @@ from taciturn.model.trigger import Form, Scheduled, Trigger, shape_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from taciturn.model.diagram import Diagram
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -207,7 +207,7 @@ class Policy(Displayed):
 
     def site(self, node: NodeName) -> frozenset[NodeName]:
         """Return the nodes at the same site as this node."""
-        return next((site for site in self.sites if node in site), frozenset({node}))
+        return site_of(node, self.sites)
 
     def diagram(self) -> Diagram:
         """Return the nodes and links of the policy as a diagram that can be printed or plotted.
@@ -217,9 +217,7 @@ class Policy(Displayed):
             >>> [link.packet for link in load("rover").design().diagram().links]
             ['command (1)', 'y (1)']
         """
-        from taciturn.model.diagram import draw_diagram  # imported here, since that module imports this one
-
-        return draw_diagram(self)
+        return draw_diagram(self.steps, self.sites, self.locations, self.sizes, self.prediction)
 
     def plot(self, ax: Any = None, figsize: Size | None = None) -> Figure:
         """Return a figure of the nodes and of the packets that they exchange within a step."""

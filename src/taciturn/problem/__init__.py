@@ -43,7 +43,7 @@ from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function, refuse_functions
 from taciturn.problem.parameters import check_parameters, expect_kind, read_policy
 from taciturn.problem.tables import (
-    IDEAL,
+    IDEAL_LINKS,
     BurstTable,
     File,
     InitialTable,
@@ -305,7 +305,7 @@ def _used(kind: str, network: Network, reference: Reference | None) -> dict[str,
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
     unusual = [key for key in NetworkTable.model_fields if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
+        _expect(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
     if reference is not None:
         _expect(kind, "reference", "[reference]", "no reference: remove it")
     offered = {"network": network, "reference": reference}
@@ -371,7 +371,7 @@ def _network(table: NetworkTable | None, kind: str) -> Network:
         return Network()
     lost = [key for key in table.model_fields_set if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
-        _expect(kind, "network", f"network.{lost[0]}", IDEAL)
+        _expect(kind, "network", f"network.{lost[0]}", IDEAL_LINKS)
     return Network(
         cast("Any", table.protocol),
         table.actuator_loss,

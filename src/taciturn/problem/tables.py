@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from taciturn._arrays import quoted
 
 Rows = list[list[float]]
-IDEAL = (
+IDEAL_LINKS = (
     "ideal links: remove it, or use the kind lossy-lqg, which is designed for lossy links; "
     "`taciturn network FILE --loss P` drops packets of policies of any kind"
 )

@@ -13,7 +13,7 @@ import numpy as np
 
 from taciturn.design.catalogue import CATALOGUE
 from taciturn.errors import ProblemError
-from taciturn.problem.matrices import matrix_text, number_text
+from taciturn.problem.matrices import exact_number_text, matrix_text
 
 WIDTH = 98  # characters of a comment line
 MISSIONS = ("remote-lqg", "lossy-lqg")  # kinds that support a finite horizon
@@ -130,7 +130,7 @@ def _value(value: object) -> str:
     if isinstance(value, bool | str):
         return f'"{value}"' if isinstance(value, str) else str(value).lower()
     if isinstance(value, int | float):
-        return number_text(value)
+        return exact_number_text(value)
     return matrix_text(np.asarray(value))
 
 

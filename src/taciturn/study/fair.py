@@ -20,7 +20,7 @@ from taciturn.model.plant import ContinuousPlant
 from taciturn.model.policy import ENDS, Assign, Policy
 from taciturn.problem import Problem
 from taciturn.renewal.policy import EventPolicy, OptimalPolicy
-from taciturn.study.clock import MOST_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
+from taciturn.study.clock import MOST_MIXED_CYCLES, SENDS, Clock, ClockKind, ClockMix, Cycle, Either, Ticked, Timed
 
 ALIKE = 1e-6  # relative
 NEAR, SMALL = 8, 10  # real periods that are tried next to the one at a rate, of plants with so many states at most
@@ -170,7 +170,7 @@ def _holding(
         tick,
         lambda cycle: (known + held.solve(cycle).cost) / tick,
         lambda listed: (known + held.screen(listed)) / tick,
-        min(MOST_CYCLES, int(WORK / (len(A) + SENDS * len(R)) ** 3)),
+        min(MOST_MIXED_CYCLES, int(WORK / (len(A) + SENDS * len(R)) ** 3)),
     )
 
 

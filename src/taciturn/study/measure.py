@@ -21,7 +21,7 @@ from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
 from taciturn.renewal.chain import NoQuadratureError
 from taciturn.simulation.average import Averaging, least_work
-from taciturn.simulation.sampling import RELATIVE_ERROR, Averages
+from taciturn.simulation.sampling import USUAL_RELATIVE_ERROR, Averages
 
 FINEST, COARSEST = 1e-8, 1e-3  # finest and coarsest relative accuracy requested of a quadrature
 ROUNDED = 1e-15  # relative accuracy that double precision can represent
@@ -283,7 +283,7 @@ def _asked(loop: Loop, standard_error: float | None) -> float:
 
 def _wanted(cost: Estimate, standard_error: float | None) -> float:
     """Return the requested error of a cost."""
-    return RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
+    return USUAL_RELATIVE_ERROR * abs(cost.value) if standard_error is None else standard_error
 
 
 def _off(found: Averages) -> float:
