@@ -15,7 +15,8 @@ from taciturn.design.catalogue import CATALOGUE, TRADEOFF_PARAMETERS
 from taciturn.problem.parameters import check_parameters
 from taciturn.study import search
 from taciturn.study.budget import budget_of
-from taciturn.study.search import Goal, Search
+from taciturn.study.search import Search
+from taciturn.study.tuned import Goal
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")

@@ -18,7 +18,7 @@ from taciturn.model.theory import Reset
 if TYPE_CHECKING:
     from taciturn.renewal.optimal import Optimum
 
-CONFIDENCE = 0.999  # default confidence of a bound
+LEVEL = 0.999  # default confidence level of a bound
 CLOSE = 0.02  # largest relative difference between the given rate and that of the schedule that defines the price
 TRIES = 8
 FIRST = 1.5  # initial ratio of the price to the threshold with about the same rate
@@ -49,7 +49,7 @@ class LowerBound(Displayed):
 
 
 def bound_below(
-    loop: Loop, rate: float, confidence: float = CONFIDENCE, seed: int = 0, progress: Progress | None = None
+    loop: Loop, rate: float, confidence: float = LEVEL, seed: int = 0, progress: Progress | None = None
 ) -> LowerBound:
     """Return a lower bound on the cost of every send schedule of a loop's controller, at a given rate per step.
 

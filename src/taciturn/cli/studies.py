@@ -281,7 +281,7 @@ def channel(
     """Simulate many loops on one channel: total cost, lower bound, and the best periodic allocation."""
     import taciturn
     from taciturn._figure import check_format, save
-    from taciturn.analyse.limits import CONFIDENCE
+    from taciturn.analyse.limits import LEVEL
     from taciturn.study.record import origin
     from taciturn.study.workers import processes
 
@@ -297,7 +297,7 @@ def channel(
             seed=seed,
             standard_error=standard_error,
             ticks=ticks,
-            confidence=CONFIDENCE if confidence is None else confidence,
+            confidence=LEVEL if confidence is None else confidence,
             executor=executor,
             progress=progress,
         )

@@ -146,7 +146,7 @@ class Policy(Displayed):
             "cost_all_time": self.theory.cost_all_time,
             "guarantee": None if proved is None else f"at most {proved.cost:.6g}: {proved.statement}",
             "period": per,
-            "plant": self.model.short(self.prediction),
+            "plant": self.model.short(None if self.prediction is None else len(self.prediction.L)),
             "decisions": [f"{name}: {' or '.join(one.labels)}" for name, one in self.decisions.items()],
             "links": [f"{link.name}: {link.packet}, {link.condition}" for link in self.diagram().links],
             "network": self.network.short(),

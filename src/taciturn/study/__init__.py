@@ -5,7 +5,8 @@ error, and returns frozen data with a JSON document, tables and figures.
 
 Read the modules in this order:
 
-1. ``evaluate`` with ``measure`` (choice of the method), ``lower`` (lower bounds) and ``lines`` (printed text).
+1. ``evaluation`` (a result and its text) and ``evaluate`` with ``measure`` (choice of the method) and ``lower`` (lower
+   bounds).
 2. ``fair`` and ``clock``: exact cost of periodic control with the same measurements, actuator and rate.
 3. ``tradeoff``; ``tune`` with ``search``, ``trials``, ``tuned``, ``budget`` and ``periods``; ``compare``.
 4. ``cells``: evaluation of all cells of a grid. ``workers``: processes. ``store``: results on disk. ``record``: results

@@ -13,7 +13,7 @@ from taciturn._arrays import choice, count, instance, number
 from taciturn._display import Displayed
 from taciturn._figure import Panel, Series, Size, draw
 from taciturn._progress import Progress, in_notebook
-from taciturn.analyse.limits import CONFIDENCE
+from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.table import Columns, Tabular, columns_of
@@ -226,7 +226,7 @@ def share_channel(
     seed: int = 0,
     standard_error: float | None = None,
     ticks: int | None = None,
-    confidence: float = CONFIDENCE,
+    confidence: float = LEVEL,
     executor: Executor | None = None,
     progress: Progress | None = None,
 ) -> Sharing:

@@ -23,7 +23,7 @@ from taciturn.model.table import Columns, Tabular, columns_of
 from taciturn.problem import Problem
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.alike import check_comparable
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
 from taciturn.study.tune import Tuned, tune

@@ -13,7 +13,7 @@ from taciturn._modes import eigenvalues, mode_text, uncontrollable_modes
 from taciturn._text import Lines, per_unit
 from taciturn.design.catalogue import AnyPolicy
 from taciturn.model.diagram import Diagram
-from taciturn.model.display import cost_rows, cost_text, matrix_lines, network_text, plant_rows, vector_text
+from taciturn.model.display import matrix_lines, vector_text
 from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import Assign, Policy
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
@@ -108,7 +108,7 @@ class Description(Displayed):
         lines += self._guarantee_lines()
         for name, trigger in self._decisions.items():
             lines += _decision_lines(name, trigger.options)
-        lines.append(("network", network_text(problem.network)))
+        lines.append(("network", problem.network.short()))
         if self.diagram is not None:
             for link in self.diagram.links:
                 told = ", acknowledged" if link.acknowledged else ""
@@ -224,7 +224,7 @@ def _lost(plant: Plant | ContinuousPlant) -> tuple[list[complex], list[complex]]
 
 
 def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
-    rows = plant_rows(plant)
+    rows = plant.summary()
     lines: Lines = [("plant", f"{rows['size']}; {rows['time']}"), ("poles", str(rows["poles"]))]
     for name, lost, verb in zip(("controllable", "observable"), _lost(plant), ("moves", "shows"), strict=True):
         what = "input" if verb == "moves" else "measurement"
@@ -238,8 +238,8 @@ def _plant_lines(plant: Plant | ContinuousPlant) -> Lines:
 
 
 def _cost_lines(problem: Problem) -> Lines:
-    lines: Lines = [("cost", f"{cost_text(problem.cost)} per {time_unit(problem)}")]
-    for name, value in cost_rows(problem.cost).items():
+    lines: Lines = [("cost", f"{problem.cost.short()} per {time_unit(problem)}")]
+    for name, value in problem.cost.summary().items():
         if isinstance(value, np.ndarray):
             lines += matrix_lines("cost, terminal" if name == "terminal" else f"cost {name}", value)
     return lines

@@ -7,7 +7,7 @@ from statistics import NormalDist
 
 from taciturn._progress import Progress
 from taciturn._text import magnitude
-from taciturn.analyse.limits import CONFIDENCE, LowerBound, bound_below, resets
+from taciturn.analyse.limits import LEVEL, LowerBound, bound_below, resets
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -27,7 +27,7 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
         expect_bound(problem)
     except ProblemError:
         return None
-    return CONFIDENCE
+    return LEVEL
 
 
 def expect_bound(problem: Problem) -> None:

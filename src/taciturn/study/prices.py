@@ -15,7 +15,7 @@ from taciturn._arrays import Array, symmetrised
 from taciturn._display import Displayed
 from taciturn._modes import stationary
 from taciturn._progress import Progress
-from taciturn.analyse.limits import CONFIDENCE
+from taciturn.analyse.limits import LEVEL
 from taciturn.errors import ProblemError
 from taciturn.model.estimate import Estimate
 from taciturn.model.trigger import Form, GaussianTerm
@@ -202,9 +202,7 @@ class Curves:
         crossing = _scipy.crossing(lambda k: self.load(2.0 ** (k / PER_OCTAVE)) - capacity, low, high)
         return float(2.0 ** (crossing / PER_OCTAVE))
 
-    def bound(
-        self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = CONFIDENCE
-    ) -> DualBound:
+    def bound(self, settled: Sequence[Settled], capacity: float, price: float, confidence: float = LEVEL) -> DualBound:
         """Return a lower bound on the cost of any scheduler of these loops at a capacity, even with full information.
 
         It is the dual function at a price λ per send. Let g_i be the least mean of e'Γe + λσ over the checks of a loop
@@ -232,8 +230,8 @@ class Curves:
         assert None not in first, "no bounds were requested"
         known = sum(look * least for look, least in zip(looks, first, strict=True) if isinstance(least, float))
         terms = [(look, least) for look, least in zip(looks, first, strict=True) if isinstance(least, SampledDual)]
-        value = base + float(known + bound_sum(terms, confidence)) - price * capacity
-        return DualBound(max(value, base), confidence if terms else None)
+        gains = float(known + bound_sum(terms, confidence))
+        return DualBound(max(base + gains - price * capacity, base), confidence if terms else None)
 
     def _at(self, place: int) -> Array:
         if place not in self.table:
@@ -286,8 +284,8 @@ def _rate(job: Job) -> float:
 def _settle(job: Job) -> Settled:
     """Return the estimates of a kind at a price."""
     fitted = _fit(job.kind, job.price, job.seed, MORE)
-    schedule = _schedule(job.kind, job.price, fitted, job.seed)
-    return Settled(schedule, _least_gain(job, fitted) if job.confidence else None)
+    least = _least_gain(job, fitted) if job.confidence else None
+    return Settled(_schedule(job.kind, job.price, fitted, job.seed), least)
 
 
 def _fit(kind: Kind, price: float, seed: int, points: int) -> Fitted | None:

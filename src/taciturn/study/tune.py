@@ -15,8 +15,8 @@ from taciturn.study.budget import budget_of
 from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
-from taciturn.study.search import EXACT, Goal, Look, Search
-from taciturn.study.tuned import Parameter, Tuned
+from taciturn.study.search import Look, Search
+from taciturn.study.tuned import EXACT, Goal, Parameter, Tuned
 
 
 def tune(
