@@ -152,7 +152,7 @@ def test_a_burn_in_that_is_too_short_is_prolonged() -> None:
 
 def test_an_unreachable_precision_reports_what_was_reached(monkeypatch: pytest.MonkeyPatch) -> None:
     """The budget ends the run, and the result says so."""
-    monkeypatch.setattr(module, "BUDGET", 3_000_000)
+    monkeypatch.setattr(module, "MOST_OPERATIONS", 3_000_000)
     loop = close(PLANT, design.lqg(PLANT, COST, theta=0.5), cost=COST)
     found = average(loop, standard_error=1e-9)
     assert not found.reached
@@ -278,7 +278,7 @@ def test_differences_of_loops_that_are_nearly_one_are_honest() -> None:
 
 def test_loops_that_have_not_yet_differed_have_told_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """A standard error of 0 is not precise where the loops are not the same."""
-    monkeypatch.setattr(module, "BUDGET", 5_000_000)
+    monkeypatch.setattr(module, "MOST_OPERATIONS", 5_000_000)
     first, second = (close(PLANT, design.lqg(PLANT, COST, theta=theta), cost=COST) for theta in (0.5, 0.5 + 1e-13))
     found = difference(first, second, standard_error=1e-3)
     assert found.cost.standard_error == 0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taciturn import Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, load
+from taciturn import Cost, Estimate, Guarantee, Plant, Policy, ProblemError, Trigger, average, close, load
 from taciturn.model.policy import Acknowledged, Assign, Decide, Draw, Evaluate, Location, Received, Send, Step
 from taciturn.model.theory import ClosedForm, Theory
 from taciturn.model.trigger import Form, Scheduled
@@ -356,3 +356,22 @@ def test_the_weight_of_silence_has_its_former_name() -> None:
     reset = load("two-mass").design().theory.reset
     assert reset is not None
     assert reset.square is reset.weight
+
+
+def test_a_policy_without_theory_is_run_and_claims_nothing() -> None:
+    """Its cost of sending every sample is unknown, which text and loop accept, and a reader of the number is told."""
+    policy = make(sites=(frozenset({"sensor", "controller"}),))
+    assert (policy.cost, policy.guarantee, policy.theory.cost_all_time) == (None, None, None)
+    assert str(policy).startswith("large\n")
+    told = refusal(lambda: policy.cost_all_time)
+    assert told.startswith("the cost of sending every sample is unknown for large; expected Theory(cost_all_time=…)")
+    found = average(close(PLANT, policy, cost=Cost(np.eye(2), ONE)), steps=20_000)
+    assert 0 < found.rates["actuator"].value < 1
+
+
+def test_the_links_on_which_a_decision_sends_follow_from_the_steps() -> None:
+    """Without a decision, they are all links."""
+    always = (COMMAND, Send("controller", "actuator", ("command",)), INPUT)
+    assert make().scheduled == make(always).scheduled == ("actuator",)
+    both = (Send("sensor", "sensor", ("y",)), *STEPS)
+    assert make(both).scheduled == ("actuator",)
