@@ -121,7 +121,7 @@ class Linearisation(Displayed):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Theory(Displayed):
-    """What is known about a policy in a loop with the plant, network and cost of its design.
+    """The known properties of a policy in a loop with the plant, network and cost of its design.
 
     Every argument may be omitted. A policy without theory is simulated, run and exported like any other.
 
