@@ -194,7 +194,7 @@ def test_a_precision_out_of_reach_is_told_after_the_result(
     run: Run, write: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Exit code 2, and the JSON still printed, with ``"reached": false``."""
-    monkeypatch.setattr(sampling, "BUDGET", 20_000)
+    monkeypatch.setattr(sampling, "MOST_OPERATIONS", 20_000)
     answer = run("evaluate", write(), "--json", "--standard-error", "1e-9")
     assert (answer.code, json.loads(answer.out)["reached"]) == (2, False)
     assert answer.err.count("\n") == 1

@@ -17,7 +17,7 @@ import taciturn
 from taciturn import ContinuousPlant, Cost, Jumps, ProblemError, average, close, design, simulate
 from taciturn.lqg.prediction import PredictionCost
 from taciturn.problem import parse
-from taciturn.renewal.cycles import estimate_cycles, sweep
+from taciturn.renewal.cycles import estimate_cycles, sweep_thresholds
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
 from taciturn.simulation.average import plain_average
@@ -98,7 +98,9 @@ def test_the_mean_interval_rises_with_alpha_from_above_it_to_below(law: str, see
     assert plant.jumps is not None
     process = JumpProcess(plant.A, plant.jumps, price.S)
     alphas = h_max * np.array([0.001, 0.03, 0.1, 0.3, 0.6, 1.0])
-    found = sweep(process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed)
+    found = sweep_thresholds(
+        process, slope * alphas, trigger=IntegralTrigger(1.0, h_max=h_max), cycles=10_000, seed=seed
+    )
     means, errors = np.array([(one.interval.value, one.interval.standard_error) for one in found]).T
     assert means[0] - 4 * errors[0] > alphas[0]
     assert means[-1] + 4 * errors[-1] < h_max

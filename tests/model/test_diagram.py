@@ -14,7 +14,7 @@ from systems import make_system
 
 from taciturn import Cost, Plant, Policy, design, load
 from taciturn.design.catalogue import CATALOGUE
-from taciturn.model.diagram import PLAIN, Diagram, Link, Place, draw_diagram
+from taciturn.model.diagram import PLAIN, Diagram, Link, Place
 from taciturn.model.packets import packet_shapes
 from taciturn.model.places import roles
 from taciturn.model.steps import NODES, Send
@@ -131,7 +131,7 @@ def test_a_label_that_is_never_least_sends_never() -> None:
             {"silent": Form(constant=0.0), "send": Form(constant=Scheduled("clock", np.negative(constants)))}
         )
         steps = tuple(replace(step, trigger=rule) if hasattr(step, "trigger") else step for step in policy.steps)
-        assert draw_diagram(replace(policy, steps=steps)).links[0].condition == f"if send, by the step counter: {told}"
+        assert replace(policy, steps=steps).diagram().links[0].condition == f"if send, by the step counter: {told}"
 
 
 def test_packets_go_back_skip_a_place_or_stay_where_they_are() -> None:

@@ -15,7 +15,8 @@ from taciturn.design.catalogue import CATALOGUE
 from taciturn.problem.parameters import check_parameters
 from taciturn.study.tuning import search
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.search import Goal, Search
+from taciturn.study.tuning.search import Search
+from taciturn.study.tuning.tuned import Goal
 
 MASSES, JUMPS = taciturn.load("two-mass-lqg"), taciturn.load("double-integrator")
 INTEGRATOR = taciturn.load("wiener-double-integrator")

@@ -23,7 +23,7 @@ from taciturn._arrays import Array
 from taciturn._display import Displayed
 from taciturn._modes import factor, radius
 from taciturn.analyse.reduction import Coordinates, relevant
-from taciturn.analyse.switched import NOISE, STATE, Reading, refuse_loops
+from taciturn.analyse.switched import NOISE_SIGNAL, STATE, Reading, refuse_loops
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.network import Network
@@ -116,7 +116,7 @@ def _read(loop: Loop, links: Sequence[LinkName]) -> Outcomes | None:
     disturbance = factor(plant.W) if plant.W.any() else np.zeros((plant.states, 0))
     G = np.zeros((reading.size, disturbance.shape[1] + spread.shape[1]))
     G[reading.rows(STATE), : disturbance.shape[1]] = disturbance
-    G[reading.rows(NOISE), disturbance.shape[1] :] = np.eye(spread.shape[1])
+    G[reading.rows(NOISE_SIGNAL), disturbance.shape[1] :] = np.eye(spread.shape[1])
     nothing = tuple(np.zeros((reading.size, reading.size)) for _ in cases)
     none = np.zeros((reading.size, 0))
     found = relevant(Coordinates(tuple(maps), G, tuple(paid), nothing, none.T, none))

@@ -30,7 +30,7 @@ from taciturn.model.policy import (
 from taciturn.model.steps import read
 from taciturn.model.trigger import Form, Matrix, Scheduled
 
-NOISE = "noise"  # measurement noise, scaled to unit variance
+NOISE_SIGNAL = "noise"  # measurement noise, scaled to unit variance
 STATE = "x"
 SERVED = "expected linear steps and one trigger that compares quadratic forms, as in lqg, relative or consistent"
 
@@ -132,7 +132,7 @@ def switched(loop: Loop) -> Switched:
     paid = [np.vstack([reading.memory(STATE), signals["input"]]) for signals in taken]
     G = np.zeros((reading.size, disturbance.shape[1] + spread.shape[1]))
     G[reading.rows(STATE), : disturbance.shape[1]] = disturbance
-    G[reading.rows(NOISE), disturbance.shape[1] :] = np.eye(spread.shape[1])
+    G[reading.rows(NOISE_SIGNAL), disturbance.shape[1] :] = np.eye(spread.shape[1])
     raw = Coordinates(
         F=tuple(reading.following({**signals, STATE: after}) for signals, after in zip(taken, moved, strict=True)),
         G=G,
@@ -160,7 +160,7 @@ def switched_innovations(loop: Loop) -> Switched:
     """
     instance("loop", loop, Loop)
     refuse_loops(loop)
-    innovations, problem = loop.policy.innovations, loop.problem
+    innovations, problem = loop.policy.theory.innovations, loop.problem
     if not loop.reducible or innovations is None:
         raise ProblemError(
             "the loop has no innovations form: its plant, network or horizon is not that of the design; "
@@ -175,7 +175,7 @@ def switched_innovations(loop: Loop) -> Switched:
     paid = [np.vstack([signals[estimate], signals["input"]]) for signals in taken]
     raw = Coordinates(
         F=tuple(reading.following(signals) for signals in taken),
-        G=np.eye(reading.size)[:, reading.rows(NOISE)],
+        G=np.eye(reading.size)[:, reading.rows(NOISE_SIGNAL)],
         M=tuple(both.T @ stage @ both for both in paid),
         Psi=reading.Psi,
         X=taken[0][estimate][problem.moving],
@@ -214,7 +214,7 @@ class Reading:
         """Find the memories and their sizes."""
         policy = loop.policy
         self.policy = policy
-        innovation = policy.innovations.signal if policy.innovations is not None and not more else None
+        innovation = policy.theory.innovations.signal if policy.theory.innovations is not None and not more else None
         self.steps = [s for s in policy.steps if not (isinstance(s, Assign) and s.signal == innovation)]
         assigned = {"y", *more, *(() if innovation is None else (innovation,))}
         sizes = dict(more)
@@ -224,10 +224,10 @@ class Reading:
                     sizes.setdefault(name, policy.sizes[name])
             if isinstance(step, Assign):
                 assigned.add(step.signal)
-        self.sizes = {**sizes, NOISE: noise}
+        self.sizes = {**sizes, NOISE_SIGNAL: noise}
         self.size = sum(self.sizes.values())
         self.given: dict[str, Array] = {}
-        self.noise = self.memory(NOISE)
+        self.noise = self.memory(NOISE_SIGNAL)
         decisions = list(policy.decisions.items())
         if len(decisions) > 1:
             raise ProblemError(f"{policy.kind} makes {len(decisions)} decisions per step, {_unserved()}")
@@ -255,8 +255,8 @@ class Reading:
 
     def following(self, signals: Mapping[str, Array]) -> Array:
         """Return the matrix that maps z to the memories of the next step, with zero rows for new measurement noise."""
-        rows = [signals[name] for name in self.sizes if name != NOISE]
-        return np.vstack([*rows, np.zeros((self.sizes[NOISE], self.size))])
+        rows = [signals[name] for name in self.sizes if name != NOISE_SIGNAL]
+        return np.vstack([*rows, np.zeros((self.sizes[NOISE_SIGNAL], self.size))])
 
     def sends(self) -> int | None:
         """Return the action with a send on every link that has a send decision, or None if there is no such action."""

@@ -18,7 +18,7 @@ def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
     """
     if policy.cost is None:
         raise ProblemError(f"{policy.kind} has no cost; expected the cost that the policy was designed for: cost=")
-    if policy.tick != 1.0 or policy.noise_cost or policy.prediction is not None:
+    if policy.tick != 1.0 or policy.theory.noise_cost or policy.prediction is not None:
         raise ProblemError(
             f"{policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which a policy "
             "does not hold; expected a Problem with this plant and a policy kind"

@@ -16,7 +16,8 @@ from taciturn.design.certainty import (
     count_ticks,
 )
 from taciturn.lqg.periodic import Pattern, lift
-from taciturn.model.policy import ClosedForm, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.theory import ClosedForm
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
 

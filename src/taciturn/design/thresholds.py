@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import block_diagonal, number
-from taciturn.design.bounds import LARGEST, bound_by_state
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE
 from taciturn.lqg.discrete import discretise
@@ -26,8 +26,8 @@ def relative_to_state(
     source: str,
 ) -> Policy:
     """Return the policy that sends when the squared error |e|² exceeds the threshold σ²|x̂|² + Y²."""
-    sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
-    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
+    sigma = number("sigma", sigma, 0.0, LARGEST_PARAMETER, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
     certainty, unit = design_certainty(kind, problem), np.eye(problem.plant.states)
     silent = Form((DEVIATION, ESTIMATE), block_diagonal(unit, -(sigma**2) * unit))

@@ -41,7 +41,7 @@ from taciturn.model.reference import Reference
 from taciturn.problem.functions import functions_of, locate_functions, read_function, refuse_functions
 from taciturn.problem.parameters import check_parameters, find_kind, read_policy
 from taciturn.problem.tables import (
-    IDEAL,
+    IDEAL_LINKS,
     BurstTable,
     File,
     InitialTable,
@@ -302,7 +302,7 @@ def _used(kind: Kind, network: Network, reference: Reference | None) -> dict[str
     exact, usual = network.without_rounding(), Network()  # every policy supports all encodings
     unusual = [key for key in NetworkTable.__dataclass_fields__ if getattr(exact, key) != getattr(usual, key)]
     if unusual:
-        _expect(kind, "network", f"network.{unusual[0]}", IDEAL)
+        _expect(kind, "network", f"network.{unusual[0]}", IDEAL_LINKS)
     if reference is not None:
         _expect(kind, "reference", "[reference]", "no reference: remove it")
     offered = {"network": network, "reference": reference}
@@ -368,7 +368,7 @@ def _network(table: NetworkTable | None, kind: Kind) -> Network:
         return Network()
     lost = [key for key in vars(table) if key.endswith(("_loss", "_burst")) and getattr(table, key)]
     if lost and table.protocol == "ideal":
-        _expect(kind, "network", f"network.{lost[0]}", IDEAL)
+        _expect(kind, "network", f"network.{lost[0]}", IDEAL_LINKS)
     return Network(
         cast("Any", table.protocol),
         table.actuator_loss,

@@ -11,7 +11,7 @@ from taciturn._arrays import quoted
 from taciturn._pydantic import ValidationError
 
 Rows = list[list[float]]
-IDEAL = (
+IDEAL_LINKS = (
     "ideal links: remove it, or use the kind lossy-lqg, which is designed for lossy links; "
     "`taciturn network FILE --loss P` drops packets of policies of any kind"
 )

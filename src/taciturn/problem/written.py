@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taciturn.design.kind import Kind
-from taciturn.problem.matrices import matrix_text, number_text
+from taciturn.problem.matrices import exact_number_text, matrix_text
 from taciturn.problem.parameters import find_kind
 
 WIDTH = 98  # characters of a comment line
@@ -103,7 +103,7 @@ def _value(value: object) -> str:
     if isinstance(value, bool | str):
         return f'"{value}"' if isinstance(value, str) else str(value).lower()
     if isinstance(value, int | float):
-        return number_text(value)
+        return exact_number_text(value)
     return matrix_text(np.asarray(value))
 
 

@@ -23,7 +23,7 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied
 from taciturn.simulation.average import check_effort, difference
 from taciturn.study.alike import comparable
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.lines import proved
 from taciturn.study.printed import comparison_text
 from taciturn.study.tuning.tune import Tuned, tune

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from taciturn._progress import Progress
 from taciturn._text import magnitude
-from taciturn.analyse.limits import USUAL, LowerBound, bound_below, resets
+from taciturn.analyse.limits import LEVEL, LowerBound, bound_below, resets
 from taciturn.errors import ProblemError
 from taciturn.loop import Loop
 from taciturn.model.estimate import Estimate
@@ -26,7 +26,7 @@ def choose_confidence(problem: Problem, asked: float | None) -> float | None:
         expect_bound(problem)
     except ProblemError:
         return None
-    return USUAL
+    return LEVEL
 
 
 def expect_bound(problem: Problem) -> None:

@@ -21,7 +21,7 @@ from taciturn.problem import Problem
 from taciturn.program.ir import Builder, Program
 from taciturn.program.trace import trace
 from taciturn.study.clock import ClockMix, ClockPoint
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 
 KIND = "kind of data"  # key for the class of the data in a mapping
 RECORDED = {

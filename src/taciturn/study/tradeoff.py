@@ -21,9 +21,9 @@ from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
 from taciturn.study.clock import ClockKind, ClockPoint
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation, bound_at_rate, least_cost, periodic_cost
 from taciturn.study.fair import clock_of
-from taciturn.study.lines import bound_at_rate, least_cost, periodic_cost, proved
+from taciturn.study.lines import proved
 from taciturn.study.printed import tradeoff_text
 from taciturn.study.sweeping.cells import Cell, Effort, check_confidence, evaluate_cells
 from taciturn.study.sweeping.store import Store

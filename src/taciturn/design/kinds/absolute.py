@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from taciturn._arrays import ArrayLike, choice, number, semidefinite
-from taciturn.design.bounds import LARGEST, bound_by_silence, largest_ratio
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence, largest_ratio
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.errors import ProblemError
@@ -57,7 +57,7 @@ def absolute(
         >>> round(absolute(plant, cost, threshold=3.0, actuation="model").guarantee.cost, 3)
         10.0
     """
-    threshold = number("threshold", threshold, 0.0, LARGEST, closed=True)
+    threshold = number("threshold", threshold, 0.0, LARGEST_PARAMETER, closed=True)
     choice("error", error, ("input", "state"))
     problem = discretise(plant, cost, period)
     certainty = design_certainty("absolute", problem)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import block_diagonal, number
-from taciturn.design.bounds import LARGEST, bound_by_state
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_state
 from taciturn.design.certainty import DEVIATION, SEND, Actuation, certainty_policy, control_steps, design_certainty
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -62,8 +62,8 @@ def dynamic(
         >>> dynamic(plant, cost, sigma=0.5, rho=0.8, gain=2.0).guarantee.source
         'girard2015'
     """
-    sigma = number("sigma", sigma, 0.0, LARGEST, closed=True)
-    rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST)
+    sigma = number("sigma", sigma, 0.0, LARGEST_PARAMETER, closed=True)
+    rho, gain = number("rho", rho, 0.0, 1.0), number("gain", gain, 0.0, LARGEST_PARAMETER)
     if gain * rho < 1 - 1e-12:
         raise ProblemError(
             f"gain is {gain:g} and rho is {rho:g}; expected a gain of at least 1/rho = {1 / rho:.6g}, "

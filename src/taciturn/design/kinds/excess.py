@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST, bound_by_silence
+from taciturn.design.bounds import LARGEST_PARAMETER, bound_by_silence
 from taciturn.design.certainty import (
     SEND,
     Actuation,
@@ -83,8 +83,10 @@ def excess(
 def _price(certainty: CertaintyEquivalentDesign, delta: float | None, theta: float | None) -> float:
     """Return δ per step."""
     if delta is not None:
-        return number("delta", delta, 0.0, LARGEST, closed=True)
-    return number("theta", 0.0 if theta is None else theta, 0.0, LARGEST, closed=True) * certainty.cost_all_time
+        return number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
+    return (
+        number("theta", 0.0 if theta is None else theta, 0.0, LARGEST_PARAMETER, closed=True) * certainty.cost_all_time
+    )
 
 
 KIND = Kind(

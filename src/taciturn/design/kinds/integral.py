@@ -18,12 +18,13 @@ from taciturn.lqg.prediction import PredictionCost, prediction_cost
 from taciturn.model.cost import Cost
 from taciturn.model.estimate import Estimate
 from taciturn.model.plant import ContinuousPlant, JumpNoise, Plant, Prediction
-from taciturn.model.policy import Evaluate, Guarantee, Identity, Location, Policy
+from taciturn.model.policy import Evaluate, Location, Policy
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Scheduled, Trigger
 from taciturn.renewal.cycles import CycleEstimate, estimate_cycles
 from taciturn.renewal.events import IntegralTrigger, JumpProcess
 from taciturn.renewal.policy import EventPolicy
-from taciturn.renewal.sampled import LATE, SampledProcess
+from taciturn.renewal.sampled import PERIOD_TOLERANCE, SampledProcess
 
 MARGIN, SINCE = "margin", "since"
 MOST_PLACES = 20_000  # largest number of checks after a send that a node can count
@@ -191,7 +192,7 @@ def _looking(
     checks since the last send by a location, up to the number after which the allowed value no longer changes.
     """
     period = process.period
-    if period > trigger.h_max * LATE:
+    if period > trigger.h_max * PERIOD_TOLERANCE:
         raise ProblemError(f"period is {period:g} and h_max is {trigger.h_max:g}; expected period ≤ h_max")
     places = _places(trigger, period)
     if places > MOST_PLACES:
@@ -202,15 +203,15 @@ def _looking(
     prediction = Prediction.of(plant, price.L)
     problem = discretise(plant, cost, period, prediction)
     allowed = trigger.c * np.minimum(period * np.arange(places + 2), trigger.saturation)
-    if process.running > allowed[1] * LATE:
+    if process.running > allowed[1] * PERIOD_TOLERANCE:
         raise ProblemError(
             f"period is {period:g}, and the noise alone adds a cost of {process.running:.4g} in one period, but only "
             f"{allowed[1]:.4g} is allowed; expected a shorter period, or a larger slope or alpha"
         )
     more = process.running - np.diff(allowed)  # growth of the margin per check in addition to e'Γe
     looks = np.arange(1, len(more))
-    gate = np.where((looks + 1) * period > trigger.h_max * LATE, NEVER, 0.0)
-    gate[looks * period * LATE < trigger.h_min] = -NEVER
+    gate = np.where((looks + 1) * period > trigger.h_max * PERIOD_TOLERANCE, NEVER, 0.0)
+    gate[looks * period * PERIOD_TOLERANCE < trigger.h_min] = -NEVER
     closed, Gamma = problem.plant.A + problem.plant.B, process.Gamma
     location = Location(SINCE, np.stack([np.minimum(looks, len(looks) - 1), 0 * looks], axis=1), "sensor", SEND)
     ahead = Form((ERROR,), Gamma, Scheduled(SINCE, more[1:]), {MARGIN: 1.0})
@@ -224,18 +225,19 @@ def _looking(
             Evaluate("sensor", MARGIN, (ahead, afresh), SEND),
         ),
         model=problem.plant,
-        cost_all_time=base,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=cost,
+            cost_all_time=base,
+            noise_cost=problem.noise_cost,
+            settling=1 / (1 - problem.slowest(closed)),
+            guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
+            identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         locations=(location,),
         initial={"prediction": plant.mean, "forecast": plant.mean, MARGIN: more[:1]},
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=cost,
         prediction=prediction,
-        guarantee=None if statement is None else Guarantee(bound, statement, "khashooei2017", bound),
-        identity=Identity(base, (Form((ERROR,), Gamma / period), Form()), SEND),
         notes=tuple(notes),
     )
 

@@ -25,22 +25,12 @@ from taciturn.lqg.riccati import refuse_uncertain, states_with_cost
 from taciturn.model.cost import Cost
 from taciturn.model.network import Network
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import (
-    ONE,
-    Acknowledged,
-    Assign,
-    Decide,
-    Guarantee,
-    Identity,
-    Policy,
-    Received,
-    Send,
-    Step,
-)
+from taciturn.model.policy import ONE, Acknowledged, Assign, Decide, Policy, Received, Send, Step
 from taciturn.model.reference import Reference, Tracking
+from taciturn.model.theory import Guarantee, Identity, Theory
 from taciturn.model.trigger import Form, Matrix, Scheduled, Trigger
 
-REFERENCE, FEEDFORWARD, DEVIATION = "reference", "feedforward", "deviation"
+REFERENCE, FEEDFORWARD, OFF_REFERENCE = "reference", "feedforward", "deviation"
 
 
 def lossy_lqg(
@@ -124,26 +114,28 @@ def lossy_lqg(
         ticks = cost.horizon
     cost_all_time = _cost_all_time(plant, gains, channel, reference)
     refuse_uncertain(cost_all_time, float(np.sum(gains.error * plant.W)))
-    silent = Form((ESTIMATE if reference is None else DEVIATION,), by_clock(gains.Gamma))
+    silent = Form((ESTIMATE if reference is None else OFF_REFERENCE,), by_clock(gains.Gamma))
     trigger = Trigger({"silent": silent, SEND: Form(constant=price)})
     return Policy(
         kind="lossy-lqg",
         steps=_steps(plant, network, by_clock(gains.L), trigger, reference),
         model=plant,
-        cost_all_time=cost_all_time,
+        theory=Theory(
+            cost=cost,
+            cost_all_time=cost_all_time,
+            settling=float(settling),
+            guarantee=Guarantee(
+                cost_all_time + price * ticks,
+                f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
+                "khashooei2017",
+                cost_all_time,
+                price * ticks,
+            ),
+            identity=Identity(cost_all_time, (silent, Form()), SEND),
+        ),
         locations=() if cost.horizon is None else (count_ticks(ticks, None),),
         initial={"prior": plant.mean},
         network=given,
-        settling=float(settling),
-        cost=cost,
-        guarantee=Guarantee(
-            cost_all_time + price * ticks,
-            f"J ≤ J_all + λ{times}, and J ≤ J_all + λ{times}(1 − rate)",
-            "khashooei2017",
-            cost_all_time,
-            price * ticks,
-        ),
-        identity=Identity(cost_all_time, (silent, Form()), SEND),
         tracking=None if reference is None else Tracking(REFERENCE, FEEDFORWARD, reference.states[-1]),
         notes=notes,
     )
@@ -190,7 +182,7 @@ def _steps(
 ) -> tuple[Step, ...]:
     n, m = np.eye(plant.states), np.eye(plant.inputs)
     acknowledged = network.protocol == "tcp"
-    subject = ESTIMATE if reference is None else DEVIATION
+    subject = ESTIMATE if reference is None else OFF_REFERENCE
     deviate: tuple[Step, ...] = ()
     supply: tuple[Step, ...] = (Assign("actuator", "input", ({"input": 0 * m}, {"command": m}), Received("actuator")),)
     silent, sent = {ESTIMATE: plant.A}, {ESTIMATE: plant.A, "command": (1 - network.loss("actuator")) * plant.B}
@@ -201,7 +193,7 @@ def _steps(
         deviate = (
             Assign("controller", REFERENCE, {ONE: Scheduled(CLOCK, states)}),
             Assign("controller", "push", {ONE: Scheduled(CLOCK, plant.B @ inputs)}),
-            Assign("controller", DEVIATION, {ESTIMATE: n, REFERENCE: -n}),
+            Assign("controller", OFF_REFERENCE, {ESTIMATE: n, REFERENCE: -n}),
         )
         supply = (
             Assign("actuator", FEEDFORWARD, {ONE: Scheduled(CLOCK, inputs)}),

@@ -22,7 +22,8 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Guarantee, Policy
+from taciturn.model.policy import Policy
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.modelled import modelled
 from taciturn.lqg.discrete import Discrete
@@ -45,7 +45,7 @@ def near_optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, pe
         >>> policy.decisions["send"].labels
         ('silent', 'send')
     """
-    price = number("price", price, 0.0, LARGEST)
+    price = number("price", price, 0.0, LARGEST_PARAMETER)
     return modelled("near-optimal", plant, cost, period, lambda problem, reset: _silence(problem, reset, price))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.kind import Kind, TradeoffParameter
 from taciturn.design.modelled import modelled
 from taciturn.model.cost import Cost
@@ -41,7 +41,7 @@ def optimal(plant: Plant | ContinuousPlant, cost: Cost, *, price: float, period:
         >>> optimal(Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]]), price=10.0).price
         10.0
     """
-    price = number("price", price, 0.0, LARGEST)
+    price = number("price", price, 0.0, LARGEST_PARAMETER)
     policy = modelled(
         "optimal",
         plant,

@@ -20,7 +20,8 @@ from taciturn.lqg.discrete import Discrete, discretise
 from taciturn.lqg.riccati import regulate_continuous
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant, Prediction
-from taciturn.model.policy import Assign, ClosedForm, Policy, Received, Send
+from taciturn.model.policy import Assign, Policy, Received, Send
+from taciturn.model.theory import ClosedForm, Theory
 
 LONGEST = 1_000_000  # largest number of steps of a cycle
 MEASURES_WHEN_IT_SENDS = (
@@ -64,9 +65,9 @@ def periodic(
 
     Example:
         >>> plant = ContinuousPlant([[0.0]], [[1.0]], [[1.0]])
-        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).closed_form.rates
+        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.5).theory.closed_form.rates
         {'actuator': 1.0}
-        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.1, every=(4, 6)).closed_form.rates
+        >>> periodic(plant, Cost([[1.0]], [[1.0]]), period=0.1, every=(4, 6)).theory.closed_form.rates
         {'actuator': 0.2}
     """
     choice("actuation", actuation, ("hold", "model"))
@@ -125,15 +126,16 @@ def _predicted(plant: ContinuousPlant, cost: Cost, period: float | None) -> Poli
             Assign("controller", "input", ({"input": unit}, {"y": unit}), Received("sensor")),
         ),
         model=problem.plant,
-        cost_all_time=per_unit,
-        scheduled=("sensor",),
+        theory=Theory(
+            cost=cost,
+            cost_all_time=per_unit,
+            noise_cost=problem.noise_cost,
+            settling=1 / (1 - problem.slowest(closed)),
+            closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
+        ),
         sites=(frozenset({"controller", "actuator"}),),
         tick=problem.tick,
-        noise_cost=problem.noise_cost,
-        settling=1 / (1 - problem.slowest(closed)),
-        cost=cost,
         prediction=prediction,
-        closed_form=ClosedForm(per_unit, {"sensor": 1.0}),
     )
 
 

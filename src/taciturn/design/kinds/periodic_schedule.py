@@ -46,7 +46,7 @@ def periodic_schedule(
 
     Example:
         >>> plant, cost = Plant([[1.1]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
-        >>> periodic_schedule(plant, cost, length=5, sends=2).closed_form.rates
+        >>> periodic_schedule(plant, cost, length=5, sends=2).theory.closed_form.rates
         {'actuator': 0.4}
     """
     length, sends = count("length", length), count("sends", sends)

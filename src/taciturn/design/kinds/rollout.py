@@ -24,7 +24,8 @@ from taciturn.errors import ProblemError
 from taciturn.lqg.discrete import discretise
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Location, Policy
+from taciturn.model.policy import Assign, Decide, Evaluate, Location, Policy
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 FUTURE, BEGIN, PLACE, DUE = "future", "begin", "place", "due"

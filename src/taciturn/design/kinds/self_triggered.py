@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import count, number, symmetrised
-from taciturn.design.bounds import LARGEST, less_noise
+from taciturn.design.bounds import LARGEST_PARAMETER, less_noise
 from taciturn.design.certainty import SEND, certainty_policy, control_steps, design_certainty, measure_excess
 from taciturn.design.estimation import ESTIMATE
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -14,7 +14,8 @@ from taciturn.lqg.discrete import discretise
 from taciturn.lqg.periodic import step_back
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, Decide, Evaluate, Guarantee, Policy, Step
+from taciturn.model.policy import Assign, Decide, Evaluate, Policy, Step
+from taciturn.model.theory import Guarantee
 from taciturn.model.trigger import Form, Trigger
 
 SLEEP, LEFT = "sleep", "left"
@@ -56,7 +57,7 @@ def self_triggered(
         >>> round(policy.guarantee.cost / policy.cost_all_time, 12)
         1.2
     """
-    beta, max_interval = number("beta", beta, 1.0, LARGEST, closed=True), count("max_interval", max_interval)
+    beta, max_interval = number("beta", beta, 1.0, LARGEST_PARAMETER, closed=True), count("max_interval", max_interval)
     if max_interval > LONGEST:
         raise ProblemError(f"max_interval is {max_interval}; expected at most {LONGEST} steps")
     problem = discretise(plant, cost, period)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from taciturn._arrays import number
-from taciturn.design.bounds import LARGEST
+from taciturn.design.bounds import LARGEST_PARAMETER
 from taciturn.design.certainty import SEND, design_certainty, sensor_policy
 from taciturn.design.estimation import ESTIMATE, HELD, FilterSteps
 from taciturn.design.kind import Kind, TradeoffParameter
@@ -46,7 +46,7 @@ def send_on_delta(plant: Plant | ContinuousPlant, cost: Cost, *, delta: float, p
         >>> send_on_delta(plant, cost, delta=1.0).scheduled
         ('sensor',)
     """
-    delta = number("delta", delta, 0.0, LARGEST, closed=True)
+    delta = number("delta", delta, 0.0, LARGEST_PARAMETER, closed=True)
     problem = discretise(plant, cost, period)
     certainty, plant = design_certainty("send-on-delta", problem), problem.plant
     taken = plant.V + delta**2 / 3 * np.eye(plant.outputs)

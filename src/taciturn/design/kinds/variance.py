@@ -13,8 +13,9 @@ from taciturn.lqg.kalman import forgetting
 from taciturn.lqg.queries import Predictor, schedule_by_variance
 from taciturn.model.cost import Cost
 from taciturn.model.plant import ContinuousPlant, Plant
-from taciturn.model.policy import Assign, ClosedForm, Decide, Policy, Received, Send
+from taciturn.model.policy import Assign, Decide, Policy, Received, Send
 from taciturn.model.schedule import Schedule
+from taciturn.model.theory import ClosedForm
 from taciturn.model.trigger import Form, Scheduled, Trigger
 
 
@@ -43,7 +44,7 @@ def variance(plant: Plant | ContinuousPlant, cost: Cost, *, threshold: float, pe
     Example: a random walk of variance 1 that is measured exactly.
 
         >>> plant, cost = Plant([[1.0]], [[1.0]], [[1.0]]), Cost([[1.0]], [[1.0]])
-        >>> variance(plant, cost, threshold=2.5).closed_form.rates
+        >>> variance(plant, cost, threshold=2.5).theory.closed_form.rates
         {'sensor': 0.3333333333333333}
     """
     threshold = number("threshold", threshold, 0.0, closed=True)

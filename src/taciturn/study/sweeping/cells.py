@@ -19,7 +19,8 @@ from taciturn._version import __version__
 from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.program.machine import one_thread
-from taciturn.study.evaluate import Evaluation, evaluate
+from taciturn.study.evaluate import evaluate
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.lower import choose_confidence, expect_bound
 from taciturn.study.record import digest, encode, fingerprint
 from taciturn.study.sweeping.identity import Report, accepted, asked, refuse_other_versions

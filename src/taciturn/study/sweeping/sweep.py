@@ -23,7 +23,7 @@ from taciturn.errors import ProblemError, TaciturnError
 from taciturn.problem import Problem
 from taciturn.problem.bare import Studied, as_problem
 from taciturn.simulation.average import check_effort
-from taciturn.study.evaluate import Evaluation
+from taciturn.study.evaluation import Evaluation
 from taciturn.study.record import digest, encode, fingerprint, origin
 from taciturn.study.sweeping.cells import Cell, Cells, Effort, Refusal, check_confidence, run_cells
 from taciturn.study.sweeping.store import Store

@@ -16,8 +16,8 @@ from taciturn.study.clock import Cycle, Either, Ticked
 from taciturn.study.evaluate import evaluate
 from taciturn.study.fair import clock_of
 from taciturn.study.tuning.budget import budget_of
-from taciturn.study.tuning.search import EXACT, Goal, Look, Search
-from taciturn.study.tuning.tuned import Parameter, Tuned
+from taciturn.study.tuning.search import Look, Search
+from taciturn.study.tuning.tuned import EXACT, Goal, Parameter, Tuned
 
 
 def tune(
