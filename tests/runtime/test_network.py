@@ -97,6 +97,16 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
     assert document["rates"]["actuator"]["value"] == pytest.approx(quiet.sends["actuator"][22:].mean(), abs=0.05)
 
 
+def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file() -> None:
+    """With the same bits; the changes of a problem in memory reach the processes, too."""
+    problem, losing = taciturn.load("lossy-double-integrator"), ["network.actuator_loss=0.2"]
+    for given, settings in ((problem, ()), (problem.design(), ()), (problem, losing)):
+        expected = run_network("lossy-double-integrator", settings=settings, ticks=30, seed=2)
+        found = run_network(given, settings=settings, ticks=30, seed=2)
+        assert found.costs.tobytes() == expected.costs.tobytes()
+        assert found.arrived == expected.arrived
+
+
 def test_a_run_is_drawn_and_tabled(quiet: NetworkRun) -> None:
     """One row per step, and a picture of costs and sends."""
     table = quiet.to_pandas()
