@@ -98,12 +98,10 @@ def test_a_run_in_virtual_time_is_that_of_its_seed(tmp_path: Path, quiet: Networ
     assert document["rates"]["actuator"]["value"] == pytest.approx(quiet.sends["actuator"][22:].mean(), abs=0.05)
 
 
-@pytest.mark.parametrize(("designed", "settings"), few([(True, ()), (False, ()), (False, CHANGED)], 1))
-def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(
-    designed: bool, settings: Sequence[str]
-) -> None:
+@pytest.mark.parametrize("case", few([(True, ()), (False, ()), (False, CHANGED)], 1))
+def test_nodes_run_for_a_problem_and_a_policy_in_memory_as_for_its_file(case: tuple[bool, Sequence[str]]) -> None:
     """With the same bits; the changes of a problem in memory reach the processes, too."""
-    problem = taciturn.load("two-mass-lqg")
+    (designed, settings), problem = case, taciturn.load("two-mass-lqg")
     expected = run_network("two-mass-lqg", settings=settings, ticks=30, seed=2)
     found = run_network(problem.design() if designed else problem, settings=settings, ticks=30, seed=2)
     assert found.costs.tobytes() == expected.costs.tobytes()
