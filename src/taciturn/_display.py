@@ -72,6 +72,8 @@ def brief(value: Any, longest: int = SHORT) -> str:
         return f"{value:z.6g}"
     elif isinstance(value, str):
         return repr(_cut(value, longest))
+    elif isinstance(value, bytes | bytearray):
+        text = f"{len(value)} bytes"
     elif isinstance(value, Mapping):
         named = cast("Mapping[str, Any]", value)
         return _joined("{}", [f"{name}: {brief(entry, longest)}" for name, entry in named.items()], longest)

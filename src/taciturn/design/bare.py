@@ -17,7 +17,9 @@ def own_problem(policy: Policy) -> tuple[Plant, Cost, Network]:
             sampled matrices.
     """
     if policy.cost is None:
-        raise ProblemError(f"{policy.kind} has no cost; expected the cost that the policy was designed for: cost=")
+        raise ProblemError(
+            f"{policy.kind} has no cost; expected the cost that it was designed for: theory=Theory(cost=…)"
+        )
     if policy.tick != 1.0 or policy.theory.noise_cost or policy.prediction is not None:
         raise ProblemError(
             f"{policy.kind} has steps of {policy.tick:g} s, so its cost refers to a continuous plant, which a policy "

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import inspect
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cache, cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias, get_type_hints
 
+from taciturn._arrays import quoted
 from taciturn._display import Displayed
-from taciturn.errors import ProblemError
+from taciturn.errors import ProblemError, TaciturnError
 
 if TYPE_CHECKING:
     from taciturn.model.cost import Cost
@@ -22,6 +26,7 @@ AnyPolicy: TypeAlias = "Policy | EventPolicy | OptimalPolicy"
 Setting: TypeAlias = float | int | str
 PlantClass = Literal["discrete", "continuous", "outputs", "jumps"]
 CostClass = Literal["average", "horizon", "discount"]
+REPAIR = "; expected a policy of this kind, or a ProblemError: repair or remove the package"
 ANY_PLANT: tuple[PlantClass, ...] = ("discrete", "continuous", "outputs", "jumps")
 
 
@@ -130,8 +135,9 @@ class Kind(Displayed):
 
     @property
     def identity(self) -> str:
-        """The place of the design function, which distinguishes kinds of the same name."""
-        return f"{self.design.__module__}:{self.design.__qualname__}"
+        """The place of the design function, and outside of this package a digest of its code, for stored results."""
+        place = f"{self.design.__module__}:{self.design.__qualname__}"
+        return place if self.in_house else f"{place} {code_digest(self.design.__module__)}"
 
     @property
     def remedy(self) -> str:
@@ -144,8 +150,52 @@ class Kind(Displayed):
         return get_type_hints(self.design)
 
     def make(self, plant: Plant | ContinuousPlant, cost: Cost, given: Mapping[str, Any]) -> AnyPolicy:
-        """Return the policy for a plant, a cost and further arguments of the design function."""
-        return self.design(plant, cost, **given)
+        """Return the policy for a plant, a cost and further arguments of the design function.
+
+        Raises:
+            ProblemError: the record does not list the class of the plant or of the cost, or the design function of
+                another package fails or returns no policy of this kind.
+        """
+        unlisted = None if self.in_house else self._unlisted(plant, cost)  # the designs of this package check
+        try:
+            policy = self.design(plant, cost, **given)
+        except TaciturnError:
+            raise
+        except Exception as error:
+            if unlisted is None and self.in_house:
+                raise
+            raise ProblemError(unlisted or f"{self._place} fails ({type(error).__name__}: {error})" + REPAIR) from error
+        if unlisted is not None:
+            raise ProblemError(unlisted)
+        if getattr(policy, "kind", None) != self.name:
+            raise ProblemError(f"{self._place} returns {quoted(policy)}" + REPAIR)
+        return policy
+
+    @property
+    def in_house(self) -> bool:
+        """True if the design function belongs to this package."""
+        return self.design.__module__.startswith("taciturn.")
+
+    @property
+    def _place(self) -> str:
+        return f"the design function {self.identity.partition(' ')[0]} of the policy kind {self.name}"
+
+    def _unlisted(self, plant: Plant | ContinuousPlant, cost: Cost) -> str | None:
+        """Return a sentence if the record does not list a class of the plant or of the cost, else None."""
+        continuous = not hasattr(plant, "dt")
+        classes: dict[str, tuple[bool, str]] = {
+            "discrete": (not continuous, "the plant is in discrete time"),
+            "continuous": (continuous, "the plant is in continuous time"),
+            "outputs": (not plant.full_state, "the plant has outputs with noise (plant.C)"),
+            "jumps": (getattr(plant, "jumps", None) is not None, "the plant has jumps (plant.jumps)"),
+            "average": (not cost.mission, "the cost is an average"),
+            "horizon": (cost.horizon is not None, "the cost has a horizon (cost.horizon)"),
+            "discount": (cost.discount < 1, "the cost is discounted (cost.discount)"),
+        }
+        for name, (has, what) in classes.items():
+            if has and name not in (*self.plants, *self.costs):
+                return f"{what}, which {self.name} does not support; expected another problem, or another policy kind"
+        return None
 
     @property
     def uses_network(self) -> bool:
@@ -174,3 +224,15 @@ class Kind(Displayed):
     @property
     def _text(self) -> str:
         return inspect.getdoc(self.design) or ""
+
+
+@cache
+def code_digest(module: str) -> str:
+    """Return a digest of the Python files of the package that contains a module, or of its own file."""
+    top = sys.modules[module.partition(".")[0]]
+    paths = [Path(folder) for folder in getattr(top, "__path__", [])]
+    files = [file for path in paths for file in sorted(path.rglob("*.py"))] or [Path(top.__file__ or "")]
+    read = hashlib.sha256()
+    for file in files:
+        read.update(file.read_bytes() if file.is_file() else b"")
+    return read.hexdigest()

@@ -101,6 +101,11 @@ class BareKind(Kind):
         return {one.name: one for one in (*own, inspect.Parameter("network", keyword))}
 
     @property
+    def in_house(self) -> bool:
+        """False: a policy or a function of a user."""
+        return False
+
+    @property
     def identity(self) -> str:
         """The kind and the fingerprint of its policy."""
         assert self.base is not None

@@ -51,7 +51,7 @@ def digest(text: str) -> str:
 def fingerprint(problem: Problem) -> str:
     """Return the digest of all data of a problem."""
     stated = (problem.plant, problem.cost, problem.network, problem.actual, problem.reference)
-    own = [] if problem.own is None else [problem.own.identity]
+    own = [] if problem.record.in_house else [problem.record.identity]
     return digest(encode([stated, problem.kind, problem.parameters, *own]))
 
 
