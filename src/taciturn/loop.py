@@ -20,12 +20,12 @@ from taciturn.model.plant import ContinuousPlant, Plant
 from taciturn.model.policy import ENDS, Assign, Identity, Policy, Step
 from taciturn.model.steps import assigned
 from taciturn.model.trigger import Form, Matrix, Scheduled
-from taciturn.program.controller import begin_time_step, draw_losses, is_bad
+from taciturn.program.controller import Begin, begin_time_step
 from taciturn.program.controls import with_controls
 from taciturn.program.draws import GENERATOR, NORMAL, seed_generators, with_draws
 from taciturn.program.ir import Program
 from taciturn.program.jumps import add_jumps
-from taciturn.program.lower import TimeStep
+from taciturn.program.lower import TimeStep, is_bad
 from taciturn.program.ops import Precision
 from taciturn.program.trace import trace
 
@@ -114,15 +114,15 @@ class Loop(Displayed):
         Sums: ``cost`` (stage cost), ``excess`` (completed square, if an identity applies), ``sent LINK`` (packets) and
         ``control …`` (control variates). Outputs: the signals that ``taciturn.simulation`` records.
         """
-        return with_draws(with_controls(self._whole()))
+        return with_draws(with_controls(self.whole_program()))
 
     def open_program(self) -> Program:
         """Return the program of one step of the loop with noise as an input.
 
         Inputs: process noise ``w i``, measurement noise ``v i``, and ``uniform i``. Outputs: those of ``program``. The
-        states ``x`` come first.
+        states ``x`` come first. Outputs ``drawn i`` are the uniform numbers that the policy draws.
         """
-        whole = self._whole(supplied=True)
+        whole = self.whole_program(supplied=True)
         return whole.keep(outputs=set(whole.outputs))
 
     def plant_program(self) -> Program:
@@ -135,7 +135,7 @@ class Loop(Displayed):
         followed = () if tracking is None else (tracking.state, tracking.input)
         for step in self.policy.steps:
             if any(name in followed for name in assigned(step)):
-                tick.take(step, {})
+                tick.take(step)
         tick.signals["input"] = [tick.builder.input(f"input {i}") for i in range(plant.inputs)]
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         outputs = {COST: tick.form(self._stage(*self._deviate(tick)))}
@@ -153,21 +153,29 @@ class Loop(Displayed):
 
         Source: khashooei2017
         """
+        return with_draws(with_controls(self.innovations_program()))
+
+    def innovations_program(self, begin: Begin = TimeStep) -> Program:
+        """Return the program of one step of the loop in innovations form, with random numbers as an input.
+
+        ``begin`` is the class that translates the steps.
+        """
         innovations = self.policy.innovations
         if not self.reducible or innovations is None:
             raise ProblemError("the loop has no innovations form; expected plant, network and horizon of the design")
         spread = factor(innovations.covariance)
-        tick = self._tick({DRAWN: spread.shape[1]})
+        tick = self._tick({DRAWN: spread.shape[1]}, begin)
         tick.signals[DRAWN] = _normals(tick, spread.shape[1], 0)
+        tick.draw_losses(self.policy, self.network)
         for step in self.policy.steps:
             if isinstance(step, Assign) and step.signal == innovations.signal:
                 tick.signals[step.signal] = tick.combine({DRAWN: spread}, len(spread))
             else:
-                tick.take(_driven(step, innovations.signal, spread), draw_losses(tick, self.policy, self.network))
+                tick.take(_driven(step, innovations.signal, spread))
         tick.signals["applied"] = tick.signals["input"]
         error = float(np.trace(self.problem.Q @ innovations.error_covariance))
         stage = tick.form(self._stage(innovations.estimate, "applied", error))
-        return with_draws(with_controls(tick.finish(self._sums(tick, stage), self._outputs(tick, ()))))
+        return tick.finish(self._sums(tick, stage), self._outputs(tick, ()))
 
     def start(self, program: Program, paths: int, seed: int, first: int = 0) -> Array:
         """Return the initial states of a program for consecutive paths from number ``first`` on, (states, paths)."""
@@ -209,22 +217,27 @@ class Loop(Displayed):
             raise ProblemError(f"ticks is {wanted}, but the horizon is {horizon}; expected at most {horizon}")
         return wanted
 
-    def _tick(self, extra: Mapping[str, int]) -> TimeStep:
+    def _tick(self, extra: Mapping[str, int], begin: Begin = TimeStep) -> TimeStep:
         sizes = {**extra, "applied": self.problem.plant.inputs, WEIGHT: 1}
-        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision)
+        return begin_time_step(self.policy, self.network, sizes, {"x": "x", WEIGHT: np.ones(1)}, self.precision, begin)
 
-    def _whole(self, supplied: bool = False) -> Program:
-        """Return the program of one step of the loop with random noise, or with noise as an input."""
-        tick = self._tick({"x": self.problem.plant.states})
+    def whole_program(self, supplied: bool = False, begin: Begin = TimeStep) -> Program:
+        """Return the program of one step of the loop with random numbers as an input.
+
+        The inputs are ``normal i``, or with ``supplied`` the noise ``w i`` and ``v i``; ``begin`` is the class that
+        translates the steps.
+        """
+        tick = self._tick({"x": self.problem.plant.states}, begin)
         if supplied:
             tick.recall("x")  # so that x is the first state
-        losses = draw_losses(tick, self.policy, self.network)
+        tick.draw_losses(self.policy, self.network)
         tick.signals["y"] = self._measured(tick, supplied)
         for step in self.policy.steps:
-            tick.take(step, losses)
+            tick.take(step)
         tick.signals["applied"] = tick.clipped(tick.signals["input"], self.problem.plant.input_limit)
         stage = tick.form(self._stage(*self._deviate(tick)))
         outputs = self._outputs(tick, ("x",))
+        outputs |= {f"drawn {i}": value for i, value in enumerate(tick.thresholds if supplied else ())}
         tick.signals["x"] = self._moved(tick, supplied)
         return tick.finish(self._sums(tick, stage), outputs)
 

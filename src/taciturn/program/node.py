@@ -125,13 +125,14 @@ class _Part(TimeStep):
         counts = {_flags(name): len(trigger.labels) - 1 for name, trigger in policy.decisions.items()}
         super().__init__(Builder(precision), {**policy.sizes, **counts}, policy.initial, policy.locations, payloads)
         self.drawn = drawn
+        self.losses = dict.fromkeys(payloads, 0.0)  # the arrival of a packet is an input
         self.packets: dict[str, Vector] = {}  # payload of each packet, rounded by its encoding
         self._link = ""
 
-    def take(self, step: Step, losses: Mapping[str, float]) -> None:
+    def take(self, step: Step) -> None:
         on = _condition(step)
         self._link = on.link if isinstance(on, Received) else ""
-        super().take(step, losses)
+        super().take(step)
         if isinstance(step, Send):
             parts = [self.rounded(self.recall(name), how) for name, how in self.payloads[step.link].items()]
             self.packets[step.link] = [value for part in parts for value in part]
@@ -234,7 +235,7 @@ class _Lowering:
     def _walk(self, steps: Sequence[Step], drawn: int) -> _Part:
         tick = _Part(self.policy, self.payloads, drawn, self.precision)
         for step in steps:
-            tick.take(step, dict.fromkeys(self.payloads, 0.0))
+            tick.take(step)
         return tick
 
     def _program(self, index: int, tick: _Part, states: Sequence[State]) -> Program:
